@@ -1,0 +1,87 @@
+# Every target sets up what it needs in .venv; Python >= 3.11 and make are all that must be there.
+# Another interpreter: make PYTHON=/path/to/python3.12 test (after rm -rf .venv, if there is one already).
+PYTHON ?= python3.13 python3.12 python3.11 python3
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMPS := $(VENV)/.stamps
+TEST_ARGS ?=
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+export PIP_NO_INPUT := 1
+export MPLBACKEND := Agg
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format bench study-systems clean
+# Two pips must not write to one environment at a time.
+.NOTPARALLEL:
+
+help:
+	@echo "make demo           find the Lagrangian of a measured double pendulum; report in demo-output/"
+	@echo "make test           run the tests (TEST_ARGS='-k spline' for some of them)"
+	@echo "make lint           check style, types and the direction of imports"
+	@echo "make format         put the code into the style that lint checks"
+	@echo "make bench          measure speed"
+	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
+	@echo "make clean          remove outputs and caches, keep $(VENV)"
+
+demo: $(STAMPS)/core
+	$(BIN)/leastaction demo --output demo-output
+
+# Two workers with one BLAS thread each: small matrices gain nothing from more threads.
+test: $(STAMPS)/test
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -q $(TEST_ARGS)
+
+lint: $(STAMPS)/lint
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-logo
+
+format: $(STAMPS)/lint
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+bench: $(STAMPS)/core
+	$(BIN)/python benchmarks/run.py
+
+study-systems: $(STAMPS)/core
+	$(BIN)/python benchmarks/accuracy.py
+
+clean:
+	rm -rf demo-output build dist docs/_build .pytest_cache .hypothesis .ruff_cache .import_linter_cache
+	find src tests benchmarks examples docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+# A working environment is kept, whoever made it; a broken or too old one is made anew.
+$(STAMPS)/venv:
+	@if ! $(BIN)/python -c 'import sys, pip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	  found=; \
+	  for candidate in $(PYTHON); do \
+	    if "$$candidate" -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; \
+	    then found=$$candidate; break; fi; \
+	  done; \
+	  if [ -z "$$found" ]; then \
+	    echo "error: no Python >= 3.11 with the venv module among: $(PYTHON)." \
+	      "Install one, or name one: make PYTHON=/path/to/python3" >&2; exit 1; \
+	  fi; \
+	  echo "creating $(VENV) with $$found"; \
+	  "$$found" -m venv --clear $(VENV) || exit 1; \
+	fi
+	@mkdir -p $(STAMPS) && touch $@
+
+# Editable, so that only a change of pyproject.toml asks for a new installation.
+install = echo "installing leastaction$(1) into $(VENV)"; \
+	$(BIN)/python -m pip install -q -e '.$(1)' || { echo "error: pip could not install leastaction$(1): see above;" \
+	  "it needs a package index" >&2; exit 1; }
+
+$(STAMPS)/core: $(STAMPS)/venv pyproject.toml
+	@$(call install,)
+	@touch $@
+
+$(STAMPS)/test: $(STAMPS)/venv pyproject.toml
+	@$(call install,[test])
+	@touch $(STAMPS)/core $@
+
+$(STAMPS)/lint: $(STAMPS)/venv pyproject.toml
+	@$(call install,[lint])
+	@touch $(STAMPS)/core $@

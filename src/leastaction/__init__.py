@@ -1,0 +1,1 @@
+"""leastaction: the Lagrangian of a mechanical system from noisy measured coordinates."""

@@ -1,0 +1,95 @@
+"""From paths to trajectories: the reader for a suffix, and several files as one set."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from leastaction._errors import InputError
+from leastaction._files._arrays import read_mat_table, read_npz_table
+from leastaction._files._csv import read_csv_table
+from leastaction._files._frames import read_parquet_table
+from leastaction._files._layout import Layout, Table, to_trajectories
+from leastaction._names import quoted
+from leastaction._trajectory import Trajectories, Trajectory
+
+__all__ = ["combined_trajectories", "file_trajectories", "reader_for", "stem"]
+
+TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
+
+_READERS: dict[str, TableReader] = {
+    ".csv": read_csv_table,
+    ".tsv": read_csv_table,
+    ".txt": read_csv_table,
+    ".dat": read_csv_table,
+    ".parquet": read_parquet_table,
+    ".pq": read_parquet_table,
+    ".npz": read_npz_table,
+    ".mat": read_mat_table,
+}
+
+
+def reader_for(path: Path) -> TableReader:
+    """Return the reader for the suffix of `path`, or raise InputError."""
+    name = path.name.lower()
+    suffix = Path(name.removesuffix(".gz")).suffix
+    reader = _READERS.get(suffix)
+    if reader is None or (name.endswith(".gz") and reader is not read_csv_table):
+        if path.is_dir():
+            raise InputError(f"{path} is a directory; give the path of a file in it")
+        raise InputError(
+            f"{path}: the suffix {quoted(path.suffix)} is not known; use a file with one of "
+            f"{', '.join(_READERS)} (text also with .gz), or the reader for its kind"
+        )
+    return reader
+
+
+def stem(path: Path) -> str:
+    """Return the name of a file without its suffix: ``"run"`` for ``run.csv.gz``."""
+    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return Path(name).stem
+
+
+def file_trajectories(reader: TableReader, path: Path, layout: Layout) -> Trajectories:
+    """Read one file."""
+    return to_trajectories(*reader(path, layout), name=stem(path))
+
+
+def combined_trajectories(paths: Sequence[Path], layout: Layout) -> Trajectories:
+    """Read several files as trials of one system, with names that differ.
+
+    Raises
+    ------
+    InputError
+        If there is no path, or two paths are the same file.
+    """
+    if not paths:
+        raise InputError("there is no file to read; give at least one path")
+    seen: set[str] = set()
+    for path in paths:
+        if os.path.realpath(path) in seen:
+            raise InputError(f"{path} is given twice; give each file once")
+        seen.add(os.path.realpath(path))
+    if len(paths) == 1:
+        return file_trajectories(reader_for(paths[0]), paths[0], layout)
+    items: list[Trajectory] = []
+    taken: set[str] = set()
+    # Unwrapped together at the end: the set then counts the wraps of all files.
+    wrapped = replace(layout, angles=())
+    for path in paths:
+        found, table = reader_for(path)(path, wrapped)
+        for item in to_trajectories(found, table):
+            name = _free_name(stem(path) + (f"/{item.name}" if table.trials is not None else ""), taken)
+            taken.add(name)
+            items.append(Trajectory(item.t, item.q, item.forces, item.coordinates, name))
+    together = Trajectories(items)
+    return together.unwrap(layout.angles) if layout.angles else together
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    number, free = 2, name
+    while free in taken:
+        free, number = f"{name}-{number}", number + 1
+    return free

@@ -1,0 +1,150 @@
+"""Noise and equation error estimated by the marginal likelihood, the curve integrated out.
+
+Given a support, the weights (σ, w) maximise (Laplace's approximation, up to a constant)
+
+    −½ cost − Σ_i n_i log σ_i + rank (½ Σ_i log w_i + ⟨log |det M|⟩) − ½ log|H(σ, w)|.
+
+Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural Computation 4:415)
+
+    w_i = (rank − γ_i) / ∫ r_i² dt,    γ_i = ∂ log|H| / ∂ log w_i,
+    σ_i² = Σ (y − N P)² / (n_i − η_i),   η_i = ∂ log|H| / ∂ log σ_i⁻².
+
+An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction._fit.gauss_newton import JointFit, factorise, fit_joint, logdet
+from leastaction._fit.problem import Observations, Physics, Weights, linearise
+
+__all__ = ["Start", "evidence", "fit_weights", "start_weights"]
+
+_LOG_STEP = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a fit begins: curve, coefficients (known ones included), weights."""
+
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    weights: Weights
+
+    @classmethod
+    def of(cls, fit: JointFit) -> Start:
+        return cls(fit.control_points, fit.coefficients, fit.weights)
+
+
+def equation_rank(observations: Observations) -> int:
+    """Directions of one coordinate that its equation touches: all but initial position and rate."""
+    grid = observations.grid
+    return grid.n_ctrl - 2 * len(grid.spaces)
+
+
+def evidence(observations: Observations, fit: JointFit) -> float:
+    """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only."""
+    weights = fit.weights
+    value = -0.5 * fit.misfit - float(observations.counts @ np.log(weights.noise_std))
+    prior = 0.5 * float(np.log(weights.physics).sum()) + fit.log_volume
+    return value + equation_rank(observations) * prior - 0.5 * fit.logdet
+
+
+def start_weights(
+    observations: Observations, physics: Physics, noise_std: np.ndarray, control_points: np.ndarray, coefficients
+) -> Weights:
+    """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike."""
+    one = np.ones_like(noise_std)
+    normal = linearise(observations, physics, Weights(noise_std, one, 0 * one), control_points, coefficients)
+    counts = np.maximum(observations.counts, 1)
+    rank = equation_rank(observations)
+    return Weights(noise_std, counts / np.maximum(normal.equation, 1e-300), rank * one)
+
+
+def update_weights(observations: Observations, physics: Physics, fit: JointFit, keep_noise: bool) -> Weights:
+    """One fixed-point update of w (and σ), each w limited to a factor of 30."""
+    normal = linearise(observations, physics, fit.weights, fit.control_points, fit.coefficients)
+    weights = fit.weights
+
+    def slope(noise: np.ndarray, physics_weight: np.ndarray) -> float:
+        """Derivative of log|H| along a change of the log weights by one step either way."""
+        both = [
+            logdet(factorise(observations, normal, Weights(weights.noise_std / a, weights.physics * b, weights.slack)))
+            for a, b in ((noise, physics_weight), (1 / noise, 1 / physics_weight))
+        ]
+        return 0.5 * (both[0] - both[1]) / _LOG_STEP
+
+    n, rank = observations.n_dof, equation_rank(observations)
+    one, new_physics, slack, new_noise = np.ones(n), np.empty(n), np.empty(n), weights.noise_std.copy()
+    for i in range(n):
+        bump = one.copy()
+        bump[i] = np.exp(_LOG_STEP)
+        slack[i] = max(rank - slope(one, bump), 1e-3)
+        ratio = slack[i] / max(fit.equation[i] * weights.physics[i], 1e-300)
+        new_physics[i] = weights.physics[i] * np.clip(ratio, 1 / 30, 30)
+        if not keep_noise:
+            bump[i] = np.exp(0.5 * _LOG_STEP)
+            used = slope(bump, one)
+            new_noise[i] = np.sqrt(fit.squares[i] / max(observations.counts[i] - used, 1.0))
+    return Weights(new_noise, new_physics, slack)
+
+
+def fit_weights(
+    observations: Observations,
+    physics: Physics,
+    start: Start,
+    *,
+    settle: bool = True,
+    max_rounds: int = 25,
+    keep_noise: bool = False,
+) -> JointFit:
+    """Fit curve, coefficients and weights together.
+
+    Stops when the coefficients move by less than a twentieth of a standard error, and the evidence by
+    less than a half, from one round to the next.
+
+    Parameters
+    ----------
+    settle : bool
+        First let curve and weights settle on the starting coefficients: at small weights the scale of L
+        is hardly determined and would drift away from a rough start.
+    """
+    if settle:
+        start = _settle_curve(observations, physics, start, keep_noise)
+    best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
+    best_evidence = evidence(observations, best)
+    for _ in range(max_rounds):
+        if not best.converged:
+            break
+        weights = _accelerate(best.weights, update_weights(observations, physics, best, keep_noise))
+        fit = fit_joint(observations, physics, weights, best.control_points, best.coefficients)
+        value = evidence(observations, fit)
+        if not np.isfinite(value) or value < best_evidence - 0.5:
+            break
+        spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
+        moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
+        settled = np.all(moved < 0.05) and value - best_evidence < 0.5
+        best, best_evidence = fit, value
+        if settled:
+            break
+    return best
+
+
+def _accelerate(old: Weights, new: Weights) -> Weights:
+    """Square the growth of w while it is large: the plain fixed point needs many rounds to grow a thousandfold."""
+    ratio = new.physics / old.physics
+    return Weights(new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack)
+
+
+def _settle_curve(observations: Observations, physics: Physics, start: Start, keep_noise: bool) -> Start:
+    """Curve and weights for the starting coefficients, held."""
+    held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
+    for _ in range(3):
+        fit = fit_joint(observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0)
+        if not fit.converged:
+            break
+        start = Start(fit.control_points, fit.coefficients, update_weights(observations, held, fit, keep_noise))
+    return start

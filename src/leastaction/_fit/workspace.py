@@ -1,0 +1,168 @@
+"""Measurements, candidates and the current spline grid, and fits of single structures on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from leastaction._euler_lagrange import EulerLagrange
+from leastaction._fit.evidence import Start, evidence, fit_weights, start_weights
+from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
+from leastaction._fit.problem import Observations, Physics, Weights
+from leastaction._spline import SplineGrid, uniform_space
+from leastaction._trajectory import Trajectories
+
+__all__ = ["StructureFit", "Workspace"]
+
+
+@dataclass(frozen=True, eq=False)
+class StructureFit:
+    """A support with its joint fit.
+
+    Attributes
+    ----------
+    members : tuple of int
+        Numbers of the free columns that are in the structure.
+    coefficients : (n_columns,) array
+        Of all columns: known ones in place, zero for those not in the structure.
+    fit : JointFit
+        ``fit.covariance`` follows ``members``.
+    evidence : float
+    """
+
+    members: tuple[int, ...]
+    coefficients: np.ndarray
+    fit: JointFit
+    evidence: float
+
+    @property
+    def standard_errors(self) -> np.ndarray:
+        """(n_members,)"""
+        return np.sqrt(np.clip(np.diag(self.fit.covariance), 0.0, None))
+
+    @property
+    def estimates(self) -> np.ndarray:
+        """(n_members,) coefficients of the members."""
+        return self.coefficients[list(self.members)]
+
+
+class Workspace:
+    """What all fits of one discovery share.
+
+    Parameters
+    ----------
+    trajectories : Trajectories
+    columns : EulerLagrange
+        All candidates.
+    known : (n_columns,) array
+        Known coefficients, NaN where free.
+    knots_per_second : float
+    degree : int
+    n_quadrature : int
+        Gauss–Legendre points in each knot interval.
+    """
+
+    def __init__(
+        self,
+        trajectories: Trajectories,
+        columns: EulerLagrange,
+        known: np.ndarray,
+        knots_per_second: float,
+        degree: int = 5,
+        n_quadrature: int = 2,
+    ) -> None:
+        self.trajectories = trajectories
+        self.columns = columns
+        self.known = known
+        self.degree, self.n_quadrature = degree, n_quadrature
+        self.times = [trajectory.t for trajectory in trajectories]
+        self.values = [trajectory.q for trajectory in trajectories]
+        self._force_curves = None
+        if trajectories.driven:
+            self._force_curves = [_force_curve(trajectory) for trajectory in trajectories]
+        self.set_knots(knots_per_second)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Numbers of the columns that are not known."""
+        return np.flatnonzero(np.isnan(self.known))
+
+    def set_knots(self, knots_per_second: float) -> None:
+        """Lay a new spline grid."""
+        self.knots_per_second = knots_per_second
+        spaces = [uniform_space(t[0], t[-1], knots_per_second, self.degree) for t in self.times]
+        self.grid = SplineGrid(spaces, self.n_quadrature)
+        self.observations = Observations(self.grid, self.times, self.values)
+        self.forces = None
+        if self._force_curves is not None:
+            points = [self.grid.points[self.grid.owner == k] for k in range(len(spaces))]
+            self.forces = np.concatenate([f(p) for f, p in zip(self._force_curves, points, strict=True)])
+
+    def refine_knots(self, factor: float, fit: StructureFit) -> Start:
+        """Lay a finer grid and carry a fit over to it."""
+        old, control_points = self.grid, fit.fit.control_points
+        before = self.knots_per_second
+        self.set_knots(before * factor)
+        moved = np.empty((self.grid.n_ctrl, control_points.shape[1]))
+        for k, (space, part) in enumerate(zip(self.grid.spaces, old.split(control_points), strict=True)):
+            sites = _greville(space.knots, self.degree)
+            values = old.spaces[k].evaluate(part, sites)
+            matrix = space.basis(sites).tocsc()
+            moved[self.grid.offsets[k] : self.grid.offsets[k + 1]] = _banded_solve(matrix, values, self.degree)
+        weights = fit.fit.weights
+        return Start(moved, fit.coefficients, weights)
+
+    def physics(self, members: tuple[int, ...]) -> tuple[Physics, list[int]]:
+        """The equations of a structure, and the columns that they hold: free members, then known ones."""
+        index = [*members, *(int(k) for k in np.flatnonzero(~np.isnan(self.known)))]
+        is_free = np.arange(len(index)) < len(members)
+        return Physics(self.columns.subset(index), is_free, self.forces), index
+
+    def start(self, members: tuple[int, ...], control_points, coefficients: np.ndarray, noise_std) -> Start:
+        """Starting weights for a structure at given curve and coefficients of all columns."""
+        physics, index = self.physics(members)
+        weights = start_weights(self.observations, physics, noise_std, control_points, coefficients[index])
+        return Start(control_points, coefficients, weights)
+
+    def fit(self, members: tuple[int, ...], start: Start, *, settle: bool, max_rounds: int = 25) -> StructureFit:
+        """Fit a structure; ``start.coefficients`` covers all columns.
+
+        Parameters
+        ----------
+        settle : bool
+            Let curve and weights settle on the starting coefficients first (for rough starts).
+        """
+        physics, index = self.physics(members)
+        begin = Start(start.control_points, start.coefficients[index], start.weights)
+        fit = fit_weights(self.observations, physics, begin, settle=settle, max_rounds=max_rounds)
+        coefficients = np.zeros(len(self.columns))
+        coefficients[index] = fit.coefficients
+        return StructureFit(members, coefficients, fit, evidence(self.observations, fit))
+
+    def score(self, structure: StructureFit) -> Quadratic:
+        """Quadratic model of the cost in all free columns about a structure's fit."""
+        physics, _ = self.physics(structure.members)
+        candidates = self.columns.subset([int(k) for k in self.free])
+        return score_candidates(self.observations, physics, structure.fit, candidates)
+
+
+def _force_curve(trajectory):
+    if trajectory.forces is None:
+        n_dof = trajectory.n_dof
+        return lambda points: np.zeros((*points.shape, n_dof))
+    return CubicSpline(trajectory.t, trajectory.forces)
+
+
+def _greville(knots: np.ndarray, degree: int) -> np.ndarray:
+    """Averages of ``degree`` successive knots: interpolation there is well conditioned."""
+    sums = np.concatenate([[0.0], np.cumsum(knots)])
+    sites = (sums[degree + 1 : -1] - sums[1 : -degree - 1]) / degree
+    return np.clip(sites, knots[0], knots[-1])
+
+
+def _banded_solve(matrix, values: np.ndarray, degree: int) -> np.ndarray:
+    from scipy.sparse.linalg import splu
+
+    return splu(matrix).solve(values)

@@ -1,0 +1,186 @@
+"""Which terms are in the model: supports from the weak form, refined on the likelihood.
+
+1. Beam search on the weak form at several test-function widths proposes supports.
+2. Each is fitted jointly with curve and weights; a quadratic model of the likelihood in *all*
+   candidates then proposes a better support, which is fitted in turn, until nothing changes.
+3. Knots are refined until coefficients and standard errors stop moving, and step 2 is repeated there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction._fit.evidence import Start
+from leastaction._fit.workspace import StructureFit, Workspace
+from leastaction._search import beam_search, solve_support
+from leastaction._smoothing import Smooth
+from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty
+from leastaction._weak import weak_gram
+
+__all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
+
+Progress = Callable[[str, dict], None]
+
+_MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
+_OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The chosen structure, and the supports of every size about it.
+
+    Attributes
+    ----------
+    structure : StructureFit
+    levels : dict
+        Number of free terms → supports (numbers of columns) with cost, best first.
+    penalty : float
+        Price of a term in units of χ².
+    knots_settled : bool
+        Whether finer knots changed nothing any more.
+    """
+
+    structure: StructureFit
+    levels: dict[int, list[Choice]]
+    penalty: float
+    knots_settled: bool
+
+
+def characteristic_times(qdot: np.ndarray, qddot: np.ndarray) -> float:
+    """Period 2π rms(q̇)/rms(q̈) of the fastest coordinate, in seconds."""
+    flat = (0, 1) if qdot.ndim == 3 else 0
+    ratio = np.sqrt((qdot**2).mean(axis=flat) / np.maximum((qddot**2).mean(axis=flat), 1e-300))
+    return float(2.0 * np.pi * ratio.min())
+
+
+def propose_supports(workspace: Workspace, smooth: Smooth) -> list[tuple[tuple[int, ...], np.ndarray]]:
+    """Supports with starting coefficients of all columns, one for each test-function width."""
+    _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
+    scale = np.sqrt((qdot**2).mean(axis=(0, 1)))
+    period = characteristic_times(qdot, qddot)
+    free = workspace.free
+    proposals: list[tuple[tuple[int, ...], np.ndarray]] = []
+    for width in (0.75 * period, 1.5 * period, 0.375 * period):
+        gram = weak_gram(
+            workspace.grid,
+            smooth.control_points,
+            workspace.columns,
+            workspace.known,
+            workspace.forces,
+            width,
+            scale,
+        )
+        n_rows = max(gram.n_rows / _OVERLAP, 4.0)
+        penalty = term_penalty(int(n_rows), free.size)
+        levels = beam_search(gram, min(free.size, _MAX_SIZE))
+        scores = [n_rows * np.log(level[0].ratio) + penalty * len(level[0].members) for level in levels]
+        members = levels[int(np.argmin(scores))][0].members
+        coefficients = np.where(np.isnan(workspace.known), 0.0, workspace.known)
+        coefficients[free] = solve_support(gram, members)
+        proposals.append((tuple(int(free[m]) for m in members), coefficients))
+    return proposals
+
+
+class _Refiner:
+    """Alternates fits and searches on the quadratic model of the likelihood."""
+
+    def __init__(self, workspace: Workspace, progress: Progress) -> None:
+        self.workspace = workspace
+        self.progress = progress
+        self.penalty = term_penalty(int(workspace.observations.counts.sum()), workspace.free.size)
+        self.levels: dict[int, list[Choice]] = {}
+
+    def value(self, structure: StructureFit) -> float:
+        """Evidence less the price of the terms; −inf for a fit that failed."""
+        if not structure.fit.converged or not np.isfinite(structure.evidence):
+            return -np.inf
+        return structure.evidence - 0.5 * self.penalty * len(structure.members)
+
+    def refine(self, structure: StructureFit, rounds: int = 8) -> StructureFit:
+        for _ in range(rounds):
+            self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
+            if not structure.fit.converged:
+                break
+            proposal = self._propose(structure)
+            if proposal is None:
+                break
+            members, start = proposal
+            better = self.workspace.fit(members, start, settle=False)
+            if self.value(better) <= self.value(structure):
+                break
+            structure = better
+        return structure
+
+    def _propose(self, structure: StructureFit) -> tuple[tuple[int, ...], Start] | None:
+        """A better support by the quadratic model, with its start; None when there is none."""
+        workspace, free = self.workspace, self.workspace.free
+        quadratic = workspace.score(structure)
+        here = structure.coefficients[free]
+        model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
+        position = {int(k): p for p, k in enumerate(free)}
+        current = tuple(sorted(position[m] for m in structure.members))
+        levels = search_subsets(model, current, self.penalty)
+        self.levels = {
+            size: [Choice(tuple(int(free[m]) for m in c.members), c.cost) for c in level]
+            for size, level in levels.items()
+        }
+        best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
+        if best.members == current:
+            return None
+        there = model.solution(best.members)
+        shift = quadratic.curve_shift + quadratic.curve_response @ (there - here)
+        points = structure.fit.control_points
+        coefficients = structure.coefficients.copy()
+        coefficients[free] = there
+        start = Start(points - shift.reshape(points.shape), coefficients, structure.fit.weights)
+        return tuple(int(free[m]) for m in best.members), start
+
+
+def select_structure(workspace: Workspace, smooth: Smooth, progress: Progress) -> Selection:
+    """Run the search; the workspace ends with the knots of the result."""
+    refiner = _Refiner(workspace, progress)
+    best: StructureFit | None = None
+    tried: set[tuple[int, ...]] = set()
+    for members, coefficients in propose_supports(workspace, smooth):
+        if members in tried:
+            continue
+        tried.add(members)
+        start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
+        structure = refiner.refine(workspace.fit(members, start, settle=True))
+        agreed = best is not None and structure.members == best.members
+        if best is None or refiner.value(structure) > refiner.value(best):
+            best = structure
+        if agreed:
+            break
+    assert best is not None
+    structure, settled = refine_knots(workspace, best, progress)
+    again = refiner.refine(structure, rounds=4)
+    if again.members != structure.members:
+        again, settled = refine_knots(workspace, again, progress)
+        refiner.refine(again, rounds=1)
+    return Selection(again, refiner.levels, refiner.penalty, settled)
+
+
+def refine_knots(
+    workspace: Workspace, structure: StructureFit, progress: Progress, max_rounds: int = 6, factor: float = 1.4
+) -> tuple[StructureFit, bool]:
+    """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %."""
+    rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
+    for _ in range(max_rounds):
+        if not structure.fit.converged or workspace.knots_per_second > 3.0 * rate:
+            return structure, False
+        start = workspace.refine_knots(factor, structure)
+        progress("knots", {"knots_per_second": workspace.knots_per_second})
+        finer = workspace.fit(structure.members, start, settle=False)
+        if not finer.fit.converged:
+            return finer, False
+        spread = np.maximum(structure.standard_errors, 1e-300)
+        moved = np.abs(finer.estimates - structure.estimates) / spread
+        shrunk = finer.standard_errors / spread
+        structure = finer
+        if np.all(moved < 0.1) and np.all(shrunk > 0.97):
+            return structure, True
+    return structure, False

@@ -1,0 +1,250 @@
+"""Clamped B-splines: knots, basis and derivative bases, quadrature, evaluation.
+
+One :class:`SplineSpace` belongs to one trajectory.  A :class:`SplineGrid` holds the spaces of all
+trajectories side by side: control points are numbered through, nothing couples two trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.interpolate import BSpline
+
+__all__ = ["SplineGrid", "SplineSpace", "uniform_space"]
+
+
+@dataclass(frozen=True, eq=False)
+class SplineSpace:
+    """Clamped B-splines of one trajectory.
+
+    Parameters
+    ----------
+    degree : int
+        Degree p ≥ 3 of the splines (3 = cubic).
+    breakpoints : (n_intervals + 1,) array
+        Strictly increasing times in seconds; the end points are repeated p more times in ``knots``.
+
+    Notes
+    -----
+    The basis obeys the Cox–de Boor recursion and its derivative the recursion (de Boor 2001, ch. X;
+    appendix of Zhang & Sun 2026)
+
+    .. math:: N'_{i,p}(t) = \\frac{p}{t_{i+p}-t_i} N_{i,p-1}(t)
+                          - \\frac{p}{t_{i+p+1}-t_{i+1}} N_{i+1,p-1}(t).
+
+    Examples
+    --------
+    >>> space = SplineSpace(3, np.linspace(0.0, 1.0, 6))
+    >>> space.n_ctrl
+    8
+    >>> bool(np.allclose(space.basis([0.0, 0.5, 1.0]).sum(axis=1), 1.0))
+    True
+    """
+
+    degree: int
+    breakpoints: np.ndarray
+
+    def __post_init__(self) -> None:
+        points = np.ascontiguousarray(self.breakpoints, dtype=float)
+        if self.degree < 3:
+            raise ValueError(
+                f"degree {self.degree} is too low: the equations need a continuous second derivative, use 3 or more"
+            )
+        if points.ndim != 1 or points.size < 2 or not np.all(np.diff(points) > 0):
+            raise ValueError("breakpoints must be a strictly increasing 1-D array of at least two times")
+        object.__setattr__(self, "breakpoints", points)
+
+    @property
+    def n_intervals(self) -> int:
+        return self.breakpoints.size - 1
+
+    @property
+    def n_ctrl(self) -> int:
+        return self.n_intervals + self.degree
+
+    @cached_property
+    def knots(self) -> np.ndarray:
+        """(n_ctrl + degree + 1,) clamped knot vector."""
+        ends = np.ones(self.degree)
+        return np.concatenate([ends * self.breakpoints[0], self.breakpoints, ends * self.breakpoints[-1]])
+
+    def interval_of(self, x: np.ndarray) -> np.ndarray:
+        """Index of the knot interval that holds each time; the last one is closed."""
+        return np.clip(np.searchsorted(self.breakpoints, x, side="right") - 1, 0, self.n_intervals - 1)
+
+    def local_basis(self, x: np.ndarray, nu: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """The degree + 1 basis functions that live at each time.
+
+        Parameters
+        ----------
+        x : (n_points,) array
+            Times within the breakpoints.
+        nu : int
+            Derivative, 0 ≤ nu ≤ degree.
+
+        Returns
+        -------
+        first : (n_points,) int array
+            Number of the first control point that matters at each time.
+        values : (n_points, degree + 1) array
+        """
+        x = np.asarray(x, dtype=float)
+        first = self.interval_of(x)
+        start = self.degree - nu
+        t = self.knots
+        position = first + self.degree  # knots[position] <= x < knots[position + 1]
+        values = np.ones((x.size, 1))
+        for p in range(1, start + 1):  # Cox–de Boor, raising the degree
+            raised = np.zeros((x.size, p + 1))
+            for j in range(p):
+                left, right = t[position - p + 1 + j], t[position + 1 + j]
+                share = values[:, j] / (right - left)
+                raised[:, j] += (right - x) * share
+                raised[:, j + 1] += (x - left) * share
+            values = raised
+        for p in range(start + 1, self.degree + 1):  # the derivative recursion
+            raised = np.zeros((x.size, p + 1))
+            for j in range(p):
+                slope = p * values[:, j] / (t[position + 1 + j] - t[position - p + 1 + j])
+                raised[:, j] -= slope
+                raised[:, j + 1] += slope
+            values = raised
+        return first, values
+
+    def basis(self, x, nu: int = 0) -> sp.csr_array:
+        """Design matrix N, Ṅ, N̈, … as a sparse (n_points, n_ctrl) array."""
+        x = np.asarray(x, dtype=float)
+        first, values = self.local_basis(x, nu)
+        columns = first[:, None] + np.arange(self.degree + 1)
+        pointers = np.arange(x.size + 1) * (self.degree + 1)
+        return sp.csr_array((values.ravel(), columns.ravel(), pointers), shape=(x.size, self.n_ctrl))
+
+    def evaluate(self, control_points: np.ndarray, x, nu: int = 0) -> np.ndarray:
+        """Derivative ``nu`` of the curve at times x: (n_points, n_dof)."""
+        return np.asarray(BSpline(self.knots, control_points, self.degree)(x, nu=nu))
+
+
+def uniform_space(start: float, stop: float, knots_per_second: float, degree: int = 5) -> SplineSpace:
+    """Space with equal knot intervals on [start, stop], at least four of them."""
+    n_intervals = max(4, int(np.ceil((stop - start) * knots_per_second - 1e-9)))
+    return SplineSpace(degree, np.linspace(start, stop, n_intervals + 1))
+
+
+class SplineGrid:
+    """The spline spaces of all trajectories, numbered through.
+
+    Parameters
+    ----------
+    spaces : sequence of SplineSpace
+        All of one degree.
+    n_quadrature : int
+        Gauss–Legendre points in each knot interval.
+
+    Attributes
+    ----------
+    n_ctrl, n_intervals : int
+        Totals over the trajectories.
+    first : (n_intervals,) int array
+        Number of the first control point of each interval.
+    points : (n_intervals, n_quadrature) array
+        Quadrature times; ``weights`` has the same shape and sums to the total duration.
+    owner : (n_intervals,) int array
+        Trajectory of each interval.
+    """
+
+    def __init__(self, spaces: Sequence[SplineSpace], n_quadrature: int = 3) -> None:
+        self.spaces = tuple(spaces)
+        self.degree = self.spaces[0].degree
+        counts = np.array([s.n_ctrl for s in self.spaces])
+        self.offsets = np.concatenate([[0], np.cumsum(counts)])
+        self.n_ctrl = int(self.offsets[-1])
+        self.first = np.concatenate(
+            [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
+        )
+        self.n_intervals = self.first.size
+        self.owner = np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
+        nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
+        widths = np.concatenate([np.diff(s.breakpoints) for s in self.spaces])
+        lefts = np.concatenate([s.breakpoints[:-1] for s in self.spaces])
+        self.points = lefts[:, None] + 0.5 * widths[:, None] * (nodes + 1.0)
+        self.weights = 0.5 * widths[:, None] * weights
+        self._patterns, self._tables = self._quadrature_tables()
+
+    def _quadrature_tables(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Basis values at the quadrature points: equal intervals share one pattern.
+
+        Away from the clamped ends all intervals of a uniform space look alike, so 2p + 1 patterns
+        a trajectory are enough and memory does not grow with its length.
+        """
+        patterns, tables, total = [], [[], [], []], 0
+        for k, space in enumerate(self.spaces):
+            m, p = space.n_intervals, self.degree
+            points = self.points[self.owner == k]
+            keep = np.arange(m) if m <= 2 * p else np.r_[0 : p + 1, m - p : m]
+            if m > 2 * p and not np.allclose(np.diff(space.breakpoints), space.breakpoints[1] - space.breakpoints[0]):
+                keep = np.arange(m)
+            index = np.arange(m) if keep.size == m else np.r_[0:p, np.full(m - 2 * p, p), p + 1 : 2 * p + 1]
+            patterns.append(total + index)
+            total += keep.size
+            for nu in range(3):
+                _, values = space.local_basis(points[keep].ravel(), nu)
+                tables[nu].append(values.reshape(keep.size, -1, p + 1))
+        return np.concatenate(patterns), [np.concatenate(t) for t in tables]
+
+    def quadrature_basis(self, chunk: slice, nu: int) -> np.ndarray:
+        """(n_intervals in chunk, n_quadrature, degree + 1) basis values at the quadrature points."""
+        return self._tables[nu][self._patterns[chunk]]
+
+    def local_control_points(self, control_points: np.ndarray, chunk: slice) -> np.ndarray:
+        """(n_intervals in chunk, degree + 1, n_dof) control points that matter in each interval."""
+        return control_points[self.first[chunk, None] + np.arange(self.degree + 1)]
+
+    def at_quadrature(self, control_points: np.ndarray, chunk: slice = slice(None)) -> list[np.ndarray]:
+        """q, q̇, q̈ at the quadrature points, each (n_intervals, n_quadrature, n_dof)."""
+        local = self.local_control_points(control_points, chunk)
+        return [self.quadrature_basis(chunk, nu) @ local for nu in range(3)]
+
+    def chunks(self, size: int) -> list[slice]:
+        """Runs of at most ``size`` knot intervals; one may hold several short trajectories."""
+        return [slice(a, min(a + size, self.n_intervals)) for a in range(0, self.n_intervals, size)]
+
+    def _runs(self, chunk: slice) -> list[tuple[slice, int]]:
+        """Parts of a chunk within one trajectory, each with the number of its first control point."""
+        owner = self.owner[chunk]
+        cuts = [0, *(np.flatnonzero(np.diff(owner)) + 1), owner.size]
+        return [(slice(a, b), int(self.first[chunk.start + a])) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+
+    def scatter_band(self, banded: np.ndarray, blocks: np.ndarray, chunk: slice, n_dof: int) -> None:
+        """Add one (k, k) block an interval, k = (degree + 1) n_dof, to lower banded storage."""
+        k = blocks.shape[1]
+        for run, first in self._runs(chunk):
+            start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
+            part = np.ascontiguousarray(blocks[run].transpose(2, 1, 0))  # column, row, interval
+            for column in range(k):
+                # the rows of a block's column below the diagonal are a run of one banded column
+                banded[: k - column, start + column : stop + column : n_dof] += part[column, column:]
+
+    def scatter_rows(self, rows: np.ndarray, blocks: np.ndarray, chunk: slice, n_dof: int) -> None:
+        """Add one (k, n_columns) block an interval to the rows of its control points."""
+        for run, first in self._runs(chunk):
+            start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
+            for row in range(blocks.shape[1]):
+                rows[start + row : stop + row : n_dof] += blocks[run, row]
+
+    def design(self, times: Sequence[np.ndarray], nu: int = 0) -> sp.csr_array:
+        """Block-diagonal design matrix for one array of times per trajectory."""
+        blocks = [s.basis(t, nu) for s, t in zip(self.spaces, times, strict=True)]
+        return sp.csr_array(sp.block_diag(blocks, format="csr"))
+
+    def split(self, control_points: np.ndarray) -> list[np.ndarray]:
+        """Control points of each trajectory, (n_ctrl_k, n_dof) each."""
+        return np.split(control_points, self.offsets[1:-1])
+
+    def evaluate(self, control_points: np.ndarray, times: Sequence[np.ndarray], nu: int = 0) -> list[np.ndarray]:
+        """Derivative ``nu`` of every trajectory's curve at its own times."""
+        parts = self.split(control_points)
+        return [s.evaluate(p, t, nu) for s, p, t in zip(self.spaces, parts, times, strict=True)]

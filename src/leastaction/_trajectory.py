@@ -1,0 +1,399 @@
+"""Trajectories: measured coordinates over time, checked once at the door."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from leastaction._checks import (
+    FloatArray,
+    check_forces,
+    check_samples,
+    check_times,
+    fill_names,
+    listed,
+    position_of,
+    real_array,
+    unwrap_in_place,
+)
+from leastaction._errors import InputError
+from leastaction._names import check_coordinate_names, quoted
+
+__all__ = ["Trajectories", "Trajectory"]
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Trajectory:
+    """One continuous run: coordinates, and known forces, at increasing times.
+
+    The arrays are float64 copies and read-only.
+
+    Parameters
+    ----------
+    t : array_like, shape (n_times,)
+        Times in seconds, finite and strictly increasing; they need not be uniform.
+    q : array_like, shape (n_times, n_dof)
+        Coordinates. NaN marks a missing sample, per coordinate. Shape (n_times,) is accepted for one
+        coordinate.
+    forces : array_like, shape (n_times, n_dof), optional
+        Known generalised external forces, finite; zero where a coordinate is not driven. None means that
+        nothing is driven.
+    coordinates : sequence of str, optional
+        Names of the coordinates, kept as a tuple; ``("q1", "q2", ...)`` by default.
+    name : str
+        Name of the trial, used in messages and files.
+
+    Raises
+    ------
+    InputError
+        If a shape, a name, a time or a value is not as described.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> trajectory = Trajectory(t, np.cos(t), coordinates=["theta"], name="first")
+    >>> trajectory.n_times, trajectory.n_dof, trajectory.duration
+    (201, 1, 2.0)
+    """
+
+    t: FloatArray
+    q: FloatArray
+    forces: FloatArray | None
+    coordinates: tuple[str, ...]
+    name: str
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        q: ArrayLike,
+        forces: ArrayLike | None = None,
+        coordinates: Sequence[str] | None = None,
+        name: str = "",
+    ) -> None:
+        if not isinstance(name, str):
+            raise InputError(f"the name of a trajectory must be text, not {quoted(name)}")
+        where = f"trajectory {quoted(name)}: " if name else ""
+        times = check_times(real_array(t, f"{where}t"), where)
+        samples = check_samples(real_array(q, f"{where}q"), times.size, where)
+        driving = None
+        if forces is not None:
+            driving = check_forces(real_array(forces, f"{where}forces"), samples.shape, where)
+        n_dof = samples.shape[1]
+        names = (
+            tuple(f"q{i + 1}" for i in range(n_dof))
+            if coordinates is None
+            else check_coordinate_names(coordinates)
+        )
+        if len(names) != n_dof:
+            raise InputError(
+                f"{where}q has {n_dof} column(s), but there are {len(names)} coordinate(s) "
+                f"({', '.join(names)}); give one name for each column"
+            )
+        for field, value in (("t", times), ("q", samples), ("forces", driving)):
+            if value is not None:
+                value.flags.writeable = False
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "coordinates", names)
+        object.__setattr__(self, "name", str(name))
+
+    @property
+    def n_times(self) -> int:
+        """Number of times."""
+        return int(self.t.size)
+
+    @property
+    def n_dof(self) -> int:
+        """Number of coordinates."""
+        return int(self.q.shape[1])
+
+    @property
+    def duration(self) -> float:
+        """Last time minus first time, in seconds."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of measured values: finite entries of `q`, over all coordinates."""
+        return int(np.isfinite(self.q).sum())
+
+    @property
+    def driven(self) -> bool:
+        """Whether any known force is not zero."""
+        return self.forces is not None and bool(np.any(self.forces))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Unpickled arrays are writable; going through the constructor makes them read-only again.
+        return (Trajectory, (self.t, self.q, self.forces, self.coordinates, self.name))
+
+    def __repr__(self) -> str:
+        driven = ", driven" if self.driven else ""
+        return (
+            f"<Trajectory {self.name!r}: {', '.join(self.coordinates)}; "
+            f"{self.n_times} times, {self.duration:g} s{driven}>"
+        )
+
+
+class Trajectories(Sequence[Trajectory]):
+    """Several trajectories of one system, with the same coordinates; lengths and times may differ.
+
+    Parameters
+    ----------
+    trajectories : iterable of Trajectory
+        At least one. Names must differ; trajectories without a name are numbered in `names`.
+
+    Raises
+    ------
+    InputError
+        If there is none, one is not a Trajectory, the coordinates differ, or a name occurs twice.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> a = Trajectory(t, np.cos(t), coordinates=["theta"], name="a")
+    >>> b = Trajectory(t[:101], np.sin(t[:101]), coordinates=["theta"], name="b")
+    >>> both = Trajectories([a, b])
+    >>> both.n_trajectories, both.n_samples, both.duration, both.driven
+    (2, 302, 3.0, False)
+    >>> both.select("b")[0].n_times
+    101
+    """
+
+    def __init__(self, trajectories: Iterable[Trajectory]) -> None:
+        items = _check_items(trajectories)
+        self._items = items
+        self._wraps = tuple((0,) * items[0].n_dof for _ in items)
+        self._names = fill_names([item.name for item in items])
+
+    @classmethod
+    def coerce(cls, x: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
+        """Return `x` as Trajectories.
+
+        Parameters
+        ----------
+        x : Trajectory, Trajectories or iterable of Trajectory
+
+        Returns
+        -------
+        Trajectories
+            `x` itself if it is one already.
+
+        Raises
+        ------
+        InputError
+            If `x` is anything else.
+
+        Examples
+        --------
+        >>> Trajectories.coerce(Trajectory([0.0, 1.0], [0.1, 0.2])).n_trajectories
+        1
+        """
+        if isinstance(x, Trajectories):
+            return x
+        return cls([x] if isinstance(x, Trajectory) else x)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, index: slice) -> Trajectories: ...
+    def __getitem__(self, index: int | slice) -> Trajectory | Trajectories:
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
+        return self._items[index]
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return iter(self._items)
+
+    def __repr__(self) -> str:
+        driven = ", driven" if self.driven else ""
+        runs = f"{len(self)} {'trajectory' if len(self) == 1 else 'trajectories'}"
+        return (
+            f"<Trajectories of {', '.join(self.coordinates)}: {runs}, "
+            f"{self.n_samples} samples, {self.duration:g} s{driven}>"
+        )
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self._items[0].coordinates
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the trajectories, all different; one without a name gets its number, from 0."""
+        return self._names
+
+    @property
+    def n_dof(self) -> int:
+        """Number of coordinates."""
+        return self._items[0].n_dof
+
+    @property
+    def n_trajectories(self) -> int:
+        """Number of trajectories."""
+        return len(self._items)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of measured values: finite entries of `q`, over all coordinates and trajectories."""
+        return sum(item.n_samples for item in self._items)
+
+    @property
+    def duration(self) -> float:
+        """Sum of the durations, in seconds."""
+        return float(sum(item.duration for item in self._items))
+
+    @property
+    def driven(self) -> bool:
+        """Whether any known force is not zero."""
+        return any(item.driven for item in self._items)
+
+    @property
+    def wraps_removed(self) -> dict[str, int]:
+        """For each coordinate, the number of jumps that `unwrap` has removed so far."""
+        totals = np.sum(self._wraps, axis=0)
+        return {name: int(total) for name, total in zip(self.coordinates, totals, strict=True)}
+
+    def unwrap(self, angles: Iterable[str] | str) -> Trajectories:
+        """Remove the jumps by multiples of 2 pi from angles that were stored wrapped.
+
+        Between successive measured (not NaN) samples of a trajectory, a jump of more than pi is taken as
+        a wrap: the multiple of 2 pi nearest to it is taken off all later samples. Doing it again changes
+        nothing.
+
+        Parameters
+        ----------
+        angles : iterable of str, or str
+            Coordinates that are angles, in radians.
+
+        Returns
+        -------
+        Trajectories
+            New trajectories; `wraps_removed` tells how many jumps were removed.
+
+        Raises
+        ------
+        InputError
+            If a name is not one of the coordinates.
+
+        Examples
+        --------
+        >>> wrapped = Trajectories([Trajectory([0, 1, 2], [3.0, -3.0, -2.5], coordinates=["theta"])])
+        >>> unwrapped = wrapped.unwrap(["theta"])
+        >>> unwrapped[0].q[:, 0].round(3).tolist(), unwrapped.wraps_removed
+        ([3.0, 3.283, 3.783], {'theta': 1})
+        """
+        columns = self._angle_columns(angles)
+        items, wraps = [], []
+        for item, counted in zip(self._items, self._wraps, strict=True):
+            q, count = item.q.copy(), list(counted)
+            for column in columns:
+                count[column] += unwrap_in_place(q[:, column])
+            items.append(Trajectory(item.t, q, item.forces, item.coordinates, item.name))
+            wraps.append(tuple(count))
+        return self._with(items, wraps, self._names)
+
+    def select(self, names_or_indices: str | int | Iterable[str | int]) -> Trajectories:
+        """Return some of the trajectories, in the order asked for.
+
+        Parameters
+        ----------
+        names_or_indices : str, int, or iterable of them
+            Names (see `names`) or numbers, from 0; negative numbers count from the end.
+
+        Returns
+        -------
+        Trajectories
+
+        Raises
+        ------
+        InputError
+            If there is no such trajectory, none is selected, or one is selected twice.
+
+        Examples
+        --------
+        >>> runs = Trajectories([Trajectory([0, 1], [0, k], name=f"run{k}") for k in range(3)])
+        >>> runs.select(["run2", 0]).names
+        ('run2', 'run0')
+        """
+        if isinstance(names_or_indices, (str, int, np.integer)):
+            names_or_indices = [names_or_indices]  # type: ignore[list-item]
+        chosen = [position_of(key, self._names) for key in names_or_indices]
+        if not chosen:
+            raise InputError(f"no trajectory selected; choose among {listed(self._names)}")
+        if len(set(chosen)) < len(chosen):
+            twice = next(self._names[i] for i in chosen if chosen.count(i) > 1)
+            raise InputError(f"trajectory {quoted(twice)} is selected twice; select each one once")
+        pick = (
+            [self._items[i] for i in chosen],
+            [self._wraps[i] for i in chosen],
+            [self._names[i] for i in chosen],
+        )
+        return self._with(*pick)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the data: coordinates, times, samples and forces, not the names of trials.
+
+        Returns
+        -------
+        str
+            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same.
+
+        Examples
+        --------
+        >>> Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2])]).digest()[:12]
+        '43c279b833a9'
+        """
+        digest = hashlib.sha256("\0".join(self.coordinates).encode())
+        for item in self._items:
+            digest.update(f"|{item.n_times},{item.n_dof},{item.driven}|".encode())
+            for array in (item.t, item.q, item.forces if item.driven else None):
+                if array is not None:
+                    # One NaN and one zero: their other bit patterns mean the same data.
+                    plain = np.where(np.isnan(array), np.nan, array + 0.0)
+                    digest.update(np.ascontiguousarray(plain, dtype="<f8").tobytes())
+        return digest.hexdigest()
+
+    @classmethod
+    def _with(
+        cls, items: Iterable[Trajectory], wraps: Iterable[tuple[int, ...]], names: Iterable[str]
+    ) -> Trajectories:
+        new = cls(items)
+        new._wraps, new._names = tuple(wraps), tuple(names)
+        return new
+
+    def _angle_columns(self, angles: Iterable[str] | str) -> list[int]:
+        given = (angles,) if isinstance(angles, str) else tuple(angles)
+        names = check_coordinate_names(given) if given else ()
+        for name in names:
+            if name not in self.coordinates:
+                known = f"the coordinates are {listed(self.coordinates)}"
+                raise InputError(f"angle {quoted(name)} is not a coordinate; {known}")
+        return [self.coordinates.index(name) for name in names]
+
+
+def _check_items(trajectories: Iterable[Trajectory]) -> tuple[Trajectory, ...]:
+    cure = "pass a Trajectory or a sequence of them, e.g. [Trajectory(t, q)]"
+    try:
+        items = tuple(trajectories)
+    except TypeError:
+        raise InputError(f"{type(trajectories).__name__} is not a sequence of trajectories; {cure}") from None
+    if not items:
+        raise InputError("there is no trajectory; at least one is needed")
+    for position, item in enumerate(items):
+        if not isinstance(item, Trajectory):
+            raise InputError(f"item {position} is of type {type(item).__name__}, not Trajectory; {cure}")
+        if item.coordinates != items[0].coordinates:
+            raise InputError(
+                f"trajectory {position} has the coordinates {listed(item.coordinates)}, but trajectory 0 has "
+                f"{listed(items[0].coordinates)}; all must have the same, in the same order"
+            )
+    return items

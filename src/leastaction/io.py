@@ -1,0 +1,399 @@
+"""Measured data in, files out: nothing else in the package touches the disk.
+
+Every reader returns `Trajectories` and takes the same arguments: which columns are coordinates, time,
+known forces and trial. Names of columns need not be valid names of coordinates: ``coordinates`` may map
+one to the other, ``{"theta": "Angle (rad)"}``.
+
+Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT files every column is a
+variable of its own, with one value for each time; or the coordinates are the columns of one matrix ``q`` of
+shape (n_times, n_dof), in the order of ``coordinates``, beside the time ``t``.
+
+A missing sample of a coordinate is an empty cell, NaN or NA; times and forces must be there. A file without
+a trial column is one trial. Times increase within a trial; from one to the next they may run on or restart.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from leastaction._files._arrays import read_mat_table, read_npz_table
+from leastaction._files._atomic import check_path, replace_file
+from leastaction._files._csv import read_csv_table
+from leastaction._files._dispatch import combined_trajectories, file_trajectories, reader_for
+from leastaction._files._frames import frame_table, read_parquet_table
+from leastaction._files._layout import Coordinates, Forces, Layout, to_trajectories
+from leastaction._files._write_csv import csv_bytes
+from leastaction._trajectory import Trajectories, Trajectory
+
+__all__ = [
+    "from_frame",
+    "read",
+    "read_csv",
+    "read_many",
+    "read_mat",
+    "read_npz",
+    "read_parquet",
+    "write_bytes",
+    "write_csv",
+    "write_text",
+]
+
+StrPath = str | os.PathLike[str]
+
+
+def read_csv(
+    path: StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read trajectories from a CSV file.
+
+    The first line names the columns; lines before it that begin with ``#`` are skipped (a header written by
+    `numpy.savetxt` is found). Cells are separated by comma, semicolon or tab; numbers have a decimal point;
+    the text is UTF-8. The file may be compressed with gzip.
+
+    Parameters
+    ----------
+    path : path
+        File to read.
+    coordinates : sequence of str, or mapping of str to str
+        Coordinates, which are names of columns; or coordinate -> column.
+    time : str
+        Column of the times, in seconds.
+    forces : mapping of str to str, or sequence of str, optional
+        Known generalised forces: coordinate -> column; or columns for the coordinates in order, None for a
+        coordinate that is not driven. There may be fewer than coordinates.
+    trial : str, optional
+        Column that tells the trials apart, as text. By default the column ``trial``, if there is one.
+    angles : sequence of str
+        Coordinates to unwrap (`Trajectories.unwrap`).
+
+    Returns
+    -------
+    Trajectories
+        In the order of the file. The trajectory of a file without a trial column has the file's name,
+        without suffix.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used; the text names file, line and column.
+    DataError
+        If a coordinate has fewer than 5 samples in a trial.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     lines = ["t,theta,tau"] + [f"{k},{k / 8},1" for k in range(6)]
+    ...     path = write_text(f"{folder}/run.csv", chr(10).join(lines))
+    ...     read_csv(path, ["theta"], forces={"theta": "tau"})
+    <Trajectories of theta: 1 trajectory, 6 samples, 5 s, driven>
+    """
+    return file_trajectories(
+        read_csv_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
+    )
+
+
+def read_parquet(
+    path: StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read trajectories from a Parquet file; needs ``pip install 'leastaction[parquet]'``.
+
+    Parameters
+    ----------
+    path, coordinates, time, forces, trial, angles
+        As for `read_csv`.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read_csv`, with rows counted from 0 in place of lines; InputError if pyarrow is not installed.
+    """
+    return file_trajectories(
+        read_parquet_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
+    )
+
+
+def read_npz(
+    path: StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read trajectories from an NPZ file of NumPy. Pickled objects are refused.
+
+    Parameters
+    ----------
+    path, coordinates, time, forces, trial, angles
+        As for `read_csv`; columns are variables of shape (n_times,). If none of the coordinates is a
+        variable, but ``q`` of shape (n_times, n_dof) is, its columns are the coordinates in order.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read_csv`, with rows counted from 0 in place of lines.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 1.0, 11)
+    >>> with TemporaryDirectory() as folder:
+    ...     np.savez(f"{folder}/run.npz", t=t, q=np.column_stack([np.cos(t), np.sin(t)]))
+    ...     trajectories = read_npz(f"{folder}/run.npz", ["x", "y"])
+    >>> trajectories[0]
+    <Trajectory 'run': x, y; 11 times, 1 s>
+    """
+    return file_trajectories(
+        read_npz_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
+    )
+
+
+def read_mat(
+    path: StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read trajectories from a MATLAB file; version 7.3 needs ``pip install 'leastaction[mat73]'``.
+
+    Parameters
+    ----------
+    path, coordinates, time, forces, trial, angles
+        As for `read_npz`; rows and columns count as vectors.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read_npz`; InputError if the file has version 7.3 and h5py is not installed.
+
+    """
+    return file_trajectories(
+        read_mat_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
+    )
+
+
+def from_frame(
+    frame: Any,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Take trajectories from a data frame: pandas, polars, Arrow, or another that narwhals knows.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        One row for each time; a null is a missing sample.
+    coordinates, time, forces, trial, angles
+        As for `read_csv`.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read_csv`, with rows counted from 0 in place of lines.
+
+    Examples
+    --------
+    >>> import pandas as pd
+    >>> frame = pd.DataFrame({"t": range(6), "x": [0.0, 1.0, None, 3.0, 4.0, 5.0]})
+    >>> from_frame(frame, ["x"]).n_samples
+    5
+    """
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    return to_trajectories(*frame_table(frame, layout))
+
+
+def read(
+    path: StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read trajectories from a file whose suffix tells its kind.
+
+    Parameters
+    ----------
+    path : path
+        ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz`` or ``.mat``.
+    coordinates, time, forces, trial, angles
+        As for `read_csv`.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        As for the reader of that kind; InputError for another suffix.
+    """
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    file = check_path(path)
+    return file_trajectories(reader_for(file), file, layout)
+
+
+def read_many(
+    paths: Iterable[StrPath] | StrPath,
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read several files as trials of one system.
+
+    Parameters
+    ----------
+    paths : iterable of paths, or path
+        Files as for `read`.
+    coordinates, time, forces, trial, angles
+        As for `read_csv`, the same for every file.
+
+    Returns
+    -------
+    Trajectories
+        In the order of the files. Names are those of the trials, which for several files become
+        ``file/trial``; a number is added where names are still the same.
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read`; InputError if there is no path or one is given twice.
+    """
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    files = [check_path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
+    return combined_trajectories(files, layout)
+
+
+def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:
+    """Write trajectories to a CSV file that `read_csv` reads back exactly.
+
+    The columns are ``trial``, ``t``, the coordinates and, if any force is not zero, ``<coordinate>_force``
+    for every coordinate. Missing samples are empty cells. The suffix ``.gz`` gives a compressed file.
+
+    Parameters
+    ----------
+    path : path
+        File to write; replaced in one step if it exists. Missing directories are made.
+    trajectories : Trajectory, Trajectories or sequence of Trajectory
+        What to write. Trajectories without a name get their number.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or two columns would have the same name.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> trajectory = Trajectory([0.0, 0.5], [1.0, float("nan")], coordinates=["theta"], name="first")
+    >>> with TemporaryDirectory() as folder:
+    ...     path = write_csv(f"{folder}/run.csv", trajectory)
+    ...     print(path.read_text())
+    trial,t,theta
+    first,0.0,1.0
+    first,0.5,
+    """
+    target = check_path(path)
+    data = csv_bytes(Trajectories.coerce(trajectories))
+    if target.suffix.lower() == ".gz":
+        data = gzip.compress(data, mtime=0)
+    return write_bytes(target, data)
+
+
+def write_text(path: StrPath, text: str) -> Path:
+    """Write text to a file as UTF-8, all or nothing; see `write_bytes`.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    text : str
+        Its content; line ends are written as they are.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     write_text(f"{folder}/new/note.txt", "hello").read_text()
+    'hello'
+    """
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: StrPath, data: bytes) -> Path:
+    """Write a file all or nothing: under another name in the same directory, then moved into place.
+
+    Parameters
+    ----------
+    path : path
+        File to write; replaced in one step if it exists. Missing directories are made.
+    data : bytes
+        Its content.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; an existing one is then as it was.
+    """
+    target = check_path(path)
+    replace_file(target, data)
+    return target

@@ -1,0 +1,32 @@
+"""Mechanical systems whose Lagrangian is known, to learn and to test with (see README.md beside this file).
+
+Examples
+--------
+>>> from leastaction import systems
+>>> systems.names()[:2]
+('single_pendulum', 'double_pendulum')
+>>> data = systems.generate("cart_spring_pendulum", noise=0.01, trials=2, duration=0.5, seed=1)
+>>> data.coordinates, len(data), data[0].q.shape
+(('x', 'theta'), 2, (51, 2))
+"""
+
+from __future__ import annotations
+
+from leastaction.systems._generate import TrueMotion, generate, measure, noise_std, simulate_truth
+from leastaction.systems._libraries import compact_library, large_library, truth_for
+from leastaction.systems._registry import get, names
+from leastaction.systems._system import MechanicalSystem
+
+__all__ = [
+    "MechanicalSystem",
+    "TrueMotion",
+    "compact_library",
+    "generate",
+    "get",
+    "large_library",
+    "measure",
+    "names",
+    "noise_std",
+    "simulate_truth",
+    "truth_for",
+]

@@ -1,0 +1,165 @@
+"""Rigid pendulums: single, double, spherical (all three driven) and the chaotic compound pendulum (free)."""
+
+from __future__ import annotations
+
+import math
+
+from leastaction.systems._draw import Uniform, Within
+from leastaction.systems._forcing import TwoSines
+from leastaction.systems._system import MechanicalSystem
+
+_REFERENCE = "Zhang & Sun, Differentiable Sparse Identification of Lagrangian Dynamics, arXiv 2511.10706"
+_NO_WHIRL = (-math.pi, math.pi)
+
+
+def single_pendulum(m: float = 1.0, l: float = 1.0, g: float = 9.81) -> MechanicalSystem:
+    """Point mass on a massless rod, driven by a torque. Start: |θ| < 2, |θ̇| < 1.5; |θ| stays below π."""
+    return MechanicalSystem(
+        name="single_pendulum",
+        title="Single pendulum",
+        coordinates=("theta",),
+        angles=("theta",),
+        parameters={"m": m, "l": l, "g": g},
+        lagrangian={"theta_dot**2": 0.5 * m * l**2, "cos(theta)": m * g * l},
+        library=(
+            "theta_dot**2",
+            "theta_dot**3",
+            "theta_dot**4",
+            "theta_dot**2*sin(theta)",
+            "theta_dot**2*cos(theta)",
+            "theta_dot**2*cos(theta)**2",
+            "theta_dot**2*theta**2",
+            "cos(theta)",
+            "sin(theta)",
+            "cos(theta)**2",
+            "sin(theta)*cos(theta)",
+            "theta",
+            "theta**2",
+        ),
+        initial=Uniform(q=((-2.0, 2.0),), qdot=((-1.5, 1.5),)),
+        accept=Within((_NO_WHIRL,)),
+        forcing=TwoSines((1.5,)),
+        reference=_REFERENCE,
+    )
+
+
+_DOUBLE_LIBRARY = (
+    "theta1_dot**2",
+    "theta2_dot**2",
+    "theta1_dot*theta2_dot",
+    "theta1_dot*theta2_dot*cos(theta1-theta2)",
+    "theta1_dot*theta2_dot*sin(theta1-theta2)",
+    "theta1_dot*theta2_dot*cos(theta1+theta2)",
+    "theta1_dot**2*cos(theta1-theta2)",
+    "theta2_dot**2*cos(theta1-theta2)",
+    "theta1_dot**2*cos(theta1)",
+    "theta2_dot**2*cos(theta2)",
+    "cos(theta1)",
+    "cos(theta2)",
+    "sin(theta1)",
+    "sin(theta2)",
+    "cos(theta1)**2",
+    "cos(theta2)**2",
+    "cos(theta1)*cos(theta2)",
+    "cos(theta1-theta2)",
+)
+
+
+def double_pendulum(
+    m1: float = 1.0, m2: float = 1.0, l1: float = 1.0, l2: float = 1.0, g: float = 9.81
+) -> MechanicalSystem:
+    """Two point masses on massless rods, driven by two generalised torques.
+
+    Start: |θ₁|, |θ₂| < 1.5, rates within ±1; both angles stay below π.
+    """
+    return MechanicalSystem(
+        name="double_pendulum",
+        title="Double pendulum",
+        coordinates=("theta1", "theta2"),
+        angles=("theta1", "theta2"),
+        parameters={"m1": m1, "m2": m2, "l1": l1, "l2": l2, "g": g},
+        lagrangian={
+            "theta1_dot**2": 0.5 * (m1 + m2) * l1**2,
+            "theta2_dot**2": 0.5 * m2 * l2**2,
+            "theta1_dot*theta2_dot*cos(theta1-theta2)": m2 * l1 * l2,
+            "cos(theta1)": (m1 + m2) * g * l1,
+            "cos(theta2)": m2 * g * l2,
+        },
+        library=_DOUBLE_LIBRARY,
+        initial=Uniform(q=((-1.5, 1.5),) * 2, qdot=((-1.0, 1.0),) * 2),
+        accept=Within((_NO_WHIRL,) * 2),
+        forcing=TwoSines((1.5, 1.5)),
+        reference=_REFERENCE,
+    )
+
+
+def chaotic_pendulum(
+    m1: float = 1.0, m2: float = 1.0, l1: float = 1.0, l2: float = 1.0, g: float = 9.81
+) -> MechanicalSystem:
+    """Two compound bars, free of forces; cos θ₁ is known.
+
+    Start: |θ₁|, |θ₂| < 2, rates within ±1; both angles stay below π.
+    """
+    return MechanicalSystem(
+        name="chaotic_pendulum",
+        title="Chaotic pendulum",
+        coordinates=("theta1", "theta2"),
+        angles=("theta1", "theta2"),
+        parameters={"m1": m1, "m2": m2, "l1": l1, "l2": l2, "g": g},
+        lagrangian={
+            "theta1_dot**2": m1 * l1**2 / 24 + m2 * l1**2 / 8,
+            "theta2_dot**2": m2 * l2**2 / 18,
+            "theta1_dot*theta2_dot*cos(theta1-theta2)": m2 * l1 * l2 / 12,
+            "cos(theta1)": 0.5 * m2 * g * l1,
+            "cos(theta2)": m2 * g * l2 / 6,
+        },
+        known={"cos(theta1)": 0.5 * m2 * g * l1},
+        library=_DOUBLE_LIBRARY,
+        initial=Uniform(q=((-2.0, 2.0),) * 2, qdot=((-1.0, 1.0),) * 2),
+        accept=Within((_NO_WHIRL,) * 2),
+        reference=_REFERENCE,
+    )
+
+
+def spherical_pendulum(m: float = 1.0, l: float = 1.0, g: float = 9.81) -> MechanicalSystem:
+    """Point mass on a massless rod that swings in space, driven in both angles; θ from the downward vertical.
+
+    Start: θ in (0.6, 1.8), φ in (−π, π), |θ̇| < 1, |φ̇| in (1.5, 3) of either sign, which keeps the mass
+    away from the poles of the coordinates; θ stays in (0.25, π − 0.25).
+    """
+    return MechanicalSystem(
+        name="spherical_pendulum",
+        title="Spherical pendulum",
+        coordinates=("theta", "phi"),
+        angles=("theta", "phi"),
+        parameters={"m": m, "l": l, "g": g},
+        lagrangian={
+            "theta_dot**2": 0.5 * m * l**2,
+            "phi_dot**2*sin(theta)**2": 0.5 * m * l**2,
+            "cos(theta)": m * g * l,
+        },
+        library=(
+            "theta_dot**2",
+            "phi_dot**2",
+            "theta_dot*phi_dot",
+            "phi_dot**2*sin(theta)**2",
+            "phi_dot**2*sin(theta)",
+            "phi_dot**2*cos(theta)",
+            "theta_dot**2*sin(theta)",
+            "theta_dot**2*cos(theta)",
+            "theta_dot**2*sin(theta)**2",
+            "theta_dot*phi_dot*sin(theta)",
+            "theta_dot*phi_dot*cos(theta)",
+            "cos(theta)",
+            "sin(theta)",
+            "cos(theta)**2",
+            "cos(phi)",
+            "sin(phi)",
+            "sin(theta)*cos(phi)",
+            "sin(theta)*sin(phi)",
+        ),
+        initial=Uniform(q=((0.6, 1.8), (-math.pi, math.pi)), qdot=((-1.0, 1.0), (1.5, 3.0)), mirrored=(1,)),
+        accept=Within(((0.25, math.pi - 0.25), None)),
+        forcing=TwoSines((1.5, 1.5)),
+        reference=_REFERENCE,
+    )
