@@ -1,1 +1,78 @@
-"""leastaction: the Lagrangian of a mechanical system from noisy measured coordinates."""
+"""leastaction: the Lagrangian of a mechanical system from noisy measured coordinates.
+
+The names below are public, and only these.  They are loaded when first used, so that
+``leastaction --help`` does not wait for SymPy.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from leastaction import io, systems
+    from leastaction._discover import discover
+    from leastaction._errors import DataError, InputError
+    from leastaction._export import export
+    from leastaction._library import Library
+    from leastaction._model import LagrangianModel, load
+    from leastaction._report import write_report
+    from leastaction._simulate import SimulationResult
+    from leastaction._trajectory import Trajectories, Trajectory
+    from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
+
+_HOMES = {
+    "DataError": "_errors",
+    "InputError": "_errors",
+    "LagrangianModel": "_model",
+    "Library": "_library",
+    "SimulationResult": "_simulate",
+    "Trajectories": "_trajectory",
+    "Trajectory": "_trajectory",
+    "discover": "_discover",
+    "export": "_export",
+    "from_frame": "io",
+    "load": "_model",
+    "read": "io",
+    "read_csv": "io",
+    "read_mat": "io",
+    "read_npz": "io",
+    "read_parquet": "io",
+    "write_csv": "io",
+    "write_report": "_report",
+}
+
+__all__ = [
+    "DataError",
+    "InputError",
+    "LagrangianModel",
+    "Library",
+    "SimulationResult",
+    "Trajectories",
+    "Trajectory",
+    "discover",
+    "export",
+    "from_frame",
+    "io",
+    "load",
+    "read",
+    "read_csv",
+    "read_mat",
+    "read_npz",
+    "read_parquet",
+    "systems",
+    "write_csv",
+    "write_report",
+]
+
+
+def __getattr__(name: str):
+    if name in ("io", "systems"):
+        return import_module(f"leastaction.{name}")
+    if name in _HOMES:
+        return getattr(import_module(f"leastaction.{_HOMES[name]}"), name)
+    raise AttributeError(f"module 'leastaction' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

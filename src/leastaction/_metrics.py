@@ -232,7 +232,7 @@ def cramer_rao_bound(
     coefficients = np.array([{**system.lagrangian, **system.dissipation}[k] for k in terms])
     # In units of the true values the columns are comparable.
     scale = np.where(coefficients == 0, 1.0, np.abs(coefficients))
-    root = np.linalg.qr(np.concatenate(blocks) * scale, mode="r")
+    root = _triangle(np.concatenate(blocks) * scale)
     size = np.linalg.svd(root, compute_uv=False) if root.shape[0] == len(terms) else np.zeros(1)
     if not size[-1] > 1e-10 * size[0]:
         raise DataError(
@@ -265,11 +265,19 @@ def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) 
         for i in range(1, size):
             path[i] = _compose(steps[start + i - 1], path[i - 1], n)
         rows = (path[:, :n] / sigma[:, None])[seen[start : start + size]]
-        carry = np.linalg.qr(np.concatenate([carry, rows]), mode="r")
+        carry = _triangle(np.concatenate([carry, rows]))
         if start + size < len(motion.t):
             across = _compose(steps[start + size - 1], path[-1], n)
             carry = _move_on(carry, across, joint)
-    return np.linalg.qr(carry, mode="r")[2 * n :, 2 * n :]
+    # A direction of the state that nothing shows (a cyclic angle that is not measured) takes nothing away.
+    left, size, _ = np.linalg.svd(carry[:, : 2 * n], full_matrices=False)
+    left = left[:, size > 1e-14 * size.max(initial=1.0)]
+    return carry[:, 2 * n :] - left @ (left.T @ carry[:, 2 * n :])
+
+
+def _triangle(rows: np.ndarray) -> np.ndarray:
+    """Return R of the QR decomposition: the same information in as few rows as possible."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _compose(step: np.ndarray, path: np.ndarray, n: int) -> np.ndarray:
@@ -284,4 +292,4 @@ def _move_on(carry: np.ndarray, across: np.ndarray, joint: np.ndarray) -> np.nda
     # The heavy rows of the joint go first: Householder reflections are accurate in that arrangement.
     tie = np.concatenate([-across[:, :m], np.eye(m), -across[:, m:]], axis=1) * joint[:, None]
     rest = np.concatenate([carry[:, :m], np.zeros((len(carry), m)), carry[:, m:]], axis=1)
-    return np.linalg.qr(np.concatenate([tie, rest]), mode="r")[m:, m:]
+    return _triangle(np.concatenate([tie, rest]))[m:, m:]

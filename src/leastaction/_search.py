@@ -19,6 +19,7 @@ from leastaction._weak import WeakGram
 __all__ = ["Support", "beam_search", "solve_support"]
 
 _RIDGE = 1e-12
+_SMALLEST = 1e-13
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class _Scaled:
         index = (full[:, :, None], full[:, None, :])
         parts = self.parts[index] + _RIDGE * np.eye(full.shape[1])
         root = np.linalg.inv(np.linalg.cholesky(parts))
-        return np.linalg.eigvalsh(root @ self.total[index] @ root.transpose(0, 2, 1))[:, 0]
+        values = np.linalg.eigvalsh(root @ self.total[index] @ root.transpose(0, 2, 1))[:, 0]
+        return np.maximum(values, _SMALLEST)  # rounding may leave it below zero
 
 
 def beam_search(gram: WeakGram, max_size: int, width: int = 8) -> list[list[Support]]:

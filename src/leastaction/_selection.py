@@ -18,7 +18,7 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._search import beam_search, solve_support
 from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty
-from leastaction._weak import weak_gram
+from leastaction._weak import WeakGram, weak_gram
 
 __all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
 
@@ -49,39 +49,100 @@ class Selection:
     knots_settled: bool
 
 
-def characteristic_times(qdot: np.ndarray, qddot: np.ndarray) -> float:
-    """Period 2π rms(q̇)/rms(q̈) of the fastest coordinate, in seconds."""
-    flat = (0, 1) if qdot.ndim == 3 else 0
-    ratio = np.sqrt((qdot**2).mean(axis=flat) / np.maximum((qddot**2).mean(axis=flat), 1e-300))
-    return float(2.0 * np.pi * ratio.min())
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A support with a start for its joint fit, and the evidence there."""
+
+    members: tuple[int, ...]
+    start: Start
+    evidence: float
 
 
-def propose_supports(workspace: Workspace, smooth: Smooth) -> list[tuple[tuple[int, ...], np.ndarray]]:
-    """Supports with starting coefficients of all columns, one for each test-function width."""
-    _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
-    scale = np.sqrt((qdot**2).mean(axis=(0, 1)))
-    period = characteristic_times(qdot, qddot)
-    free = workspace.free
-    proposals: list[tuple[tuple[int, ...], np.ndarray]] = []
-    for width in (0.75 * period, 1.5 * period, 0.375 * period):
-        gram = weak_gram(
-            workspace.grid,
-            smooth.control_points,
-            workspace.columns,
-            workspace.known,
-            workspace.forces,
-            width,
-            scale,
+class _Proposer:
+    """Supports from the weak form, at one width of the test functions.
+
+    Curve and coefficients are improved in turn: the weak form gives coefficients along a curve, free of
+    the scale (the joint fit would let it drift from a rough start); these coefficients, held, give a
+    better curve and better weights.
+    """
+
+    def __init__(self, workspace: Workspace, smooth: Smooth, width: float) -> None:
+        self.workspace = workspace
+        self.smooth = smooth
+        self.width = width
+        _, qdot, _ = workspace.grid.at_quadrature(smooth.control_points)
+        self.scale = np.sqrt((qdot**2).mean(axis=(0, 1)))
+
+    def propose(self) -> Proposal:
+        workspace, smooth = self.workspace, self.smooth
+        gram = self._gram(workspace.free, smooth.control_points)
+        members = self._search(gram)
+        coefficients = self._solve(members, smooth.control_points)
+        start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
+        for _ in range(3):
+            proposal = self._settle(members, start)
+            again = self._search(self._gram(workspace.free, proposal.start.control_points))
+            if again == members:
+                break
+            members = again
+            points = proposal.start.control_points
+            start = workspace.start(members, points, self._solve(members, points), proposal.start.weights.noise_std)
+        return proposal
+
+    def _settle(self, members: tuple[int, ...], start: Start, rounds: int = 4) -> Proposal:
+        for _ in range(rounds):
+            start, value = self.workspace.fit_curve(members, start)
+            if not np.isfinite(value):
+                break
+            start = Start(start.control_points, self._solve(members, start.control_points), start.weights)
+        return Proposal(members, start, value)
+
+    def _gram(self, members, control_points: np.ndarray) -> WeakGram:
+        """Gram matrices of some free columns and the known one."""
+        workspace = self.workspace
+        index = [*(int(m) for m in members), *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
+        columns, known = workspace.columns.subset(index), workspace.known[index]
+        return weak_gram(
+            workspace.grid, control_points, columns, known, workspace.forces, self.width, self.scale
         )
+
+    def _solve(self, members: tuple[int, ...], control_points: np.ndarray) -> np.ndarray:
+        """Coefficients of all columns by the weak form."""
+        gram = self._gram(members, control_points)
+        coefficients = np.where(np.isnan(self.workspace.known), 0.0, self.workspace.known)
+        coefficients[list(members)] = solve_support(gram, tuple(range(len(members))))
+        return coefficients
+
+    def _search(self, gram: WeakGram) -> tuple[int, ...]:
+        free = self.workspace.free
         n_rows = max(gram.n_rows / _OVERLAP, 4.0)
         penalty = term_penalty(int(n_rows), free.size)
         levels = beam_search(gram, min(free.size, _MAX_SIZE))
         scores = [n_rows * np.log(level[0].ratio) + penalty * len(level[0].members) for level in levels]
-        members = levels[int(np.argmin(scores))][0].members
-        coefficients = np.where(np.isnan(workspace.known), 0.0, workspace.known)
-        coefficients[free] = solve_support(gram, members)
-        proposals.append((tuple(int(free[m]) for m in members), coefficients))
-    return proposals
+        return tuple(int(free[m]) for m in levels[int(np.argmin(scores))][0].members)
+
+
+def characteristic_period(workspace: Workspace, smooth: Smooth) -> float:
+    """Period 2π rms(q̇)/rms(q̈) of the fastest coordinate, in seconds."""
+    _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
+    ratio = (qdot**2).mean(axis=(0, 1)) / np.maximum((qddot**2).mean(axis=(0, 1)), 1e-300)
+    return float(2.0 * np.pi * np.sqrt(ratio.min()))
+
+
+def propose_supports(workspace: Workspace, smooth: Smooth, progress: Progress) -> list[Proposal]:
+    """Proposals of several test-function widths, distinct, best first; stops when two widths agree."""
+    period = characteristic_period(workspace, smooth)
+    found: list[Proposal] = []
+    for width in (1.0, 2.0, 0.5):
+        proposal = _Proposer(workspace, smooth, width * period).propose()
+        progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
+        agreed = [p for p in found if p.members == proposal.members]
+        if agreed and agreed[0].evidence >= proposal.evidence:
+            break
+        found = [p for p in found if p not in agreed] + [proposal]
+        if agreed:
+            break
+    return sorted(found, key=lambda p: -p.evidence)
 
 
 class _Refiner:
@@ -108,7 +169,7 @@ class _Refiner:
             if proposal is None:
                 break
             members, start = proposal
-            better = self.workspace.fit(members, start, settle=False)
+            better = self.workspace.fit(members, start)
             if self.value(better) <= self.value(structure):
                 break
             structure = better
@@ -143,13 +204,8 @@ def select_structure(workspace: Workspace, smooth: Smooth, progress: Progress) -
     """Run the search; the workspace ends with the knots of the result."""
     refiner = _Refiner(workspace, progress)
     best: StructureFit | None = None
-    tried: set[tuple[int, ...]] = set()
-    for members, coefficients in propose_supports(workspace, smooth):
-        if members in tried:
-            continue
-        tried.add(members)
-        start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
-        structure = refiner.refine(workspace.fit(members, start, settle=True))
+    for proposal in propose_supports(workspace, smooth, progress):
+        structure = refiner.refine(workspace.fit(proposal.members, proposal.start))
         agreed = best is not None and structure.members == best.members
         if best is None or refiner.value(structure) > refiner.value(best):
             best = structure
@@ -174,7 +230,7 @@ def refine_knots(
             return structure, False
         start = workspace.refine_knots(factor, structure)
         progress("knots", {"knots_per_second": workspace.knots_per_second})
-        finer = workspace.fit(structure.members, start, settle=False)
+        finer = workspace.fit(structure.members, start)
         if not finer.fit.converged:
             return finer, False
         spread = np.maximum(structure.standard_errors, 1e-300)

@@ -220,12 +220,11 @@ def _force_function(forces, t: np.ndarray, n_dof: int) -> Callable[[float], np.n
     return CubicSpline(t, values) if t.size > 1 else (lambda time: values[0])
 
 
-def _named_events(events) -> list[tuple[str, Event]]:
+def _named_events(events: Event | Sequence[Event] | Mapping[str, Event]) -> list[tuple[str, Event]]:
     if isinstance(events, Mapping):
         return list(events.items())
-    if callable(events):
-        events = (events,)
-    return [(getattr(event, "__name__", str(i)), event) for i, event in enumerate(events)]
+    listed = list(events) if isinstance(events, Sequence) else [events]
+    return [(str(getattr(event, "__name__", i)), event) for i, event in enumerate(listed)]
 
 
 class _Watch:

@@ -21,7 +21,7 @@ import numpy as np
 from leastaction._fit.gauss_newton import JointFit, factorise, fit_joint, logdet
 from leastaction._fit.problem import Observations, Physics, Weights, linearise
 
-__all__ = ["Start", "evidence", "fit_weights", "start_weights"]
+__all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 _LOG_STEP = 0.05
 
@@ -59,12 +59,13 @@ def start_weights(
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike."""
     one = np.ones_like(noise_std)
     normal = linearise(observations, physics, Weights(noise_std, one, 0 * one), control_points, coefficients)
+    noise_std = np.maximum(noise_std, observations.noise_floor)
     counts = np.maximum(observations.counts, 1)
     rank = equation_rank(observations)
     return Weights(noise_std, counts / np.maximum(normal.equation, 1e-300), rank * one)
 
 
-def update_weights(observations: Observations, physics: Physics, fit: JointFit, keep_noise: bool) -> Weights:
+def update_weights(observations: Observations, physics: Physics, fit: JointFit) -> Weights:
     """One fixed-point update of w (and σ), each w limited to a factor of 30."""
     normal = linearise(observations, physics, fit.weights, fit.control_points, fit.coefficients)
     weights = fit.weights
@@ -85,10 +86,10 @@ def update_weights(observations: Observations, physics: Physics, fit: JointFit, 
         slack[i] = max(rank - slope(one, bump), 1e-3)
         ratio = slack[i] / max(fit.equation[i] * weights.physics[i], 1e-300)
         new_physics[i] = weights.physics[i] * np.clip(ratio, 1 / 30, 30)
-        if not keep_noise:
-            bump[i] = np.exp(0.5 * _LOG_STEP)
-            used = slope(bump, one)
-            new_noise[i] = np.sqrt(fit.squares[i] / max(observations.counts[i] - used, 1.0))
+        bump[i] = np.exp(0.5 * _LOG_STEP)
+        used = slope(bump, one)
+        estimate = np.sqrt(fit.squares[i] / max(observations.counts[i] - used, 1.0))
+        new_noise[i] = max(estimate, observations.noise_floor[i])
     return Weights(new_noise, new_physics, slack)
 
 
@@ -97,29 +98,19 @@ def fit_weights(
     physics: Physics,
     start: Start,
     *,
-    settle: bool = True,
     max_rounds: int = 25,
-    keep_noise: bool = False,
 ) -> JointFit:
     """Fit curve, coefficients and weights together.
 
     Stops when the coefficients move by less than a twentieth of a standard error, and the evidence by
     less than a half, from one round to the next.
-
-    Parameters
-    ----------
-    settle : bool
-        First let curve and weights settle on the starting coefficients: at small weights the scale of L
-        is hardly determined and would drift away from a rough start.
     """
-    if settle:
-        start = _settle_curve(observations, physics, start, keep_noise)
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
     for _ in range(max_rounds):
         if not best.converged:
             break
-        weights = _accelerate(best.weights, update_weights(observations, physics, best, keep_noise))
+        weights = _accelerate(best.weights, update_weights(observations, physics, best))
         fit = fit_joint(observations, physics, weights, best.control_points, best.coefficients)
         value = evidence(observations, fit)
         if not np.isfinite(value) or value < best_evidence - 0.5:
@@ -139,12 +130,14 @@ def _accelerate(old: Weights, new: Weights) -> Weights:
     return Weights(new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack)
 
 
-def _settle_curve(observations: Observations, physics: Physics, start: Start, keep_noise: bool) -> Start:
-    """Curve and weights for the starting coefficients, held."""
+def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
+    """Fit the curve alone, coefficients held, and update the weights once.
+
+    Returns the new start and the evidence at the old weights; −inf when the fit failed.
+    """
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
-    for _ in range(3):
-        fit = fit_joint(observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0)
-        if not fit.converged:
-            break
-        start = Start(fit.control_points, fit.coefficients, update_weights(observations, held, fit, keep_noise))
-    return start
+    fit = fit_joint(observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0)
+    if not fit.converged:
+        return start, -np.inf
+    weights = update_weights(observations, held, fit)
+    return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)

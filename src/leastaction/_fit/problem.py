@@ -19,6 +19,7 @@ from leastaction._spline import SplineGrid
 
 __all__ = ["Normal", "Observations", "Physics", "Weights", "linearise"]
 
+_RELATIVE_FLOOR = 1e-6
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 
 
@@ -44,6 +45,9 @@ class Observations:
         self.valid = np.isfinite(stacked)
         self.counts = self.valid.sum(axis=0)
         self.n_dof = stacked.shape[1]
+        # no sensor is better than a millionth of its range; below that rounding and the data's own
+        # integration errors would count as physics
+        self.noise_floor = _RELATIVE_FLOOR * np.nanstd(stacked, axis=0)
         complete = bool(self.valid.all())
         self._designs, self._y, self._grams = [], [], []
         for i in range(self.n_dof):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from leastaction._euler_lagrange import EulerLagrange
-from leastaction._fit.evidence import Start, evidence, fit_weights, start_weights
+from leastaction._fit.evidence import Start, evidence, fit_curve, fit_weights, start_weights
 from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction._fit.problem import Observations, Physics, Weights
 from leastaction._spline import SplineGrid, uniform_space
@@ -126,17 +126,18 @@ class Workspace:
         weights = start_weights(self.observations, physics, noise_std, control_points, coefficients[index])
         return Start(control_points, coefficients, weights)
 
-    def fit(self, members: tuple[int, ...], start: Start, *, settle: bool, max_rounds: int = 25) -> StructureFit:
-        """Fit a structure; ``start.coefficients`` covers all columns.
-
-        Parameters
-        ----------
-        settle : bool
-            Let curve and weights settle on the starting coefficients first (for rough starts).
-        """
+    def fit_curve(self, members: tuple[int, ...], start: Start) -> tuple[Start, float]:
+        """Fit the curve with the coefficients held; see :func:`leastaction._fit.evidence.fit_curve`."""
         physics, index = self.physics(members)
         begin = Start(start.control_points, start.coefficients[index], start.weights)
-        fit = fit_weights(self.observations, physics, begin, settle=settle, max_rounds=max_rounds)
+        moved, value = fit_curve(self.observations, physics, begin)
+        return Start(moved.control_points, start.coefficients, moved.weights), value
+
+    def fit(self, members: tuple[int, ...], start: Start, max_rounds: int = 25) -> StructureFit:
+        """Fit a structure; ``start.coefficients`` covers all columns."""
+        physics, index = self.physics(members)
+        begin = Start(start.control_points, start.coefficients[index], start.weights)
+        fit = fit_weights(self.observations, physics, begin, max_rounds=max_rounds)
         coefficients = np.zeros(len(self.columns))
         coefficients[index] = fit.coefficients
         return StructureFit(members, coefficients, fit, evidence(self.observations, fit))

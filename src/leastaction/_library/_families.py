@@ -21,12 +21,14 @@ their factors are, and potentials when they are independent beside constants.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations, combinations_with_replacement
 
 from leastaction._errors import InputError
 
-__all__ = ["MAX_TERMS", "SIZES", "mechanical_terms"]
+from ._parser import normalise
+
+__all__ = ["MAX_TERMS", "SIZES", "check_angles", "mechanical_terms"]
 
 SIZES = ("compact", "standard", "large")
 MAX_TERMS = 1500
@@ -78,6 +80,16 @@ def mechanical_terms(
     ]
     gyroscopic = [f"{x}*{y}_dot" for x, y in combinations(lengths, 2)] if size == "large" else []
     return [*kinetic, *gyroscopic, *_potentials(lengths, angles, size, degree)]
+
+
+def check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the angles in the order of the coordinates; each must be one of them."""
+    given = (angles,) if isinstance(angles, str) else tuple(angles)
+    for name in given:
+        if not isinstance(name, str) or normalise(name) not in coordinates:
+            raise InputError(f"angle {name!r} is not a coordinate; expected names out of {list(coordinates)}")
+    wanted = {normalise(name) for name in given}
+    return tuple(name for name in coordinates if name in wanted)
 
 
 def _product(a: str, b: str) -> str:

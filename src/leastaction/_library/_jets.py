@@ -28,6 +28,10 @@ def _context(digits: int) -> Any:
     return context
 
 
+def _lift(values: np.ndarray, digits: int) -> np.ndarray:
+    return np.frompyfunc(_context(digits).mpf, 1, 1)(values)
+
+
 class Points:
     """States q, q̇, q̈, each an array (n_dof, n_points): floats, or numbers of so many `digits`."""
 
@@ -52,8 +56,7 @@ class Points:
 
     def with_digits(self, digits: int) -> Points:
         """Return the same points as numbers of so many digits."""
-        number = np.frompyfunc(_context(digits).mpf, 1, 1)
-        return Points(number(self.q), number(self.qdot), number(self.qddot), digits)
+        return Points(*(_lift(values, digits) for values in (self.q, self.qdot, self.qddot)), digits)
 
 
 class _Arithmetic:
@@ -121,6 +124,7 @@ class Jets:
     def __init__(self, coordinates: Sequence[str], points: Points) -> None:
         self.n_dof = n = len(coordinates)
         self.n_points = points.n_points
+        self._digits = points.digits
         self._arithmetic = _Arithmetic(points.digits)
         self._q, self._v, self._vt = slice(2, 2 + n), slice(2 + n, 2 + 2 * n), slice(2 + 2 * n, 2 + 3 * n)
         self._cache: dict[sympy.Expr, np.ndarray] = {}
@@ -137,6 +141,10 @@ class Jets:
         """Return what the term adds to the equations of motion: E_i[φ] or ∂ψ/∂q̇_i, (n_dof, n_points)."""
         jet = self.jet(term.expr)
         return jet[self._v] if term.kind == "dissipation" else jet[self._vt] - jet[self._q]
+
+    def lift(self, values: np.ndarray) -> np.ndarray:
+        """Return floats in the precision of the points, so that products with them lose nothing."""
+        return _lift(values, self._digits) if self._digits else values
 
     def jet(self, expr: sympy.Expr) -> np.ndarray:
         """Return the jet (2 + 3 n_dof, n_points); its first row is the value of the expression."""

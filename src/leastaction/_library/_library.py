@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import difflib
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import overload
 
 import sympy
 
 from leastaction._errors import InputError
-from leastaction._names import check_coordinate_names, quoted
+from leastaction._names import FUNCTION_NAMES, check_coordinate_names, quoted
 
-from ._families import MAX_TERMS, mechanical_terms
+from ._families import MAX_TERMS, check_angles, mechanical_terms
 from ._file import read_terms
 from ._parser import normalise
 from ._reduction import find_redundant, same_functions
-from ._term import Dropped, Kind, Term, make_term
+from ._term import Candidate, Dropped, Kind, Term, make_term
 
 __all__ = ["Library"]
 
@@ -63,19 +63,19 @@ class Library(Sequence[Term]):
 
     def __init__(
         self,
-        terms: Iterable[str | Term | sympy.Expr],
+        terms: Iterable[Candidate],
         coordinates: Iterable[str] | str,
         *,
         angles: Iterable[str] | str = (),
         parameters: Mapping[str, float] | None = None,
-        dissipation: Iterable[str | Term | sympy.Expr] = (),
+        dissipation: Iterable[Candidate] = (),
     ) -> None:
         self._coordinates = check_coordinate_names(coordinates)
-        self._angles = _check_angles(angles, self._coordinates)
+        self._angles = check_angles(angles, self._coordinates)
         names = [*self._coordinates, *self.velocities]
-        clash = {normalise(str(name)) for name in parameters or ()} & {*names, "pi"}
+        clash = {normalise(str(name)) for name in parameters or ()} & {*names, *FUNCTION_NAMES, "pi"}
         if clash:
-            raise InputError(f"parameter {sorted(clash)[0]!r} has the name of a coordinate; rename it")
+            raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
         self._dropped: tuple[Dropped, ...] = ()
         self._terms = self._collect(terms, names, parameters, "lagrangian")
         self._dissipation = self._collect(dissipation, names, parameters, "dissipation")
@@ -83,8 +83,8 @@ class Library(Sequence[Term]):
             raise InputError("the library has no terms; give expressions such as 'theta_dot**2'")
 
     def _collect(self, sources, names, parameters, kind: Kind) -> tuple[Term, ...]:
-        if isinstance(sources, str | Term | sympy.Basic):
-            raise InputError(f"expected a list of {kind} terms, got the single term {quoted(str(sources))}")
+        if isinstance(sources, Candidate) or not isinstance(sources, Iterable):
+            raise InputError(f"expected a list of {kind} terms, got {quoted(sources)}")
         found: dict[sympy.Expr, Term] = {}
         repeated = []
         for source in sources:
@@ -104,7 +104,7 @@ class Library(Sequence[Term]):
         *,
         angles: Iterable[str] | str = (),
         parameters: Mapping[str, float] | None = None,
-        dissipation: Iterable[str | Term | sympy.Expr] = (),
+        dissipation: Iterable[Candidate] = (),
     ) -> Library:
         r"""Read a library from a text file: one expression a line, ``#`` starts a comment.
 
@@ -130,8 +130,7 @@ class Library(Sequence[Term]):
         Library(['theta_dot**2', 'cos(theta)'], coordinates=['theta'])
         """
         checked = check_coordinate_names(coordinates)
-        names = [*checked, *(f"{name}_dot" for name in checked)]
-        terms = read_terms(path, names, parameters)
+        terms = read_terms(path, [*checked, *(f"{name}_dot" for name in checked)], parameters)
         return cls(terms, checked, angles=angles, parameters=parameters, dissipation=dissipation)
 
     @classmethod
@@ -142,13 +141,12 @@ class Library(Sequence[Term]):
         *,
         size: str = "standard",
         degree: int | None = None,
-        dissipation: Iterable[str | Term | sympy.Expr] = (),
+        dissipation: Iterable[Candidate] = (),
     ) -> Library:
         """Generate the candidates that mechanical systems are usually made of.
 
-        Products of two velocities times functions of the coordinates, and potentials: for angles,
-        cosines and sines of single angles and of sums and differences; for other coordinates, powers;
-        and products of both kinds.  The table stands in ``_families.py``.
+        Products of two velocities times functions of the coordinates, and potentials: cosines and sines of
+        angles, their sums and differences; powers of other coordinates; products of both kinds.
 
         Parameters
         ----------
@@ -174,7 +172,7 @@ class Library(Sequence[Term]):
         '42 terms in theta1, theta2 (angles: theta1, theta2): 27 with velocities, 15 without'
         """
         names = check_coordinate_names(coordinates)
-        terms = mechanical_terms(names, _check_angles(angles, names), size, degree)
+        terms = mechanical_terms(names, check_angles(angles, names), size, degree)
         if len(terms) > MAX_TERMS:
             raise InputError(
                 f"the {size} library over {len(names)} coordinates would have {len(terms)} terms; expected "
@@ -198,7 +196,7 @@ class Library(Sequence[Term]):
         38
         """
         names = check_coordinate_names(coordinates)
-        return len(mechanical_terms(names, _check_angles(angles, names), size, degree))
+        return len(mechanical_terms(names, check_angles(angles, names), size, degree))
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -238,9 +236,6 @@ class Library(Sequence[Term]):
     def __len__(self) -> int:
         return len(self._terms)
 
-    def __iter__(self) -> Iterator[Term]:
-        return iter(self._terms)
-
     @overload
     def __getitem__(self, key: int) -> Term: ...
     @overload
@@ -249,9 +244,7 @@ class Library(Sequence[Term]):
         return self._terms[key]
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Library):
-            return NotImplemented
-        return self._key() == other._key()
+        return self._key() == other._key() if isinstance(other, Library) else NotImplemented
 
     def __hash__(self) -> int:
         return hash(self._key())
@@ -271,7 +264,7 @@ class Library(Sequence[Term]):
             parts.append(f"{len(self)} terms")
         return f"Library({', '.join(parts)})"
 
-    def index(self, expression: str | Term | sympy.Expr, kind: Kind = "lagrangian") -> int:  # type: ignore[override]
+    def index(self, expression: Candidate, kind: Kind = "lagrangian") -> int:  # type: ignore[override]
         """Return the place of an expression in the library; equal functions match, however they are written.
 
         Parameters
@@ -314,8 +307,8 @@ class Library(Sequence[Term]):
     def replace(
         self,
         *,
-        terms: Iterable[str | Term | sympy.Expr] | None = None,
-        dissipation: Iterable[str | Term | sympy.Expr] | None = None,
+        terms: Iterable[Candidate] | None = None,
+        dissipation: Iterable[Candidate] | None = None,
     ) -> Library:
         """Return a library over the same coordinates with other terms or another dissipation.
 
@@ -333,7 +326,7 @@ class Library(Sequence[Term]):
         new._dropped = self._dropped + new._dropped
         return new
 
-    def with_dissipation(self, expressions: Iterable[str | Term | sympy.Expr]) -> Library:
+    def with_dissipation(self, expressions: Iterable[Candidate]) -> Library:
         """Return a library with more candidates of the dissipation function.
 
         Examples
@@ -341,11 +334,10 @@ class Library(Sequence[Term]):
         >>> Library(["x_dot**2", "x"], ["x"]).with_dissipation(["x_dot**2/2"]).dissipation[0].text
         'x_dot**2/2'
         """
-        if isinstance(expressions, str):
-            raise InputError(f"expected a list of dissipation terms, got the text {quoted(expressions)}")
-        return self.replace(dissipation=[*self._dissipation, *expressions])
+        more = Library(self._terms, self._coordinates, dissipation=expressions)
+        return self.replace(dissipation=[*self._dissipation, *more._dissipation])
 
-    def reduced(self, keep: Iterable[str | Term | sympy.Expr] | str = ()) -> Library:
+    def reduced(self, keep: Iterable[Candidate] | str = ()) -> Library:
         """Return the library without terms that change nothing in the equations of motion it can write.
 
         Left out are null terms (constants and total time derivatives), multiples of another term, and
@@ -369,7 +361,7 @@ class Library(Sequence[Term]):
         (['x_dot**2', 'x'], ['1: constant', 'x*x_dot: total time derivative', '2*x: equals 2*x'])
         """
         both = (*self._terms, *self._dissipation)
-        wanted = (keep,) if isinstance(keep, str | Term | sympy.Expr) else tuple(keep)
+        wanted = (keep,) if isinstance(keep, Candidate) else keep
         found = find_redundant(both, self._coordinates, {self._place(item) for item in wanted})
         left = [term for k, term in enumerate(both) if k not in found]
         terms = [term for term in left if term.kind == "lagrangian"]
@@ -379,15 +371,16 @@ class Library(Sequence[Term]):
         new._dropped = self._dropped + tuple(found.values())
         return new
 
-    def _place(self, item: str | Term | sympy.Expr) -> int:
-        """Return the index of a term in terms + dissipation."""
-        if self._dissipation and not isinstance(item, Term):
+    def _place(self, item: Candidate) -> int:
+        """Return the index of a term in terms + dissipation; text may mean a term of either."""
+        known_kind = item.kind if isinstance(item, Term) else None
+        if known_kind != "dissipation":
             try:
                 return self.index(item)
             except InputError:
-                return len(self._terms) + self.index(item, "dissipation")
-        is_dissipation = isinstance(item, Term) and item.kind == "dissipation"
-        return self.index(item) + (len(self._terms) if is_dissipation else 0)
+                if known_kind or not self._dissipation:
+                    raise
+        return len(self._terms) + self.index(item, "dissipation")
 
     def summary(self) -> str:
         """Return one line with the number of terms of each kind.
@@ -405,12 +398,3 @@ class Library(Sequence[Term]):
         if self._dissipation:
             text += f"; {len(self._dissipation)} of dissipation"
         return text + (f"; {len(self._dropped)} left out" if self._dropped else "")
-
-
-def _check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
-    given = (angles,) if isinstance(angles, str) else tuple(angles)
-    for name in given:
-        if not isinstance(name, str) or normalise(name) not in coordinates:
-            raise InputError(f"angle {name!r} is not a coordinate; expected names out of {list(coordinates)}")
-    wanted = {normalise(name) for name in given}
-    return tuple(name for name in coordinates if name in wanted)

@@ -27,6 +27,8 @@ _CONFIRM = 1e-30
 _MANY_DIGITS = 400  # a hundred smooth functions of one variable can agree with another one to 1e-60
 _CONFIRM_MANY = mpmath.mpf("1e-200")
 _EXTRA_POINTS = 20
+_MIN_POINTS = 400
+_MARGIN = 5
 _FEW = 8
 _FEW_POINTS = 12
 _MAX_SUMMANDS = 6
@@ -62,7 +64,8 @@ def find_redundant(
     1 null | total time derivative
     3 duplicate | equals 2+x up to a null term
     """
-    return _Search(terms, coordinates, seed).run(set(keep))
+    with np.errstate(all="ignore"):  # states outside the domain of a term are left out of its columns
+        return _Search(terms, coordinates, seed).run(set(keep))
 
 
 def same_functions(wanted: sympy.Expr, others: Sequence[sympy.Expr], coordinates: Sequence[str]) -> list[int]:
@@ -100,12 +103,12 @@ class _Search:
         self.terms, self.coordinates = terms, coordinates
         self.found: dict[int, Dropped] = {}
         rng = np.random.default_rng(seed)
-        n_dof, self.n_needed = len(coordinates), len(terms) + _EXTRA_POINTS
-        self.pool = Points.draw(rng, n_dof, 3 * self.n_needed)
-        self.weights = rng.normal(size=(n_dof, 3 * self.n_needed))
+        n_dof, n_points = len(coordinates), max(_MIN_POINTS, 3 * (len(terms) + _EXTRA_POINTS))
+        self.pool = Points.draw(rng, n_dof, n_points)
+        self.weights = rng.normal(size=(n_dof, n_points))
         jets = Jets(coordinates, self.pool)
         self.effects = np.array([jets.effect(term) for term in terms])
-        self.scales = [_norm(jets.jet(term.expr)) for term in terms]
+        self.scales = [_size(jets.jet(term.expr)) for term in terms]
         self.finite = np.isfinite(self.effects).all(axis=1) & np.isfinite(
             [jets.jet(term.expr).sum(axis=0) for term in terms]
         )
@@ -115,13 +118,16 @@ class _Search:
         order = [*sorted(keep), *(k for k in range(len(self.terms)) if k not in keep)]
         order = [k for k in order if self.finite[k].any() and not self._is_null(k)]
         while order:
+            narrow = []
             rows = np.flatnonzero(self.finite[order].all(axis=0))
-            if len(rows) >= min(self.n_needed, len(order) + 5):
-                break
-            # Domains that hardly meet: the narrowest one stays in the library, unexamined.
-            order.remove(min(order, key=lambda k: self.finite[k].sum()))
-        if order:
+            while len(rows) < len(order) + _MARGIN and len(order) > 1:
+                # Domains that hardly meet: the narrowest one waits, and is examined apart.
+                narrow.append(min(order, key=lambda k: self.finite[k].sum()))
+                order.remove(narrow[-1])
+                rows = np.flatnonzero(self.finite[order].all(axis=0))
+            self.exact.forget()
             self._eliminate(order, rows)
+            order = [k for k in sorted(narrow) if k in keep] + [k for k in sorted(narrow) if k not in keep]
         return dict(sorted(self.found.items()))
 
     def _inside(self, involved: list[int]) -> np.ndarray:
@@ -129,7 +135,7 @@ class _Search:
 
     def _is_null(self, k: int) -> bool:
         inside = self._inside([k])
-        if _norm(self.effects[k]) > _PROPOSE * self.scales[k]:
+        if _size(self.effects[k]) > _PROPOSE * self.scales[k]:
             return False
         if not self.exact.is_null(k, inside):
             return False
@@ -151,7 +157,10 @@ class _Search:
         accepted: list[int] = []
         for k in order:
             column = self.effects[k][:, rows].ravel()
-            m, left = len(accepted), column / np.linalg.norm(column)
+            if not column.any():
+                continue  # it acts only at other states, so nothing here can stand for it
+            m, left = len(accepted), column / np.abs(column).max()
+            left /= np.linalg.norm(left)
             weights = np.zeros(m)
             for _ in range(2):  # twice is enough for orthogonality to rounding
                 step = basis[:, :m].T @ left
@@ -210,6 +219,10 @@ class _ExactColumns:
         self.terms, self.coordinates = terms, coordinates
         self.pool, self.weights = pool, weights
         self._jets: dict[tuple[bytes, int], Jets] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """Start a new set of accepted terms."""
         self._all = _Elimination(_CONFIRM_MANY)
 
     def _at(self, rows: np.ndarray, digits: int = _DIGITS) -> Jets:
@@ -219,7 +232,8 @@ class _ExactColumns:
         return self._jets[key]
 
     def _column(self, k: int, rows: np.ndarray, digits: int) -> np.ndarray:
-        return (self._at(rows, digits).effect(self.terms[k]) * self.weights[:, rows]).sum(axis=0)
+        jets = self._at(rows, digits)
+        return (jets.effect(self.terms[k]) * jets.lift(self.weights[:, rows])).sum(axis=0)
 
     def is_null(self, k: int, rows: np.ndarray) -> bool:
         jets = self._at(rows)
@@ -242,7 +256,7 @@ class _ExactColumns:
 
     def coefficients_of_all(self, k: int, accepted: list[int], rows: np.ndarray) -> dict[int, Any] | None:
         """The same over all accepted terms; later calls go on from what is eliminated already."""
-        return self._solve(self._all, k, accepted, rows[-(len(self.terms) + 5) :], _MANY_DIGITS)
+        return self._solve(self._all, k, accepted, rows[-(len(self.terms) + _MARGIN) :], _MANY_DIGITS)
 
     def _solve(self, elimination, k, support, rows, digits) -> dict[int, Any] | None:
         for a in support[elimination.n_taken :]:
@@ -291,9 +305,9 @@ class _Elimination:
         return {a: c for a, c in zip(self.labels, solution, strict=True) if abs(c) > _ZERO}
 
 
-def _norm(values: np.ndarray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(finite**2))) if finite.size else 0.0
+def _size(values: np.ndarray) -> float:
+    """Return the largest finite absolute value."""
+    return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
 
 
 def _nice(value: Any) -> Fraction | float:

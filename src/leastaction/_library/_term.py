@@ -17,7 +17,7 @@ from ._parser import canonical_number, format_expression, normalise, parse_expre
 if TYPE_CHECKING:
     from ._library import Library
 
-__all__ = ["Dropped", "Kind", "Term", "make_term", "smooth_abs"]
+__all__ = ["Candidate", "Dropped", "Kind", "Term", "make_term", "smooth_abs"]
 
 Kind = Literal["lagrangian", "dissipation"]
 
@@ -46,6 +46,10 @@ class Term:
         return self.text
 
 
+Candidate = str | Term | sympy.Expr
+"""What a user may give for a term."""
+
+
 @dataclass(frozen=True)
 class Dropped:
     """A candidate that was left out of a library, and why.
@@ -63,7 +67,7 @@ class Dropped:
 
 
 def make_term(
-    source: str | Term | sympy.Expr,
+    source: Candidate,
     names: Iterable[str],
     parameters: Mapping[str, float] | None = None,
     kind: Kind = "lagrangian",

@@ -111,7 +111,7 @@ def _simulate_truth(system, trials, duration, rate, seed, irregular) -> tuple[Tr
             f"no acceptable motion of {system.name} of {duration:g} s in {_ROUNDS * _CANDIDATES} draws; "
             "take a shorter duration"
         )
-    return tuple(_sampled(system, t, *found[i], kept, streams[i][4], irregular) for i in range(trials))
+    return tuple(_sampled(system, t, found[i], kept, streams[i][4], irregular) for i in range(trials))
 
 
 # A study of noise levels asks for the same motions again and again; their arrays are read-only.
@@ -136,7 +136,8 @@ def _search(system, t, waiting, streams, found) -> None:
             found[i] = (q[:, k], qdot[:, k], None if drives is None else drives[k])
 
 
-def _sampled(system, t, q, qdot, drive, kept, rng, irregular) -> TrueMotion:
+def _sampled(system, t, motion, kept, rng, irregular) -> TrueMotion:
+    q, qdot, drive = motion
     if irregular:
         forces = None if drive is None else drive(t)
         qddot = system.acceleration(q, qdot, forces)
@@ -148,12 +149,15 @@ def _sampled(system, t, q, qdot, drive, kept, rng, irregular) -> TrueMotion:
     else:
         t, q, qdot = t[::kept], q[::kept], qdot[::kept]
     forces = None if drive is None else drive(t)
-    arrays = [t, q, qdot, system.acceleration(q, qdot, forces), forces]
-    arrays = [None if a is None else np.array(a) for a in arrays]
-    for array in arrays:
-        if array is not None:
-            array.setflags(write=False)
-    return TrueMotion(*arrays, drive=drive)
+    qddot = system.acceleration(q, qdot, forces)
+    t, q, qdot, qddot = (_frozen(array) for array in (t, q, qdot, qddot))
+    return TrueMotion(t, q, qdot, qddot, None if forces is None else _frozen(forces), drive)
+
+
+def _frozen(array) -> np.ndarray:
+    copy = np.array(array)
+    copy.setflags(write=False)
+    return copy
 
 
 def noise_std(

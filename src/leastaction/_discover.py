@@ -1,0 +1,235 @@
+"""discover(): from trajectories and candidates to a model, in one call."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+
+from leastaction._diagnostics import Diagnostics, PathPoint
+from leastaction._errors import DataError, InputError
+from leastaction._euler_lagrange import EulerLagrange
+from leastaction._fit.workspace import Workspace
+from leastaction._library import Library
+from leastaction._model import LagrangianModel
+from leastaction._model_parts import FitSummary, ModelTerm
+from leastaction._prepare import Prepared, prepare
+from leastaction._selection import Progress, Selection, select_structure
+from leastaction._trajectory import Trajectories, Trajectory
+from leastaction._verify import Verdict, verify
+
+__all__ = ["discover"]
+
+_METHODS = ("gauss-newton",)
+
+
+def discover(
+    trajectories: Trajectory | Trajectories | Iterable[Trajectory],
+    library: Library | Iterable[str],
+    known: Mapping[str, float] | None = None,
+    dissipation: Iterable[str] = (),
+    *,
+    method: str = "gauss-newton",
+    angles: Iterable[str] | None = None,
+    degree: int = 5,
+    progress: Progress | None = None,
+) -> LagrangianModel:
+    r"""Find a sparse Lagrangian, and friction, from measured coordinates.
+
+    Solves for L = Σ λ_k φ_k and ψ = Σ c_k ψ_k in
+
+    .. math:: \frac{d}{dt}\frac{\partial L}{\partial \dot q_i} - \frac{\partial L}{\partial q_i}
+              + \frac{\partial \psi}{\partial \dot q_i} = f_i
+
+    by maximum likelihood for the curve q(t) and the coefficients together (Zhang & Sun 2026, solved as a
+    banded nonlinear least-squares problem), with the terms chosen by a search on the weak form and the
+    extended BIC.
+
+    Parameters
+    ----------
+    trajectories : Trajectory, Trajectories or iterable of Trajectory
+        Times in seconds, coordinates (NaN = missing), known generalised forces.
+    library : Library or iterable of str
+        Candidates of L.
+    known : mapping of str to float, optional
+        Coefficients that are known. A system without known forces needs at least one: it sets the scale
+        of L.
+    dissipation : iterable of str
+        Candidates ψ of the dissipation function; force −∂ψ/∂q̇. ``abs(x_dot)`` (Coulomb friction) is
+        smoothed near zero velocity.
+    method : {"gauss-newton"}
+    angles : iterable of str, optional
+        Coordinates from which jumps of 2π are removed; default: those of the library.
+    degree : int
+        Degree of the splines, at least 3.
+    progress : callable, optional
+        Called as ``progress(stage, details)``.
+
+    Returns
+    -------
+    LagrangianModel
+        With ``fit.status`` "ok" or "doubtful"; numerical failure never raises.
+
+    Raises
+    ------
+    InputError
+        Wrong arguments (a ValueError).
+    DataError
+        The data cannot support any model (a ValueError).
+
+    Notes
+    -----
+    Not guaranteed: that the truth is in the library; that two structures can be told apart by these data.
+    Intervals assume white Gaussian noise and a white equation error.
+
+    Examples
+    --------
+    >>> from leastaction import discover, systems
+    >>> data = systems.generate("cart_spring_pendulum", noise=0.01, trials=2, duration=10.0, seed=0)
+    >>> cart = systems.get("cart_spring_pendulum")
+    >>> model = discover(data, cart.library, known=cart.known)
+    >>> sorted(term.expression for term in model.terms if not term.known)
+    ['theta_dot**2', 'x', 'x**2', 'x_dot**2', 'x_dot*theta_dot*cos(theta)']
+    >>> model.fit.status
+    'ok'
+    """
+    if method not in _METHODS:
+        raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _METHODS))}")
+    clock = _Clock(progress)
+    clock.start("prepare")
+    dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
+    prepared = prepare(trajectories, library, known, dissipation, angles, degree)
+    workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
+    clock.start("search")
+    _check_columns(workspace, prepared)
+    selection = select_structure(workspace, prepared.smooth, clock.report)
+    if not np.isfinite(selection.structure.evidence):
+        raise DataError(
+            "no combination of these candidates gives finite equations along the data; check the library for "
+            "functions that are undefined there, such as log or sqrt of a coordinate that changes sign"
+        )
+    clock.start("verify")
+    verdict = verify(workspace, selection, prepared.smooth)
+    clock.stop()
+    options = {
+        "method": method,
+        "degree": degree,
+        "known": {str(k): float(v) for k, v in (known or {}).items()},
+        "dissipation": [t.text for t in prepared.library.dissipation],
+        "angles": list(prepared.library.angles if angles is None else angles),
+    }
+    return _model(prepared, workspace, selection, verdict, options, clock.timings)
+
+
+class _Clock:
+    """Seconds of each stage, passed on to the user's progress display."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.timings: dict[str, float] = {}
+        self._progress = progress
+        self._stage, self._since = "", 0.0
+
+    def start(self, stage: str) -> None:
+        self.stop()
+        self._stage, self._since = stage, time.perf_counter()
+        if self._progress:
+            self._progress(stage, {})
+
+    def report(self, stage: str, details: dict) -> None:
+        if stage != self._stage:
+            self.stop()
+            self._stage, self._since = stage, time.perf_counter()
+        if self._progress:
+            self._progress(stage, details)
+
+    def stop(self) -> None:
+        if self._stage:
+            spent = time.perf_counter() - self._since
+            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + spent
+        self._stage = ""
+
+
+def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
+    """Refuse candidates that are undefined along the data, by name."""
+    from leastaction._euler_lagrange import Points
+
+    states = workspace.grid.at_quadrature(prepared.smooth.control_points)
+    values = workspace.columns.strong(Points(*(s[:, 0] for s in states)))
+    bad = [t.text for t, v in zip(prepared.columns, values, strict=True) if not np.isfinite(v).all()]
+    if bad:
+        raise DataError(
+            f"the candidate {bad[0]} is undefined somewhere along the data (log, sqrt or division outside its "
+            "domain); leave it out or shift the coordinate"
+        )
+
+
+def _model(prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings):
+    structure = selection.structure
+    weights = structure.fit.weights
+    members = dict(zip(structure.members, structure.standard_errors, strict=True))
+    parts: dict[str, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
+    for k, term in enumerate(prepared.columns):
+        is_known = not np.isnan(prepared.known[k])
+        if is_known or k in members:
+            error = 0.0 if is_known else float(members[k])
+            value = float(structure.coefficients[k])
+            parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
+    diagnostics = Diagnostics(
+        prepared.trajectories,
+        workspace.grid,
+        structure.fit.control_points,
+        weights.noise_std,
+        weights.physics,
+        verdict.equation_error,
+        _path(prepared, selection),
+        prepared.library.dropped,
+        (*prepared.notes, *verdict.notes),
+        timings,
+    )
+    return LagrangianModel(
+        prepared.library.coordinates,
+        parts["lagrangian"],
+        parts["dissipation"],
+        structure.fit.covariance,
+        weights.noise_std,
+        FitSummary(verdict.status, verdict.chi2_per_sample, weights.physics.tolist(), verdict.warnings),
+        {
+            "version": _version(),
+            "options": options,
+            "data": prepared.trajectories.digest(),
+            "n_samples": int(workspace.observations.counts.sum()),
+            "n_candidates": len(prepared.columns),
+            "knots_per_second": float(workspace.knots_per_second),
+        },
+        diagnostics,
+    )
+
+
+def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:
+    """Best structure of each size, then the runners-up of the chosen size."""
+    chosen = tuple(sorted(selection.structure.members))
+    size = len(chosen)
+    levels = selection.levels
+    here = next((c for c in levels.get(size, []) if c.members == chosen), None)
+    if here is None:
+        return ()
+    ranked = [level[0] for _, level in sorted(levels.items())] + levels[size][1:]
+    return tuple(
+        PathPoint(
+            tuple(prepared.columns[m].text for m in c.members),
+            c.cost - here.cost,
+            c.criterion(selection.penalty) - here.criterion(selection.penalty),
+            c.members == chosen,
+        )
+        for c in ranked
+    )
+
+
+def _version() -> str:
+    try:
+        return version("leastaction")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,142 @@
+"""What a model accepts at the door: its own parts, and the states it computes with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike
+
+from leastaction._checks import real_array
+from leastaction._errors import InputError
+from leastaction._library import parse_expression
+from leastaction._model_parts import FitSummary, ModelTerm
+from leastaction._names import check_coordinate_names, quoted
+
+if TYPE_CHECKING:
+    from leastaction._model import LagrangianModel
+
+__all__ = ["checked_fields", "checked_states"]
+
+
+def checked_fields(model: LagrangianModel) -> dict[str, Any]:
+    """Return the checked and normalised fields of a new model, and the parsed ``_expressions``.
+
+    Raises
+    ------
+    InputError
+        Naming the field, what was expected and the cure.
+    """
+    coordinates = check_coordinate_names(model.coordinates)
+    terms = _terms(model.terms, "terms")
+    dissipation = _terms(model.dissipation, "dissipation")
+    if not terms:
+        raise InputError("terms is empty; a Lagrangian needs at least one term")
+    expressions = (_parsed(terms, "terms", coordinates), _parsed(dissipation, "dissipation", coordinates))
+    n_free = sum(not term.known for term in (*terms, *dissipation))
+    if not isinstance(model.fit, FitSummary):
+        raise InputError(f"fit is of type {type(model.fit).__name__}; expected a FitSummary")
+    n_weights = len(model.fit.physics_weight)
+    if n_weights not in (0, len(coordinates)):
+        raise InputError(
+            f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
+        )
+    if not isinstance(model.provenance, Mapping):
+        raise InputError(f"provenance is {quoted(model.provenance)}; expected a dictionary")
+    return {
+        "coordinates": coordinates,
+        "terms": terms,
+        "dissipation": dissipation,
+        "covariance": _covariance(model.covariance, n_free),
+        "noise_std": _noise_std(model.noise_std, coordinates),
+        "provenance": dict(model.provenance),
+        "_expressions": expressions,
+    }
+
+
+def _terms(terms: Sequence[ModelTerm], label: str) -> tuple[ModelTerm, ...]:
+    try:
+        items = tuple(terms)
+    except TypeError:
+        raise InputError(f"{label} is {quoted(terms)}; expected a sequence of ModelTerm") from None
+    for i, term in enumerate(items):
+        if not isinstance(term, ModelTerm):
+            raise InputError(
+                f"{label}[{i}] is {quoted(term)}; expected a ModelTerm, e.g. ModelTerm('x_dot**2', 0.5)"
+            )
+    return items
+
+
+def _parsed(terms: Sequence[ModelTerm], label: str, coordinates: Sequence[str]) -> tuple[sp.Expr, ...]:
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    seen: dict[sp.Expr, int] = {}
+    for i, term in enumerate(terms):
+        try:
+            expr = parse_expression(term.expression, names)
+        except InputError as error:
+            raise InputError(f"{label}[{i}]: {error}") from None
+        if expr in seen:
+            raise InputError(
+                f"{label}[{i}] {quoted(term.expression)} is the same as {label}[{seen[expr]}]; merge them into one"
+            )
+        seen[expr] = i
+    return tuple(seen)
+
+
+def _covariance(value: ArrayLike | None, n_free: int) -> np.ndarray | None:
+    if value is None:
+        return None
+    covariance = real_array(value, "covariance")
+    if covariance.size == 0 and n_free == 0:
+        covariance = np.zeros((0, 0))
+    if covariance.shape != (n_free, n_free):
+        raise InputError(
+            f"covariance has shape {covariance.shape}; expected {(n_free, n_free)}, a row for each coefficient "
+            "that is not known"
+        )
+    variance = covariance.diagonal()
+    if not np.isfinite(covariance).all() or (variance < 0).any():
+        raise InputError("covariance must be finite with a diagonal of at least 0; leave it out if there is none")
+    scale = np.sqrt(np.outer(variance, variance))
+    if (np.abs(covariance - covariance.T) > 1e-6 * scale).any():
+        raise InputError("covariance is not symmetric; expected covariance[i, j] == covariance[j, i]")
+    covariance.flags.writeable = False
+    return covariance
+
+
+def _noise_std(value: ArrayLike | None, coordinates: Sequence[str]) -> np.ndarray:
+    n_dof = len(coordinates)
+    noise = np.full(n_dof, np.nan) if value is None else real_array(value, "noise_std")
+    if noise.shape != (n_dof,):
+        raise InputError(
+            f"noise_std has shape {noise.shape}; expected {(n_dof,)}, one number for each of {', '.join(coordinates)}"
+        )
+    noise[~np.isfinite(noise)] = np.nan
+    if (noise < 0).any():
+        raise InputError(f"noise_std is {quoted(noise.tolist())}; expected numbers of at least 0")
+    noise.flags.writeable = False
+    return noise
+
+
+def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | None]) -> list[np.ndarray]:
+    """Return the arrays that are given, as float64 of one shape (..., n_dof).
+
+    Raises
+    ------
+    InputError
+        If a last axis does not hold one number per coordinate, or the shapes do not fit together.
+    """
+    given = {label: real_array(x, label) for label, x in arrays.items() if x is not None}
+    n_dof = len(coordinates)
+    for label, array in given.items():
+        if array.ndim == 0 or array.shape[-1] != n_dof:
+            raise InputError(
+                f"{label} has shape {array.shape}; expected (..., {n_dof}), the last axis for {', '.join(coordinates)}"
+            )
+    try:
+        return list(np.broadcast_arrays(*given.values()))
+    except ValueError:
+        shapes = ", ".join(f"{label} {array.shape}" for label, array in given.items())
+        raise InputError(f"the shapes do not fit together: {shapes}; make them equal") from None

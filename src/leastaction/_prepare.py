@@ -1,0 +1,191 @@
+"""From the user's arguments to a well-posed problem: names matched, angles unwrapped, library reduced."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction._errors import DataError, InputError
+from leastaction._fit.workspace import Workspace
+from leastaction._library import Library, Term, smooth_abs
+from leastaction._smoothing import Smooth, smooth
+from leastaction._spline import SplineGrid, uniform_space
+from leastaction._trajectory import Trajectories
+
+__all__ = ["Prepared", "lay_knots", "prepare"]
+
+_KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
+_COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
+_FEWEST_SAMPLES = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A problem that can be searched.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+    library : Library
+        Reduced: no null, duplicate or dependent candidates.
+    columns : tuple of Term
+        Candidates of L, then of the dissipation function.
+    known : (n_columns,) array
+        Known coefficients, NaN where free.
+    smooth : Smooth
+    knots_per_second : float
+    notes : tuple of str
+    """
+
+    trajectories: Trajectories
+    library: Library
+    columns: tuple[Term, ...]
+    known: np.ndarray
+    smooth: Smooth
+    knots_per_second: float
+    notes: tuple[str, ...]
+
+    def workspace(self, columns) -> Workspace:
+        return Workspace(self.trajectories, columns, self.known, self.knots_per_second)
+
+
+def prepare(
+    trajectories,
+    library: Library,
+    known: Mapping[str, float] | None,
+    dissipation: Iterable[str],
+    angles: Iterable[str] | None,
+    degree: int,
+) -> Prepared:
+    """Check and complete everything that a search needs.
+
+    Raises
+    ------
+    InputError, DataError
+    """
+    trajectories = Trajectories.coerce(trajectories)
+    if not isinstance(library, Library):
+        library = Library(library, trajectories.coordinates)
+    if library.coordinates != trajectories.coordinates:
+        raise InputError(
+            f"the library is written for the coordinates {', '.join(library.coordinates)}, but the data have "
+            f"{', '.join(trajectories.coordinates)}; give both the same names in the same sequence"
+        )
+    angles = library.angles if angles is None else tuple(angles)
+    trajectories = trajectories.unwrap(angles)
+    _check_data(trajectories)
+    library = library.with_dissipation(dissipation)
+    known_terms = _resolve_known(library, dict(known or {}))
+    if not known_terms and not trajectories.driven:
+        raise InputError(
+            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the coefficient "
+            "of at least one term, e.g. known={'" + library.terms[0].text + "': 1.0}, which sets the units of L"
+        )
+    knots_per_second, smoothed, rates = lay_knots(trajectories, degree)
+    notes = _notes_on_angles(trajectories, angles)
+    smoothing = {f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r) for c, r in zip(library.coordinates, rates, strict=True)}
+    softened = smooth_abs(library, smoothing)
+    if softened is not library:
+        swap = dict(zip((*library.terms, *library.dissipation), (*softened.terms, *softened.dissipation), strict=True))
+        known_terms = {swap[term]: value for term, value in known_terms.items()}
+        notes.append("abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in smoothing.items()))
+    reduced = softened.reduced(keep=list(known_terms))
+    columns = (*reduced.terms, *reduced.dissipation)
+    coefficients = np.array([known_terms.get(term, np.nan) for term in columns])
+    missing = [term.text for term in known_terms if term not in columns]
+    if missing:
+        raise InputError(
+            f"the known term {missing[0]!r} has no effect on the equations of motion (or repeats another known "
+            "term); give the coefficient of a term that has"
+        )
+    if not np.isnan(coefficients).any():
+        raise InputError(
+            "nothing is left to find: every candidate is known, or is a constant or total time derivative"
+        )
+    return Prepared(
+        trajectories, reduced, columns, coefficients, smoothed, knots_per_second, tuple(notes)
+    )
+
+
+def _check_data(trajectories: Trajectories) -> None:
+    for i, name in enumerate(trajectories.coordinates):
+        values = np.concatenate([t.q[:, i] for t in trajectories])
+        values = values[np.isfinite(values)]
+        if values.size < _FEWEST_SAMPLES:
+            raise DataError(
+                f"coordinate {name!r} has {values.size} samples; at least {_FEWEST_SAMPLES} are needed, "
+                "and a few periods of the motion to find anything"
+            )
+        if np.ptp(values) <= 1e-12 * np.abs(values).max():
+            raise DataError(
+                f"coordinate {name!r} is constant ({values[0]:g}): nothing about its motion can be learnt; "
+                "leave it out or record a run in which it moves"
+            )
+
+
+def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, float]:
+    out: dict[Term, float] = {}
+    for text, value in known.items():
+        if isinstance(value, bool) or not np.isscalar(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]
+            raise InputError(f"the known coefficient of {text!r} is {value!r}; expected a finite number")
+        kind = "lagrangian"
+        if library.dissipation:
+            try:
+                library.index(text)
+            except InputError:
+                kind = "dissipation"
+        try:
+            position = library.index(text, kind)
+        except InputError:
+            position, kind = library.index(text), "lagrangian"  # its message speaks of the Lagrangian
+        out[(library.terms if kind == "lagrangian" else library.dissipation)[position]] = float(value)
+    if out and all(value == 0.0 for value in out.values()):
+        raise InputError("all known coefficients are zero; at least one must set the scale of L")
+    return out
+
+
+def _round_to_one_digit(value: float) -> float:
+    return float(f"{value:.0e}")
+
+
+def _notes_on_angles(trajectories: Trajectories, angles) -> list[str]:
+    notes = [
+        f"{count} jumps of 2π removed from {name}"
+        for name, count in trajectories.wraps_removed.items()
+        if count and name in angles
+    ]
+    for i, name in enumerate(trajectories.coordinates):
+        if name in angles:
+            continue
+        steps = np.concatenate([np.diff(t.q[:, i][np.isfinite(t.q[:, i])]) for t in trajectories])
+        wraps = int(np.sum(np.abs(np.abs(steps) - 2 * np.pi) < 0.5))
+        if wraps and np.quantile(np.abs(steps), 0.99) < np.pi / 2:
+            notes.append(f"{name} jumps by about 2π {wraps} times: if it is an angle, say so with angles=[{name!r}]")
+    return notes
+
+
+def lay_knots(trajectories: Trajectories, degree: int) -> tuple[float, Smooth, np.ndarray]:
+    """Knots a second from the data's own time scale, the smoothed curve there, and rms rates.
+
+    The knot spacing h follows the fastest coordinate: h · rms(d³q/dt³)/rms(d²q/dt²) = 1/4, found by
+    repeated smoothing; never finer than half a sampling interval.
+    """
+    times = [t.t for t in trajectories]
+    values = [t.q for t in trajectories]
+    rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
+    knots = rate / 5.0
+    for _ in range(5):
+        grid = SplineGrid([uniform_space(t[0], t[-1], knots, degree) for t in times])
+        smoothed = smooth(grid, times, values)
+        rms = [
+            np.sqrt(np.mean(np.concatenate(grid.evaluate(smoothed.control_points, times, nu)) ** 2, axis=0))
+            for nu in (1, 2, 3)
+        ]
+        wanted = min(_KNOTS_PER_RADIAN * float(np.max(rms[2] / np.maximum(rms[1], 1e-300))), 2.0 * rate)
+        if abs(wanted / knots - 1.0) < 0.1:
+            break
+        knots = wanted
+    grid = SplineGrid([uniform_space(t[0], t[-1], knots, degree) for t in times])
+    return knots, smooth(grid, times, values), rms[0]

@@ -1,0 +1,130 @@
+"""Can the result be trusted?  Checks that need no truth, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction._euler_lagrange import Points
+from leastaction._fit.workspace import Workspace
+from leastaction._selection import Selection
+from leastaction._smoothing import Smooth
+
+__all__ = ["Verdict", "verify"]
+
+_EQUATION_ERROR = 0.05  # of the generalised forces
+_NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
+_INDISTINCT = 0.3  # relative standard error
+_LAG_ONE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Status, what is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
+
+    status: str
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    chi2_per_sample: float
+    equation_error: np.ndarray
+
+
+def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdict:
+    """Run every check on a selected structure."""
+    structure = selection.structure
+    fit = structure.fit
+    names = workspace.trajectories.coordinates
+    floor = workspace.observations.noise_floor
+    noise = np.maximum(smooth.noise_std, floor)
+    chi2 = fit.squares / workspace.observations.counts / noise**2
+    share, rms = _equation_error(workspace, structure)
+    doubts: list[str] = []
+    if not fit.converged:
+        doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
+    for i, name in enumerate(names):
+        if share[i] > _EQUATION_ERROR or chi2[i] > _NOISE_RATIO**2:
+            doubts.append(
+                f"the library cannot explain {name}: the equation is off by {100 * share[i]:.1f} % of its forces and the "
+                f"residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or friction may be missing"
+            )
+    doubts += _identifiability(workspace, selection)
+    doubts += _mass_matrix(workspace, structure)
+    doubts += _friction(workspace, structure)
+    notes = _whiteness(workspace, structure, floor)
+    if not selection.knots_settled and fit.converged:
+        notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
+    status = "doubtful" if doubts else "ok"
+    return Verdict(status, tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _equation_error(workspace: Workspace, structure) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square of the equation residual, relative to the terms of each equation, and absolute."""
+    physics, index = workspace.physics(structure.members)
+    states = workspace.grid.at_quadrature(structure.fit.control_points)
+    points = Points(*(s[:, 0] for s in states))
+    columns = physics.columns.strong(points) * structure.coefficients[index][:, None, None]
+    size = (columns**2).sum(axis=0)
+    if workspace.forces is not None:
+        size += workspace.forces[:, 0].T ** 2
+    duration = workspace.grid.weights.sum()
+    rms = np.sqrt(structure.fit.equation / duration)
+    return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
+
+
+def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
+    structure = selection.structure
+    relative = structure.standard_errors / np.maximum(np.abs(structure.estimates), 1e-300)
+    loose = [workspace.columns.terms[m].text for m, r in zip(structure.members, relative, strict=True) if r > _INDISTINCT]
+    if not loose:
+        return []
+    return [
+        f"these data hardly determine {', '.join(loose)}: record larger or different motions, or fix one of the "
+        "coefficients with known"
+    ]
+
+
+def _mass_matrix(workspace: Workspace, structure) -> list[str]:
+    states = workspace.grid.at_quadrature(structure.fit.control_points)
+    points = Points(*(s[:, 0] for s in states))
+    physics, index = workspace.physics(structure.members)
+    mass = physics.columns.mass_matrix(points, structure.coefficients[index])
+    if not np.isfinite(mass).all():
+        return ["the mass matrix is not finite along the data"]
+    diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
+    scale = np.where(diagonal > 0, diagonal, 1.0)
+    lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
+    bad = float(np.mean(lowest <= 1e-9))
+    if bad == 0.0:
+        return []
+    return [
+        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is missing "
+        "or the sign of a known coefficient is wrong"
+    ]
+
+
+def _friction(workspace: Workspace, structure) -> list[str]:
+    out = []
+    for m, value, error in zip(structure.members, structure.estimates, structure.standard_errors, strict=True):
+        term = workspace.columns.terms[m]
+        if term.kind == "dissipation" and value < -3.0 * error:
+            out.append(
+                f"the dissipation term {term.text} has a negative coefficient and would feed energy in: check the "
+                "sign of forces and known coefficients, or a missing term"
+            )
+    return out
+
+
+def _whiteness(workspace: Workspace, structure, floor: np.ndarray) -> list[str]:
+    notes = []
+    residuals = workspace.observations.residuals(structure.fit.control_points)
+    for name, r, least, sigma in zip(
+        workspace.trajectories.coordinates, residuals, floor, structure.fit.weights.noise_std, strict=True
+    ):
+        lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
+        if abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least:
+            notes.append(
+                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, encoder steps "
+                "or filtered data; intervals may be too narrow or too wide"
+            )
+    return notes
