@@ -35,6 +35,7 @@ def discover(
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
     degree: int = 5,
+    relevance: float = 0.05,
     progress: Progress | None = None,
 ) -> LagrangianModel:
     r"""Find a sparse Lagrangian, and friction, from measured coordinates.
@@ -65,6 +66,10 @@ def discover(
         Coordinates from which jumps of 2π are removed; default: those of the library.
     degree : int
         Degree of the splines, at least 3.
+    relevance : float
+        Share of the equation error's variance that a term must remove to stay. It matters on real hardware
+        only, where the library is never exact and every candidate would become significant with enough
+        data; 0 asks for significance alone.
     progress : callable, optional
         Called as ``progress(stage, details)``.
 
@@ -98,6 +103,8 @@ def discover(
     """
     if method not in _METHODS:
         raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _METHODS))}")
+    if not 0.0 <= relevance < 1.0:
+        raise InputError(f"relevance is {relevance!r}; expected a share between 0 and 1, such as 0.05")
     clock = _Clock(progress)
     clock.start("prepare")
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
@@ -105,7 +112,7 @@ def discover(
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     clock.start("search")
     _check_columns(workspace, prepared)
-    selection = select_structure(workspace, prepared.smooth, clock.report)
+    selection = select_structure(workspace, prepared.smooth, clock.report, relevance)
     if not np.isfinite(selection.structure.evidence):
         raise DataError(
             "no combination of these candidates gives finite equations along the data; check the library for "
@@ -117,6 +124,7 @@ def discover(
     options = {
         "method": method,
         "degree": degree,
+        "relevance": float(relevance),
         "known": {str(k): float(v) for k, v in (known or {}).items()},
         "dissipation": [t.text for t in prepared.library.dissipation],
         "angles": list(prepared.library.angles if angles is None else angles),

@@ -36,18 +36,18 @@ class RealAbs(sp.Function):
 class _Printer(NumPyPrinter):
     """NumPy code with all digits of the numbers: lambdify's own printer keeps 15."""
 
-    def _print_Float(self, expr):  # noqa: N802 - SymPy's naming
+    def _print_Float(self, expr):
         return repr(float(expr))
 
-    def _print_RealAbs(self, expr):  # noqa: N802
+    def _print_RealAbs(self, expr):
         return f"abs({self._print(expr.args[0])})"
 
-    def _print_RealSign(self, expr):  # noqa: N802
+    def _print_RealSign(self, expr):
         return f"sign({self._print(expr.args[0])})"
 
 
 def state_symbols(coordinates: Sequence[str]) -> tuple[list[sp.Symbol], list[sp.Symbol], list[sp.Symbol]]:
-    """Real symbols of coordinates, velocities ``<coordinate>_dot`` and accelerations ``<coordinate>_dot_dot``."""
+    """Real symbols of coordinates, velocities (``x_dot``) and accelerations (``x_dot_dot``)."""
     q = [sp.Symbol(c, real=True) for c in coordinates]
     qdot = [sp.Symbol(f"{c}_dot", real=True) for c in coordinates]
     return q, qdot, [sp.Symbol(f"{c}_dot_dot", real=True) for c in coordinates]
@@ -95,9 +95,7 @@ class Mechanics:
         return [
             sp.diff(self._lagrangian, self.q[i])
             - sp.diff(self._dissipation, self.qdot[i])
-            - sp.Add(
-                *(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True))
-            )
+            - sp.Add(*(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True)))
             for i in range(self.n_dof)
         ]
 
@@ -139,7 +137,9 @@ class Mechanics:
         return self._compile([self.energy_expression])
 
     def _compile(self, expressions: list[sp.Expr]) -> Callable[..., list]:
-        printer = _Printer({"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True})
+        printer = _Printer(
+            {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
+        )
         return sp.lambdify([*self.q, *self.qdot], expressions, modules="numpy", printer=printer, cse=True)
 
     def _columns(self, q: np.ndarray, qdot: np.ndarray) -> list[np.ndarray]:

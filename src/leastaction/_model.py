@@ -14,13 +14,17 @@ from numpy.typing import ArrayLike
 
 from leastaction import _model_file as model_file
 from leastaction import _model_text as model_text
-from leastaction._checks import real_array
 from leastaction._errors import InputError
 from leastaction._forecast import ForecastResult, forecast
 from leastaction._mechanics import Mechanics
-from leastaction._model_checks import checked_fields, checked_states
+from leastaction._model_checks import (
+    check_force_function,
+    checked_fields,
+    checked_start,
+    checked_states,
+    held_out,
+)
 from leastaction._model_parts import FitSummary, ModelTerm
-from leastaction._names import quoted
 from leastaction._simulate import SimulationResult, simulate
 from leastaction._trajectory import Trajectories, Trajectory
 from leastaction.io import write_text
@@ -90,7 +94,9 @@ class LagrangianModel:
 
     def __getstate__(self) -> dict[str, Any]:
         # Compiled functions cannot be pickled; they are made again when they are needed.
-        return {k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__ or k == "_expressions"}
+        return {
+            k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__ or k == "_expressions"
+        }
 
     @property
     def n_dof(self) -> int:
@@ -109,12 +115,12 @@ class LagrangianModel:
 
     @cached_property
     def lagrangian(self) -> sp.Expr:
-        """L as a SymPy expression with its numbers, over real symbols such as ``theta1`` and ``theta1_dot``."""
+        """L with its numbers, over real SymPy symbols such as ``theta1`` and ``theta1_dot``."""
         return _weighted_sum(self.terms, self.expressions)
 
     @cached_property
     def dissipation_function(self) -> sp.Expr:
-        """ψ as a SymPy expression with its numbers; 0 if there is no dissipation."""
+        """ψ with its numbers; 0 if there is no dissipation."""
         return _weighted_sum(self.dissipation, self.dissipation_expressions)
 
     @cached_property
@@ -187,7 +193,9 @@ class LagrangianModel:
         -------
         ndarray, shape (..., n_dof, n_dof)
         """
-        return self.mechanics.mass_matrix(*self._states(q=q, qdot=np.zeros(self.n_dof) if qdot is None else qdot))
+        return self.mechanics.mass_matrix(
+            *self._states(q=q, qdot=np.zeros(self.n_dof) if qdot is None else qdot)
+        )
 
     def simulate(
         self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None, **limits: Any
@@ -223,19 +231,11 @@ class LagrangianModel:
         >>> run.status, run.q[:, 0].round(6).tolist()
         ('complete', [1.0, 0.0, -1.0, 0.0, 1.0])
         """
-        start = {}
-        for label, value in (("q0", q0), ("qdot0", qdot0)):
-            start[label] = real_array(value, label)
-            if start[label].shape != (self.n_dof,) or not np.isfinite(start[label]).all():
-                raise InputError(
-                    f"{label} is {quoted(value)}; expected {self.n_dof} finite number(s), for {', '.join(self.coordinates)}"
-                )
+        q0, qdot0 = (checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
         if callable(forces):
-            shape = np.shape(forces(float(np.ravel(np.asarray(t, dtype=float))[0])))
-            if shape != (self.n_dof,):
-                raise InputError(f"forces(time) has shape {shape}; expected {(self.n_dof,)}, one per coordinate")
+            check_force_function(self.coordinates, forces, t)
         limits.setdefault("mass_matrix", self.mechanics.mass_matrix)
-        return simulate(self.mechanics.acceleration, start["q0"], start["qdot0"], t, forces, **limits)
+        return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
 
     def validate(
         self,
@@ -260,8 +260,8 @@ class LagrangianModel:
             Length of the free runs in seconds. By default 1 s, at least 20 sampling intervals, at most half
             of the shortest trial.
         window : float, optional
-            Length of the data from which the initial state is found. By default half of the horizon, at
-            least 8 sampling intervals.
+            Length of the data from which the initial state is found. By default half of the horizon, less
+            if the shortest trial has no room for it, at least 8 sampling intervals.
         tolerance : float
             A forecast holds until a coordinate is off by `tolerance` of its standard deviation plus three
             times the noise.
@@ -277,16 +277,7 @@ class LagrangianModel:
         InputError
             If the coordinates differ, or no trial is long enough for one forecast.
         """
-        data = Trajectories.coerce(trajectories)
-        if data.coordinates != self.coordinates:
-            raise InputError(
-                f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
-                f"{', '.join(self.coordinates)}, and the order matters too"
-            )
-        options = self.provenance.get("options")
-        angles = options.get("angles") if isinstance(options, Mapping) else None
-        if isinstance(angles, (list, tuple)):
-            data = data.unwrap([c for c in self.coordinates if c in angles])
+        data = held_out(self, trajectories)
         return forecast(self.mechanics.acceleration, data, self.noise_std, horizon, window, tolerance)
 
     def _states(self, **arrays: ArrayLike | None) -> list[np.ndarray]:

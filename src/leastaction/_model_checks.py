@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from leastaction._errors import InputError
 from leastaction._library import parse_expression
 from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._names import check_coordinate_names, quoted
+from leastaction._trajectory import Trajectories, Trajectory
 
 if TYPE_CHECKING:
     from leastaction._model import LagrangianModel
 
-__all__ = ["checked_fields", "checked_states"]
+__all__ = ["check_force_function", "checked_fields", "checked_start", "checked_states", "held_out"]
 
 
 def checked_fields(model: LagrangianModel) -> dict[str, Any]:
@@ -79,7 +80,8 @@ def _parsed(terms: Sequence[ModelTerm], label: str, coordinates: Sequence[str]) 
             raise InputError(f"{label}[{i}]: {error}") from None
         if expr in seen:
             raise InputError(
-                f"{label}[{i}] {quoted(term.expression)} is the same as {label}[{seen[expr]}]; merge them into one"
+                f"{label}[{i}] {quoted(term.expression)} is the same as {label}[{seen[expr]}]; "
+                "merge them into one"
             )
         seen[expr] = i
     return tuple(seen)
@@ -93,12 +95,14 @@ def _covariance(value: ArrayLike | None, n_free: int) -> np.ndarray | None:
         covariance = np.zeros((0, 0))
     if covariance.shape != (n_free, n_free):
         raise InputError(
-            f"covariance has shape {covariance.shape}; expected {(n_free, n_free)}, a row for each coefficient "
-            "that is not known"
+            f"covariance has shape {covariance.shape}; expected {(n_free, n_free)}, a row for each "
+            "coefficient that is not known"
         )
     variance = covariance.diagonal()
     if not np.isfinite(covariance).all() or (variance < 0).any():
-        raise InputError("covariance must be finite with a diagonal of at least 0; leave it out if there is none")
+        raise InputError(
+            "covariance must be finite with a diagonal of at least 0; leave it out if there is none"
+        )
     scale = np.sqrt(np.outer(variance, variance))
     if (np.abs(covariance - covariance.T) > 1e-6 * scale).any():
         raise InputError("covariance is not symmetric; expected covariance[i, j] == covariance[j, i]")
@@ -111,7 +115,8 @@ def _noise_std(value: ArrayLike | None, coordinates: Sequence[str]) -> np.ndarra
     noise = np.full(n_dof, np.nan) if value is None else real_array(value, "noise_std")
     if noise.shape != (n_dof,):
         raise InputError(
-            f"noise_std has shape {noise.shape}; expected {(n_dof,)}, one number for each of {', '.join(coordinates)}"
+            f"noise_std has shape {noise.shape}; expected {(n_dof,)}, one number for each of "
+            f"{', '.join(coordinates)}"
         )
     noise[~np.isfinite(noise)] = np.nan
     if (noise < 0).any():
@@ -133,10 +138,45 @@ def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | 
     for label, array in given.items():
         if array.ndim == 0 or array.shape[-1] != n_dof:
             raise InputError(
-                f"{label} has shape {array.shape}; expected (..., {n_dof}), the last axis for {', '.join(coordinates)}"
+                f"{label} has shape {array.shape}; expected (..., {n_dof}), the last axis for "
+                f"{', '.join(coordinates)}"
             )
     try:
         return list(np.broadcast_arrays(*given.values()))
     except ValueError:
         shapes = ", ".join(f"{label} {array.shape}" for label, array in given.items())
         raise InputError(f"the shapes do not fit together: {shapes}; make them equal") from None
+
+
+def checked_start(coordinates: Sequence[str], value: ArrayLike, label: str) -> np.ndarray:
+    """Return one finite number per coordinate, shape (n_dof,)."""
+    start = real_array(value, label)
+    if start.shape != (len(coordinates),) or not np.isfinite(start).all():
+        raise InputError(
+            f"{label} is {quoted(value)}; expected {len(coordinates)} finite number(s), for {', '.join(coordinates)}"
+        )
+    return start
+
+
+def check_force_function(coordinates: Sequence[str], forces: Callable[[float], Any], t: ArrayLike) -> None:
+    """Check that ``forces(time)`` has one number per coordinate, at the first of the times."""
+    times = np.ravel(real_array(t, "t"))
+    shape = np.shape(forces(float(times[0]))) if times.size else (len(coordinates),)
+    if shape != (len(coordinates),):
+        raise InputError(
+            f"forces(time) has shape {shape}; expected {(len(coordinates),)}, one per coordinate"
+        )
+
+
+def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]) -> Trajectories:
+    """Return trajectories of the coordinates of the model, with the angles of its discovery unwrapped."""
+    data = Trajectories.coerce(trajectories)
+    if data.coordinates != model.coordinates:
+        raise InputError(
+            f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
+            f"{', '.join(model.coordinates)}, and the sequence matters too"
+        )
+    options = model.provenance.get("options")
+    angles = options.get("angles") if isinstance(options, Mapping) else None
+    chosen = [c for c in model.coordinates if c in angles] if isinstance(angles, (list, tuple)) else []
+    return data.unwrap(chosen) if chosen else data

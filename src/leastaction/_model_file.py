@@ -4,7 +4,8 @@ Schema 1, where ``null`` stands for "not available"::
 
     {"schema": 1,
      "coordinates": ["theta1", ...],
-     "terms": [{"expression": "theta1_dot**2", "coefficient": 0.5, "standard_error": 0.001, "known": false}, ...],
+     "terms": [{"expression": "theta1_dot**2", "coefficient": 0.5,
+                "standard_error": number or null, "known": false}, ...],
      "dissipation": [the same],
      "noise_std": [number or null for each coordinate],
      "fit": {"status": "ok" or "doubtful", "chi2_per_sample": number or null,
@@ -99,21 +100,24 @@ def plain_json(value: Any, place: str, depth: int = 0) -> Any:
         return str(value)
     if isinstance(value, np.ndarray):
         value = value.tolist()
-        return plain_json(value, place, depth) if not isinstance(value, list) else _plain_list(value, place, depth)
+        return (
+            plain_json(value, place, depth)
+            if not isinstance(value, list)
+            else _plain_list(value, place, depth)
+        )
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise InputError(f"{place} has the key {quoted(key)}; expected text")
         return {str(k): plain_json(v, f"{place}.{k[:40]}", depth + 1) for k, v in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return _plain_list(sorted(value, key=str) if isinstance(value, (set, frozenset)) else value, place, depth)
+        return _plain_list(
+            sorted(value, key=str) if isinstance(value, (set, frozenset)) else value, place, depth
+        )
     raise InputError(
-        f"{place} is of type {type(value).__name__}, which JSON cannot hold; use text, numbers, lists and dictionaries"
+        f"{place} is of type {type(value).__name__}, which JSON cannot hold; use text, numbers, lists and "
+        "dictionaries"
     )
-
-
-def _plain_list(items: Sequence, place: str, depth: int) -> list:
-    return [plain_json(item, f"{place}[{i}]", depth + 1) for i, item in enumerate(items)]
 
 
 def to_text(document: Mapping[str, Any]) -> str:
@@ -289,9 +293,12 @@ def _fit(value: Any) -> FitSummary:
 def _matrix(value: Any) -> np.ndarray | None:
     if value is None:
         return None
-    rows = [_list(row, f"covariance[{i}]", 2 * MAX_TERMS) for i, row in enumerate(_list(value, "covariance", 2 * MAX_TERMS))]
+    lines = enumerate(_list(value, "covariance", 2 * MAX_TERMS))
+    rows = [_list(row, f"covariance[{i}]", 2 * MAX_TERMS) for i, row in lines]
     for i, row in enumerate(rows):
         if len(row) != len(rows):
-            raise InputError(f"covariance[{i}] has {len(row)} entries; expected {len(rows)}, the number of rows")
+            raise InputError(
+                f"covariance[{i}] has {len(row)} entries; expected {len(rows)}, the number of rows"
+            )
     numbers = [[_number(x, f"covariance[{i}][{j}]") for j, x in enumerate(row)] for i, row in enumerate(rows)]
     return np.array(numbers, dtype=float).reshape(len(rows), len(rows))

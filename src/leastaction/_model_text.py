@@ -19,7 +19,7 @@ _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
 
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
     """Header and one row of text for each term."""
-    out = [_HEADER]
+    out: list[tuple[str, ...]] = [_HEADER]
     for kind, terms in (("lagrangian", model.terms), ("dissipation", model.dissipation)):
         for term in terms:
             error = term.standard_error
@@ -76,7 +76,8 @@ def html_table(model: LagrangianModel) -> str:
 
     header, *body = rows(model)
     notes = "".join(f"<li>{html.escape(w)}</li>" for w in model.fit.warnings)
+    lines = "".join(line(row, "td") for row in body)
     return (
-        f"<table><thead>{line(header, 'th')}</thead><tbody>{''.join(line(row, 'td') for row in body)}</tbody></table>"
+        f"<table><thead>{line(header, 'th')}</thead><tbody>{lines}</tbody></table>"
         f"<p>fit: {model.fit.status}</p>{f'<ul>{notes}</ul>' if notes else ''}"
     )

@@ -14,13 +14,15 @@ from leastaction._model_parts import ModelTerm
 
 __all__ = ["coefficient_text", "latex_sum", "latex_symbols", "plain_sum", "rounded"]
 
-_GREEK = frozenset(
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi psi "
-    "omega Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega".split()
-)
+_SMALL = """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau
+upsilon phi chi psi omega"""
+_CAPITAL = "Gamma Delta Theta Lambda Xi Pi Sigma Upsilon Phi Psi Omega"
+_GREEK = frozenset(f"{_SMALL} {_CAPITAL}".split())
 
 
-def rounded(value: float, standard_error: float = math.nan, digits: int | None = None, uncertainty: bool = False) -> str:
+def rounded(
+    value: float, standard_error: float = math.nan, digits: int | None = None, uncertainty: bool = False
+) -> str:
     """Write a number with the digits that it deserves.
 
     Parameters

@@ -20,6 +20,10 @@ __all__ = ["Support", "beam_search", "solve_support"]
 
 _RIDGE = 1e-12
 _SMALLEST = 1e-13
+_DEPENDENT = 1e-9
+_BISECTIONS = 45
+_SWAP_ROUNDS = 6
+_PATIENCE = 4
 
 
 @dataclass(frozen=True)
@@ -40,56 +44,85 @@ class _Scaled:
         self.parts = gram.parts * np.outer(scale, scale)
         self.known = self.total.shape[0] - 1
 
-    def ratios(self, supports: np.ndarray) -> np.ndarray:
-        """ρ of many supports of one size, (n_supports, size) → (n_supports,)."""
-        full = np.column_stack([supports, np.full(len(supports), self.known)])
-        index = (full[:, :, None], full[:, None, :])
-        parts = self.parts[index] + _RIDGE * np.eye(full.shape[1])
-        root = np.linalg.inv(np.linalg.cholesky(parts))
-        values = np.linalg.eigvalsh(root @ self.total[index] @ root.transpose(0, 2, 1))[:, 0]
-        return np.maximum(values, _SMALLEST)  # rounding may leave it below zero
+    def extended(self, supports: np.ndarray) -> np.ndarray:
+        """ρ of every support with every candidate added: (n_supports, size) → (n_supports, n_candidates).
+
+        With the support's own eigenvectors V (VᵀGV = 1, VᵀTV = diag μ) one more column borders a diagonal
+        matrix; the smallest eigenvalue x of that arrow matrix is the root below min μ of
+
+            α − x − Σ_j a_j² / (μ_j − x) = 0.
+
+        Candidates that are in the support already get infinity.
+        """
+        index = np.column_stack([supports, np.full(len(supports), self.known)]).astype(int)
+        pick = (index[:, :, None], index[:, None, :])
+        root = np.linalg.inv(np.linalg.cholesky(self.parts[pick] + _RIDGE * np.eye(index.shape[1])))
+        mu, vectors = np.linalg.eigh(root @ self.total[pick] @ root.transpose(0, 2, 1))
+        mu = np.maximum(mu, _SMALLEST)  # rounding may leave it below zero
+        basis = vectors.transpose(0, 2, 1) @ root
+        a, b = basis @ self.total[index], basis @ self.parts[index]
+        rest = np.maximum(1.0 - (b**2).sum(axis=1), _DEPENDENT)  # what the new column adds to the parts
+        alpha = np.diag(self.total) - 2.0 * (a * b).sum(axis=1) + (mu[:, :, None] * b**2).sum(axis=1)
+        squares = (a - mu[:, :, None] * b) ** 2 / rest[:, None, :]
+        ratios = _smallest_root(alpha / rest, squares, mu)
+        np.put_along_axis(ratios, index, np.inf, axis=1)
+        return ratios[:, : self.known]
 
 
-def beam_search(gram: WeakGram, max_size: int, width: int = 8) -> list[list[Support]]:
-    """The best supports of each size 1, 2, …, max_size, best first.
+def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """Root of α − x − Σ_j s_j / (μ_j − x) in (0, min μ), where it falls from positive to −∞, by bisection."""
+    low = np.zeros_like(alpha)
+    high = np.broadcast_to(mu[:, :1], alpha.shape).copy()
+    for _ in range(_BISECTIONS):
+        x = 0.5 * (low + high)
+        gap = np.maximum(mu[:, :, None] - x[:, None, :], 1e-300)
+        above = alpha - x - (squares / gap).sum(axis=1) > 0.0
+        low, high = np.where(above, x, low), np.where(above, high, x)
+    return np.maximum(high, _SMALLEST)
 
-    Grows every kept support by one candidate, then swaps single members while that helps.
+
+def beam_search(gram: WeakGram, penalty: float, n_rows: float, max_size: int, width: int = 8) -> list[list[Support]]:
+    """The best supports of each size 1, 2, …, best first.
+
+    Grows every kept support by one candidate, then swaps single members while that helps.  Ends when four
+    more terms have not improved n_rows · log ρ + penalty · size.
     """
     scaled = _Scaled(gram)
-    n = scaled.known
-    kept: list[tuple[int, ...]] = [()]
-    levels = []
-    for size in range(1, min(max_size, n) + 1):
-        grown = {tuple(sorted((*s, k))) for s in kept for k in range(n) if k not in s}
-        best = _best(scaled, grown, width)
-        seen = set(grown)
-        while size < n:
-            swapped = {
-                tuple(sorted((*(m for m in s.members if m != out), k)))
-                for s in best[: max(1, width // 2)]
-                for out in s.members
-                for k in range(n)
-                if k not in s.members
-            } - seen
-            if not swapped:
-                break
-            seen |= swapped
-            better = _best(scaled, swapped, width)
-            merged = sorted([*best, *better], key=lambda s: s.ratio)[:width]
-            improved = merged[0].ratio < best[0].ratio * (1 - 1e-9)
-            best = merged
+    kept: list[Support] = [Support((), np.inf)]
+    levels: list[list[Support]] = []
+    best, since = np.inf, 0
+    for size in range(1, min(max_size, scaled.known) + 1):
+        kept = _best_extensions(scaled, {s.members for s in kept}, width)
+        for _ in range(_SWAP_ROUNDS):
+            smaller = {s.members[:m] + s.members[m + 1 :] for s in kept[: width // 2] for m in range(size)}
+            swapped = _best_extensions(scaled, smaller, width)
+            merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
+            improved = merged[0].ratio < kept[0].ratio * (1 - 1e-6)
+            kept = merged
             if not improved:
                 break
-        levels.append(best)
-        kept = [s.members for s in best]
+        levels.append(kept)
+        value = n_rows * np.log(kept[0].ratio) + penalty * size
+        best, since = (value, 0) if value < best else (best, since + 1)
+        if since == _PATIENCE:
+            break
     return levels
 
 
-def _best(scaled: _Scaled, supports: set[tuple[int, ...]], width: int) -> list[Support]:
-    candidates = np.array(sorted(supports))
-    ratios = np.concatenate([scaled.ratios(block) for block in np.array_split(candidates, 1 + len(candidates) // 4096)])
-    top = np.argsort(ratios, kind="stable")[:width]
-    return [Support(tuple(int(m) for m in candidates[k]), float(ratios[k])) for k in top]
+def _best_extensions(scaled: _Scaled, supports: set[tuple[int, ...]], width: int) -> list[Support]:
+    """The best distinct supports that have one candidate more than those given."""
+    base = np.array(sorted(supports), dtype=int).reshape(len(supports), -1)
+    ratios = scaled.extended(base)
+    size = base.shape[1] + 1
+    found: dict[tuple[int, ...], Support] = {}
+    # the same support is reached from each of its parts
+    for flat in np.argsort(ratios, axis=None, kind="stable")[: width * size]:
+        row, k = divmod(int(flat), ratios.shape[1])
+        if not np.isfinite(ratios[row, k]) or len(found) == width:
+            break
+        members = tuple(sorted((*(int(m) for m in base[row]), k)))
+        found.setdefault(members, Support(members, float(ratios[row, k])))
+    return list(found.values())
 
 
 def solve_support(gram: WeakGram, members: tuple[int, ...]) -> np.ndarray:

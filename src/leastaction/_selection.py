@@ -117,7 +117,7 @@ class _Proposer:
         free = self.workspace.free
         n_rows = max(gram.n_rows / _OVERLAP, 4.0)
         penalty = term_penalty(int(n_rows), free.size)
-        levels = beam_search(gram, min(free.size, _MAX_SIZE))
+        levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
         scores = [n_rows * np.log(level[0].ratio) + penalty * len(level[0].members) for level in levels]
         return tuple(int(free[m]) for m in levels[int(np.argmin(scores))][0].members)
 
@@ -175,36 +175,79 @@ class _Refiner:
             structure = better
         return structure
 
+    def prune(self, structure: StructureFit, relevance: float) -> StructureFit:
+        """Drop terms that hardly lower the equation error.
+
+        On real hardware the library is never exact, and with enough data every candidate becomes
+        significant because it mimics a little of what is missing.  A term has to lower the variance of
+        the equation error by the share ``relevance``; for an exact library there is no equation error
+        (``slack`` vanishes) and nothing is asked beyond significance.
+        """
+        while structure.fit.converged and len(structure.members) > 1:
+            threshold = self.penalty + relevance * float(structure.fit.weights.slack.sum())
+            model, current = self._model(structure)
+            cost = model.best({current}, 1)[0].cost
+            members = current
+            while len(members) > 1:
+                smaller = model.best({tuple(m for m in members if m != out) for out in members}, 1)[0]
+                if smaller.cost - cost > threshold:
+                    break
+                members, cost = smaller.members, smaller.cost
+            if members == current:
+                break
+            there = model.solution(members)
+            start = self._start(structure, there)
+            structure = self.workspace.fit(self._columns(members), start)
+            self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
+        return structure
+
     def _propose(self, structure: StructureFit) -> tuple[tuple[int, ...], Start] | None:
         """A better support by the quadratic model, with its start; None when there is none."""
-        workspace, free = self.workspace, self.workspace.free
-        quadratic = workspace.score(structure)
-        here = structure.coefficients[free]
-        model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-        position = {int(k): p for p, k in enumerate(free)}
-        current = tuple(sorted(position[m] for m in structure.members))
+        model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
-        self.levels = {
-            size: [Choice(tuple(int(free[m]) for m in c.members), c.cost) for c in level]
-            for size, level in levels.items()
-        }
+        self.levels = {n: [Choice(self._columns(c.members), c.cost) for c in level] for n, level in levels.items()}
         best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
         if best.members == current:
             return None
-        there = model.solution(best.members)
-        shift = quadratic.curve_shift + quadratic.curve_response @ (there - here)
+        return self._columns(best.members), self._start(structure, model.solution(best.members))
+
+    def _model(self, structure: StructureFit) -> tuple[QuadraticModel, tuple[int, ...]]:
+        """Quadratic model over the free columns about a fit, and where its members are among them."""
+        free = self.workspace.free
+        self._quadratic = self.workspace.score(structure)
+        model = QuadraticModel(self._quadratic.matrix, self._quadratic.gradient, structure.coefficients[free])
+        position = {int(k): p for p, k in enumerate(free)}
+        return model, tuple(sorted(position[m] for m in structure.members))
+
+    def _columns(self, positions: tuple[int, ...]) -> tuple[int, ...]:
+        return tuple(int(self.workspace.free[p]) for p in positions)
+
+    def _start(self, structure: StructureFit, there: np.ndarray) -> Start:
+        """Curve and coefficients after the step of the quadratic model to new free coefficients."""
+        free, quadratic = self.workspace.free, self._quadratic
+        step = there - structure.coefficients[free]
+        shift = quadratic.curve_shift + quadratic.curve_response @ step
         points = structure.fit.control_points
         coefficients = structure.coefficients.copy()
         coefficients[free] = there
-        start = Start(points - shift.reshape(points.shape), coefficients, structure.fit.weights)
-        return tuple(int(free[m]) for m in best.members), start
+        return Start(points - shift.reshape(points.shape), coefficients, structure.fit.weights)
 
 
-def select_structure(workspace: Workspace, smooth: Smooth, progress: Progress) -> Selection:
-    """Run the search; the workspace ends with the knots of the result."""
+def select_structure(
+    workspace: Workspace, smooth: Smooth, progress: Progress, relevance: float = 0.05
+) -> Selection:
+    """Run the search; the workspace ends with the knots of the result.
+
+    Parameters
+    ----------
+    relevance : float
+        Share of the equation error's variance that a term has to remove; see :meth:`_Refiner.prune`.
+    """
     refiner = _Refiner(workspace, progress)
     best: StructureFit | None = None
     for proposal in propose_supports(workspace, smooth, progress):
+        if best is not None and not np.isfinite(proposal.evidence):
+            continue
         structure = refiner.refine(workspace.fit(proposal.members, proposal.start))
         agreed = best is not None and structure.members == best.members
         if best is None or refiner.value(structure) > refiner.value(best):
@@ -217,7 +260,8 @@ def select_structure(workspace: Workspace, smooth: Smooth, progress: Progress) -
     if again.members != structure.members:
         again, settled = refine_knots(workspace, again, progress)
         refiner.refine(again, rounds=1)
-    return Selection(again, refiner.levels, refiner.penalty, settled)
+    pruned = refiner.prune(again, relevance)
+    return Selection(pruned, refiner.levels, refiner.penalty, settled)
 
 
 def refine_knots(

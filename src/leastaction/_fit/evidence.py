@@ -24,6 +24,7 @@ from leastaction._fit.problem import Observations, Physics, Weights, linearise
 __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 _LOG_STEP = 0.05
+_REGULAR = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,13 @@ def equation_rank(observations: Observations) -> int:
 
 
 def evidence(observations: Observations, fit: JointFit) -> float:
-    """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only."""
+    """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only.
+
+    −∞ when the mass matrix is not positive definite along most of the motion: such equations do not
+    determine q̈, and the likelihood of the curve has no meaning.
+    """
+    if fit.regular < _REGULAR:
+        return -np.inf
     weights = fit.weights
     value = -0.5 * fit.misfit - float(observations.counts @ np.log(weights.noise_std))
     prior = 0.5 * float(np.log(weights.physics).sum()) + fit.log_volume

@@ -35,6 +35,8 @@ class JointFit:
         With and without the volume term.
     log_volume : float
         Mean over time of log |det M|.
+    regular : float
+        Share of the motion along which M is positive definite.
     squares, equation : (n_dof,) arrays
         Σ (y − N P)² and ∫ r_i² dt.
     logdet : float
@@ -51,6 +53,7 @@ class JointFit:
     cost: float
     misfit: float
     log_volume: float
+    regular: float
     squares: np.ndarray
     equation: np.ndarray
     logdet: float
@@ -196,6 +199,7 @@ def fit_joint(
         normal.cost,
         normal.misfit,
         normal.log_volume,
+        normal.regular,
         normal.squares,
         normal.equation,
         quadratic.logdet,
@@ -214,6 +218,7 @@ def _failed(control_points, coefficients, physics, weights, normal) -> JointFit:
         nothing,
         np.inf,
         np.inf,
+        0.0,
         0.0,
         normal.squares,
         normal.equation,

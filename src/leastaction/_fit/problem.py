@@ -120,6 +120,8 @@ class Normal:
         slack_i · mean over time of (∂M/∂λ_k M⁻¹)_ii, the gradient of the volume term.
     log_volume : float
         Mean over time of log |det M|.
+    regular : float
+        Share of the motion along which M is positive definite.
     misfit : float
         Data and equation parts of the cost.
     cost : float
@@ -135,6 +137,7 @@ class Normal:
     equation: np.ndarray
     volume: np.ndarray
     log_volume: float = 0.0
+    regular: float = 0.0
     misfit: float = 0.0
     cost: float = 0.0
 
@@ -223,11 +226,11 @@ def _add_volume(out, grid, physics, slack, states, coefficients, border) -> None
     middle = Points(*(s[:, s.shape[1] // 2] for s in states))
     share = 1.0 / grid.n_intervals
     mass = physics.columns.mass_matrix(middle, coefficients)
-    sign, log = np.linalg.slogdet(mass)
-    usable = np.isfinite(log) & (sign > 0) & (np.linalg.eigvalsh(mass)[:, 0] > 0)
+    usable = _positive_definite(mass)
+    out.regular += share * np.count_nonzero(usable)
     if not usable.any():
         return
-    out.log_volume += share * log[usable].sum()
+    out.log_volume += share * np.linalg.slogdet(mass[usable])[1].sum()
     chosen = physics.columns.subset(np.flatnonzero(physics.free)) if border is None else border
     if not len(chosen):
         return
@@ -237,6 +240,15 @@ def _add_volume(out, grid, physics, slack, states, coefficients, border) -> None
     flat = parts.reshape(len(chosen), -1)
     turned = parts.transpose(0, 1, 3, 2).reshape(len(chosen), -1)
     out.corner += share * slack.mean() * (flat @ turned.T)
+
+
+def _positive_definite(matrices: np.ndarray) -> np.ndarray:
+    """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
+    out = np.isfinite(matrices).all(axis=(1, 2))
+    safe = np.where(out[:, None, None], matrices, 0.0)
+    for k in range(1, matrices.shape[1] + 1):
+        out &= np.linalg.det(safe[:, :k, :k]) > 0.0
+    return out
 
 
 def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> list[np.ndarray]:

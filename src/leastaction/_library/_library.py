@@ -289,8 +289,7 @@ class Library(Sequence[Term]):
         1
         """
         names = [*self._coordinates, *self.velocities]
-        if isinstance(expression, Term):
-            kind = expression.kind
+        kind = expression.kind if isinstance(expression, Term) else kind
         wanted = make_term(expression, names, kind=kind)
         terms = self._terms if kind == "lagrangian" else self._dissipation
         for k, term in enumerate(terms):

@@ -34,6 +34,7 @@ _FEW_POINTS = 12
 _MAX_SUMMANDS = 6
 
 
+@np.errstate(all="ignore")  # states outside the domain of a term are left out of its columns
 def find_redundant(
     terms: Sequence[Term], coordinates: Sequence[str], keep: Collection[int] = (), seed: int = 0
 ) -> dict[int, Dropped]:
@@ -64,10 +65,10 @@ def find_redundant(
     1 null | total time derivative
     3 duplicate | equals 2+x up to a null term
     """
-    with np.errstate(all="ignore"):  # states outside the domain of a term are left out of its columns
-        return _Search(terms, coordinates, seed).run(set(keep))
+    return _Search(terms, coordinates, seed).run(set(keep))
 
 
+@np.errstate(all="ignore")
 def same_functions(wanted: sympy.Expr, others: Sequence[sympy.Expr], coordinates: Sequence[str]) -> list[int]:
     """Return the indices of the expressions that are the same function as the first one.
 

@@ -1,0 +1,212 @@
+"""Presentation MathML of coordinates, terms and coefficients, and their names as plain Unicode text.
+
+Terms are written from their own text, so that factors stay in the sequence in which the user wrote them.
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+import unicodedata
+from collections.abc import Sequence
+from html import escape
+
+from markupsafe import Markup
+
+from leastaction._notation import rounded
+
+__all__ = ["Notation", "number_parts"]
+
+_GREEK = dict(
+    zip(
+        "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi "
+        "psi omega".split(),
+        "αβγδεζηθικλμνξπρστυφχψω",
+        strict=True,
+    )
+)
+_GREEK |= {
+    name.capitalize(): _GREEK[name].upper() for name in "gamma delta theta lambda xi pi sigma phi psi omega".split()
+}
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_MARKS = {0: "", 1: "\N{COMBINING DOT ABOVE}", 2: "\N{COMBINING DIAERESIS}"}
+_ACCENTS = {1: "\N{DOT ABOVE}", 2: "\N{DIAERESIS}"}
+_APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
+_THIN = '<mspace width="0.16em"/>'
+# How tightly an expression binds: a looser one gets parentheses inside a tighter one.
+_SUM, _PRODUCT, _POWER = 1, 2, 3
+
+
+class Notation:
+    """How the coordinates of one model are written.
+
+    Parameters
+    ----------
+    coordinates : sequence of str
+        ``theta1`` becomes θ₁; names that would look alike are left as they are.
+    """
+
+    def __init__(self, coordinates: Sequence[str]) -> None:
+        self.coordinates = tuple(coordinates)
+        parts = [_split(c) for c in self.coordinates]
+        self._parts = {
+            c: part if parts.count(part) == 1 else (c, "") for c, part in zip(self.coordinates, parts, strict=True)
+        }
+
+    def text(self, coordinate: str, derivative: int = 0) -> str:
+        """Name of a coordinate, or its rate, as plain text for figures.
+
+        Examples
+        --------
+        >>> notation = Notation(["theta1", "cart"])
+        >>> notation.text("theta1", 1) == "θ̇₁", notation.text("cart", 1)
+        (True, 'd cart/dt')
+        """
+        head, subscript = self._parts[coordinate]
+        tail = subscript.translate(_SUBSCRIPTS) if subscript.isdecimal() else f"_{subscript}" if subscript else ""
+        if derivative == 0 or len(head) == 1:
+            return f"{head}{_MARKS[derivative]}{tail}"
+        return f"d {head}{tail}/dt" if derivative == 1 else f"d² {head}{tail}/dt²"
+
+    def symbol(self, coordinate: str, derivative: int = 0) -> Markup:
+        """The same as one ``<math>`` element."""
+        return _math(self._symbol(coordinate, derivative))
+
+    def term(self, text: str) -> Markup:
+        """One term, for example ``theta1_dot**2``, as one ``<math>`` element."""
+        return _math(self._expression(text, 0))
+
+    def addend(self, text: str, coefficient: float, standard_error: float, note: str, first: bool) -> Markup:
+        """Sign, coefficient with its error (or `note`) below, and the term, as one ``<math>`` element."""
+        sign = "−" if coefficient < 0 else "" if first else "+"
+        value, error, exponent = number_parts(abs(coefficient), standard_error)
+        below = f"± {error}" if error else note
+        number = f"<mn>{escape(value)}</mn>"
+        if below:
+            number = f'<munder><mrow>{number}</mrow><mtext class="error">{escape(below)}</mtext></munder>'
+        if exponent:
+            number += f"<mo>×</mo><msup><mn>10</mn><mn>{exponent}</mn></msup>"
+        lead = f'<mo form="infix">{sign}</mo>' if sign and not first else f"<mo>{sign}</mo>" if sign else ""
+        return _math(f"{lead}{number}{_THIN}{self._expression(text, _PRODUCT)}")
+
+    def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
+        head, subscript = self._parts[coordinate]
+        base = f"<mi>{escape(head)}</mi>"
+        if derivative:
+            base = f'<mover accent="true">{base}<mo>{_ACCENTS[derivative]}</mo></mover>'
+        if subscript:
+            tag = "mn" if subscript.isdecimal() else "mtext"
+            low = f"<{tag}>{escape(subscript)}</{tag}>"
+            return f"<msubsup>{base}{low}{power}</msubsup>" if power else f"<msub>{base}{low}</msub>"
+        return f"<msup>{base}{power}</msup>" if power else base
+
+    def _expression(self, text: str, level: int) -> str:
+        try:
+            return self._at(level, ast.parse(text, mode="eval").body)
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            return f"<mtext>{escape(text)}</mtext>"  # better plain than not at all
+
+    def _at(self, level: int, node: ast.expr) -> str:
+        """MathML of a node, in parentheses if it binds less tightly than `level`."""
+        body, own = self._node(node)
+        return _parentheses(body) if own < level else body
+
+    def _node(self, node: ast.expr) -> tuple[str, int]:
+        if isinstance(node, ast.Constant):
+            return _number(f"{node.value:.12g}" if isinstance(node.value, float) else str(node.value)), _POWER + 1
+        if isinstance(node, ast.Name):
+            return self._name(node.id), _POWER + 1
+        if isinstance(node, ast.UnaryOp):
+            sign = "<mo>−</mo>" if isinstance(node.op, ast.USub) else ""
+            return f"{sign}{self._at(_PRODUCT, node.operand)}", _SUM
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args:
+            return self._call(node.func.id, node.args[0]), _POWER
+        if isinstance(node, ast.BinOp):
+            return self._binary(node)
+        raise ValueError("not in the grammar")
+
+    def _name(self, name: str, power: str = "") -> str:
+        for coordinate, derivative in ((name, 0), (name.removesuffix("_dot"), 1)):
+            if coordinate in self._parts and (derivative == 0 or name.endswith("_dot")):
+                return self._symbol(coordinate, derivative, power)
+        base = f"<mi>{escape('π' if name == 'pi' else name)}</mi>"
+        return f"<msup>{base}{power}</msup>" if power else base
+
+    def _call(self, name: str, argument: ast.expr, power: str = "") -> str:
+        inner = self._at(0, argument)
+        if name in ("sqrt", "abs"):
+            bar = '<mo stretchy="true">|</mo>'
+            body = f"<msqrt>{inner}</msqrt>" if name == "sqrt" else f"<mrow>{bar}{inner}{bar}</mrow>"
+            return f"<msup>{body}{power}</msup>" if power else body
+        function = f"<mi>{escape(name)}</mi>"
+        function = f"<msup>{function}{power}</msup>" if power else function
+        return f"<mrow>{function}{_APPLY}{_parentheses(inner)}</mrow>"
+
+    def _binary(self, node: ast.BinOp) -> tuple[str, int]:
+        left, right = node.left, node.right
+        if isinstance(node.op, (ast.Add, ast.Sub)):
+            sign = "+" if isinstance(node.op, ast.Add) else "−"
+            return f"{self._at(_SUM, left)}<mo>{sign}</mo>{self._at(_PRODUCT, right)}", _SUM
+        if isinstance(node.op, ast.Div):
+            negative = isinstance(left, ast.UnaryOp) and isinstance(left.op, ast.USub)
+            above = left.operand if negative and isinstance(left, ast.UnaryOp) else left
+            body = f"<mfrac><mrow>{self._at(0, above)}</mrow><mrow>{self._at(0, right)}</mrow></mfrac>"
+            return (f"<mo>−</mo>{body}", _SUM) if negative else (body, _PRODUCT)
+        if isinstance(node.op, ast.Mult):
+            between = "<mo>·</mo>" if _starts_with_number(right) else _THIN
+            return f"{self._at(_PRODUCT, left)}{between}{self._at(_PRODUCT, right)}", _PRODUCT
+        if isinstance(node.op, ast.Pow):
+            return self._power(left, f"<mrow>{self._at(0, right)}</mrow>"), _POWER
+        raise ValueError("not in the grammar")
+
+    def _power(self, base: ast.expr, power: str) -> str:
+        if isinstance(base, ast.Name):
+            return self._name(base.id, power)
+        if isinstance(base, ast.Call) and isinstance(base.func, ast.Name) and base.args:
+            return self._call(base.func.id, base.args[0], power)
+        return f"<msup><mrow>{self._at(_POWER + 1, base)}</mrow>{power}</msup>"
+
+
+def number_parts(value: float, standard_error: float) -> tuple[str, str, str]:
+    """Number, error and power of ten as text, rounded to the error; empty where there is none.
+
+    Examples
+    --------
+    >>> number_parts(0.557712, 0.0012), number_parts(-1.23456e-7, 4e-10), number_parts(2.0, 0.0)
+    (('0.5577', '0.0012', ''), ('−1.23456', '0.00400', '−7'), ('2', '', ''))
+    """
+    text = rounded(value, standard_error, uncertainty=True)
+    match = re.fullmatch(r"(-?)(\d+)(?:\.(\d+))?(?:\((\d+)\))?(?:e([+-]?\d+))?", text)
+    if match is None:
+        return text, "", ""
+    minus, whole, decimals, error, exponent = match.groups(default="")
+    value_text = f"{'−' if minus else ''}{whole}{f'.{decimals}' if decimals else ''}"
+    error_text = f"{int(error) * 10.0 ** -len(decimals):.{len(decimals)}f}" if error else ""
+    return value_text, error_text, str(int(exponent)).replace("-", "−") if exponent else ""
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Head and subscript of a name: theta_arm2 -> θ and arm,2."""
+    head, *rest = re.findall(r"\d+|[^\W\d_]+", name) or [name]
+    return _GREEK.get(head, unicodedata.normalize("NFC", head)), ",".join(_GREEK.get(r, r) for r in rest)
+
+
+def _math(body: str) -> Markup:
+    return Markup(f"<math><mrow>{body}</mrow></math>")
+
+
+def _number(text: str) -> str:
+    mantissa, _, exponent = text.partition("e")
+    if not exponent:
+        return f"<mn>{escape(mantissa)}</mn>"
+    return f"<mrow><mn>{escape(mantissa)}</mn><mo>×</mo><msup><mn>10</mn><mn>{int(exponent)}</mn></msup></mrow>"
+
+
+def _parentheses(body: str) -> str:
+    return f'<mrow><mo stretchy="true">(</mo>{body}<mo stretchy="true">)</mo></mrow>'
+
+
+def _starts_with_number(node: ast.expr) -> bool:
+    while isinstance(node, ast.BinOp):
+        node = node.left
+    return isinstance(node, ast.Constant)

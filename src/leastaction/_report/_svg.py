@@ -1,0 +1,203 @@
+"""Matplotlib axes as small inline SVG: colours from the page's style sheet, text as text, no identifiers left over.
+
+Colours are drawn as stand-ins and replaced by CSS variables afterwards, so that one figure serves light, dark and
+paper.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from html import escape
+from xml.etree import ElementTree
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+__all__ = ["COLOURS", "dots", "drawing", "inline", "label", "panel"]
+
+COLOURS = {name: f"#01{k:02d}fe" for k, name in enumerate(("ink", "muted", "grid", "measured", "fit", "forecast", "kinetic", "potential", "shade"))}
+"""Name of a CSS variable of the page -> the colour that stands for it in Matplotlib."""
+
+_VARIABLES = {value: f"var(--{name})" for name, value in COLOURS.items()}
+_COLOUR = re.compile("|".join(_VARIABLES))
+_NUMBER = re.compile(r"-?\d+\.\d+")
+_TICK, _LABEL = 11.0, 12.0  # px
+_TOP, _RIGHT, _BOTTOM, _LEFT = 26.0, 10.0, 36.0, 40.0
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "leastaction",
+    "text.parse_math": False,
+    "figure.dpi": 72,  # one unit of the drawing is one pixel of the page
+    "font.size": _TICK,
+    "axes.edgecolor": COLOURS["muted"],
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.spines.left": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "grid.color": COLOURS["grid"],
+    "grid.linewidth": 0.8,
+    "xtick.color": COLOURS["muted"],
+    "ytick.color": COLOURS["muted"],
+    "xtick.bottom": False,
+    "ytick.left": False,
+    "lines.linewidth": 1.5,
+    "lines.solid_capstyle": "round",
+    "lines.solid_joinstyle": "round",
+    "path.simplify_threshold": 0.05,
+}
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Draw with our own settings, whatever the user's are; they come back afterwards."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_STYLE)
+        yield
+
+
+def panel(width: float = 340, height: float = 210) -> Axes:
+    """Axes that fill a new figure of this size in pixels."""
+    figure = Figure(figsize=(width / 72, height / 72))
+    FigureCanvasSVG(figure)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.xaxis.set_major_locator(MaxNLocator(max(4, int(width / 75)), steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(max(3, int(height / 45)), steps=[1, 2, 2.5, 5, 10]))
+    axes.tick_params(length=0, pad=5)
+    axes.grid(visible=False, axis="x")
+    axes.margins(x=0.01, y=0.06)
+    return axes
+
+
+def dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, size: float = 2.4, alpha: float = 1.0) -> None:
+    """Scatter as one path of round caps: a tenth of the markup of markers."""
+    there = np.isfinite(x) & np.isfinite(y)
+    points = np.column_stack([x[there], y[there]])
+    if not points.size:
+        return
+    path = np.full((3 * len(points), 2), np.nan)
+    path[0::3] = path[1::3] = points
+    (line,) = axes.plot(path[:, 0], path[:, 1], color=COLOURS[colour], lw=size, alpha=alpha, zorder=2)
+    line.get_path().should_simplify = False
+
+
+def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> None:
+    """Write the quantity above the upright axis and below the other, a common power of ten with the unit."""
+    y_power = _power_of_ten(axes.yaxis)
+    x_power = _power_of_ten(axes.xaxis)
+    figure = axes.get_figure()
+    assert figure is not None
+    width, height = figure.get_size_inches() * 72
+    low, high = sorted(axes.get_ylim())
+    formatter = axes.yaxis.get_major_formatter()
+    ticks = [v for v in axes.get_yticks() if low <= v <= high]
+    longest = max((len(text) for text in formatter.format_ticks(ticks)), default=0)
+    left = max(_LEFT, 6.6 * longest + 12)
+    axes.set_position(
+        (left / width, _BOTTOM / height, (width - left - _RIGHT) / width, (height - _TOP - _BOTTOM) / height)
+    )
+    style = {"fontsize": _LABEL, "color": COLOURS["ink"], "transform": None}
+    axes.text(2, height - 12, _with_unit(y, y_power, y_unit), ha="left", va="center", **style)
+    axes.text(width - _RIGHT, 8, _with_unit(x, x_power, x_unit), ha="right", va="center", **style)
+
+
+def _power_of_ten(axis) -> int:
+    formatter = axis.get_major_formatter()
+    if not isinstance(formatter, ScalarFormatter):
+        return 0
+    formatter.set_powerlimits((-3, 5))
+    formatter.set_locs(axis.get_majorticklocs())
+    axis.get_offset_text().set_visible(False)
+    return int(formatter.orderOfMagnitude)
+
+
+def _with_unit(quantity: str, power: int, unit: str) -> str:
+    digits = str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    scale = f"10{digits}" if power else ""
+    inside = f"{scale} {unit}".strip()
+    return f"{quantity} ({inside})" if inside else quantity
+
+
+def inline(axes: Axes, name: str, alt: str) -> Markup:
+    """The figure of these axes as an ``<svg>`` element.
+
+    Parameters
+    ----------
+    axes : Axes
+    name : str
+        Unlike that of every other figure of the page: prefix of its identifiers.
+    alt : str
+        What the figure shows, for those who cannot see it.
+    """
+    figure = axes.get_figure()
+    assert figure is not None
+    stream = io.BytesIO()
+    figure.savefig(stream, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    root = ElementTree.fromstring(stream.getvalue())
+    _tidy(root, {}, name)
+    box = root.get("viewBox", "")
+    body = "".join(ElementTree.tostring(child, encoding="unicode") for child in root)
+    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}">{body}</svg>')
+
+
+def _tidy(element: ElementTree.Element, names: dict[str, str], prefix: str) -> None:
+    """Strip namespaces and unused identifiers, shorten numbers, put CSS variables for colours."""
+    for parent in element.iter():
+        for child in list(parent):
+            if child.tag.endswith(("}metadata", "}style")):
+                parent.remove(child)
+    for node in element.iter():
+        node.tag = node.tag.rpartition("}")[2]
+        node.tail = None
+        if node.tag != "text":
+            node.text = None
+        if node.tag == "clipPath":
+            names[node.get("id", "")] = f"{prefix}-{len(names)}"
+    for node in element.iter():
+        for key, value in list(node.attrib.items()):
+            node.attrib.pop(key)
+            value = _attribute(node.tag, key.rpartition("}")[2], value, names)
+            if value:
+                node.set(key.rpartition("}")[2], value)
+    _drop_empty(element)
+
+
+def _attribute(tag: str, key: str, value: str, names: dict[str, str]) -> str:
+    if key == "id":
+        return names.get(value, "")
+    if key == "clip-path":
+        return f"url(#{names[value[5:-1]]})"
+    if key == "style":
+        value = re.sub(r"font-family: [^;]*;? ?|stroke-linejoin: miter;? ?|stroke-linecap: square;? ?", "", value)
+        return _COLOUR.sub(lambda m: _VARIABLES[m[0]], value).replace("; ", ";").replace(": ", ":")
+    if key == "transform" and value.startswith("rotate(-0 "):
+        return ""
+    if key in ("d", "x", "y", "transform", "width", "height"):
+        value = _NUMBER.sub(lambda m: f"{float(m[0]):.1f}".removesuffix(".0"), value)
+        if key == "d":
+            value = re.sub(r"\s+", " ", value).strip()
+            # Dots: a move and a line to the same place.
+            value = re.sub(r"M (\S+ \S+) L \1(?= |$)", r"M\1h0", value)
+            return re.sub(r" ?([MLCQz]) ?", r"\1", value)
+    return value
+
+
+def _drop_empty(element: ElementTree.Element) -> None:
+    for child in list(element):
+        _drop_empty(child)
+        empty_group = child.tag in ("g", "defs") and not len(child)
+        nothing_drawn = child.tag == "path" and child.get("style") in ("fill:none", "fill:none;")
+        if empty_group or nothing_drawn:
+            element.remove(child)

@@ -1,0 +1,237 @@
+"""Reads the values of options: lists, columns, numbers, and expressions with a value."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from leastaction._errors import InputError
+from leastaction._names import quoted
+
+if TYPE_CHECKING:
+    from leastaction import Trajectories
+
+__all__ = [
+    "DataOptions",
+    "assignments",
+    "blame",
+    "column_map",
+    "data_options",
+    "expression_list",
+    "known_coefficients",
+    "name_list",
+    "number",
+]
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+
+
+@contextmanager
+def blame(option: str) -> Iterator[None]:
+    """Begin the text of an InputError with the option at fault."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
+def number(text: str) -> float:
+    """Return a finite number; only plain decimal notation counts.
+
+    Raises
+    ------
+    InputError
+    """
+    text = text.strip()
+    value = float(text) if len(text) <= 100 and _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{quoted(text)} is not a finite number; write it as 9.81 or 1e-3")
+    return value
+
+
+def name_list(text: str) -> list[str]:
+    """Return the parts of ``a,b``, of which none may be empty or occur twice."""
+    names = [part.strip() for part in text.split(",")]
+    for name in names:
+        if not name:
+            raise InputError(f"{quoted(text)} has an empty name; separate names by single commas, e.g. a,b")
+        if names.count(name) > 1:
+            raise InputError(f"{quoted(name)} is given twice")
+    return names
+
+
+def expression_list(text: str) -> list[str]:
+    """Return the expressions of ``"EXPR, EXPR"``: no expression has a comma in it."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise InputError(f"{quoted(text)} has an empty expression; separate expressions by single commas")
+    return parts
+
+
+def column_map(text: str) -> dict[str, str] | list[str]:
+    """Return ``a=column,b=other`` as a dictionary, ``a,b`` as a list whose parts may be empty."""
+    parts = [part.strip() for part in text.split(",")]
+    marked = ["=" in part for part in parts]
+    if not any(marked):
+        return parts
+    if not all(marked):
+        raise InputError(f"{quoted(text)} mixes 'name=column' with names alone; write all in one way")
+    out: dict[str, str] = {}
+    for part in parts:
+        name, column = (side.strip() for side in part.split("=", 1))
+        if not name or not column:
+            raise InputError(f"{quoted(part)} is incomplete; write name=column")
+        if name in out:
+            raise InputError(f"{quoted(name)} is given twice")
+        out[name] = column
+    return out
+
+
+def assignments(text: str) -> dict[str, float]:
+    """Return the numbers of ``"theta=1, theta_dot=0"``."""
+    out: dict[str, float] = {}
+    for part in text.split(","):
+        name, equals, value = (side.strip() for side in part.partition("="))
+        if not name or not equals or not value:
+            raise InputError(f"{quoted(part.strip())} is not of the form name=number, e.g. theta=1")
+        if name in out:
+            raise InputError(f"{quoted(name)} is given twice")
+        with blame(name):
+            out[name] = number(value)
+    return out
+
+
+def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
+    """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
+    out: dict[str, float] = {}
+    for text in texts:
+        expression, equals, value = (side.strip() for side in text.rpartition("="))
+        if not equals or not expression or not value:
+            raise InputError(f"{quoted(text)} is not of the form EXPR=VALUE, e.g. 'cos(theta)=9.81'")
+        if expression in out:
+            raise InputError(f"{quoted(expression)} is given twice")
+        out[expression] = number(value)
+    return out
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """Where the data are: files, and which columns mean what."""
+
+    paths: tuple[str, ...]
+    coordinates: dict[str, str]
+    time: str
+    trial: str | None
+    forces: dict[str, str]
+    angles: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        data: Sequence[str],
+        coordinates: str | None,
+        time: str,
+        trial: str | None,
+        forces: str | None,
+        angles: str | None,
+        default: Sequence[str] = (),
+    ) -> DataOptions:
+        """Check the texts of the options; `default` are the coordinates where none are given."""
+        from leastaction._names import check_coordinate_names
+
+        with blame("--coordinates"):
+            columns = _by_name(coordinates) if coordinates is not None else {c: c for c in default}
+            names = check_coordinate_names(columns)
+        columns = dict(zip(names, columns.values(), strict=True))
+        with blame("--angles"):
+            turning = check_coordinate_names(name_list(angles)) if angles else ()
+            _check_are_coordinates(turning, names)
+        with blame("--forces"):
+            driving = _force_columns(forces, names) if forces else {}
+        return cls(tuple(data), columns, time, trial, driving, turning)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return tuple(self.coordinates)
+
+    def in_order_of(self, names: Sequence[str]) -> DataOptions:
+        """Return the same with the coordinates in another order."""
+        if sorted(names) != sorted(self.names):
+            raise InputError(
+                f"--coordinates: the model has {', '.join(names)}, not {', '.join(self.names)}; if the columns "
+                "have other names, write name=column"
+            )
+        ordered = {name: self.coordinates[name] for name in names}
+        return DataOptions(self.paths, ordered, self.time, self.trial, self.forces, self.angles)
+
+    def read(self) -> Trajectories:
+        """Read the files."""
+        from leastaction.io import read_many
+
+        return read_many(
+            self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles
+        )
+
+
+def _by_name(text: str) -> dict[str, str]:
+    given = column_map(text)
+    return given if isinstance(given, dict) else {name: name for name in name_list(text)}
+
+
+def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:
+    given = column_map(text)
+    if isinstance(given, dict):
+        _check_are_coordinates(given, names)
+        return given
+    if len(given) > len(names):
+        raise InputError(
+            f"{len(given)} columns for {len(names)} coordinate(s) ({', '.join(names)}); give at most one each"
+        )
+    # An empty place is a coordinate that is not driven: ",tau2".
+    return {name: column for name, column in zip(names, given, strict=False) if column}
+
+
+def _check_are_coordinates(given: Iterable[str], names: Sequence[str]) -> None:
+    for name in given:
+        if name not in names:
+            raise InputError(f"{quoted(name)} is not a coordinate; the coordinates are {', '.join(names)}")
+
+
+def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds the argument DATA and the options that say what its columns mean."""
+    where = "" if coordinates_required else " By default those of the model."
+    decorators = (
+        click.argument("data", nargs=-1, required=True, metavar="DATA..."),
+        click.option(
+            "--coordinates",
+            required=coordinates_required,
+            metavar="A,B",
+            help=f"Columns that are the coordinates; name=column if the column has another name.{where}",
+        ),
+        click.option("--time", default="t", show_default=True, metavar="COLUMN", help="Times in seconds."),
+        click.option(
+            "--trial",
+            metavar="COLUMN",
+            help="Tells the trials apart; by default the column 'trial', if there is one.",
+        ),
+        click.option(
+            "--forces",
+            metavar="TAU1,TAU2",
+            help="Columns of the known generalised forces, for the coordinates in order; or a=tau1.",
+        ),
+        click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
+    )
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for decorator in reversed(decorators):
+            command = decorator(command)
+        return command
+
+    return decorate

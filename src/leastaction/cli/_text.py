@@ -1,0 +1,36 @@
+"""Text for the terminal: safe to print, in the words of the command line."""
+
+from __future__ import annotations
+
+import os
+import re
+
+__all__ = ["in_options", "one_line", "shown"]
+
+
+def one_line(text: str) -> str:
+    """Return the text on one line, without control characters: it may quote a hostile file name.
+
+    Examples
+    --------
+    >>> one_line("first\\n  second\\x1b[31m")
+    'first second [31m'
+    """
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """Return a path as it can be printed."""
+    return "".join(c if c.isprintable() else "?" for c in os.fspath(path))
+
+
+def in_options(text: str) -> str:
+    """Put the cures of messages, which name Python arguments, in terms of options.
+
+    Examples
+    --------
+    >>> in_options("if it is an angle, say so with angles=['theta']; or give the column (trial=...)")
+    'if it is an angle, say so with --angles theta; or give the column (--trial)'
+    """
+    text = text.replace("(trial=...)", "(--trial)")
+    return re.sub(r"angles=\['([^']*)'\]", r"--angles \1", text)

@@ -1,0 +1,149 @@
+"""Oracles and small problems shared by the tests of the numerical core."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from leastaction._euler_lagrange import EulerLagrange
+from leastaction._library import Term
+from leastaction._library._term import make_term
+from leastaction._simulate import simulate
+from leastaction._spline import SplineGrid, SplineSpace
+from leastaction._trajectory import Trajectories, Trajectory
+
+Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
+
+
+# ---------------------------------------------------------------------------------------- splines
+def naive_basis(knots: Sequence[float], degree: int, i: int, x: float, nu: int = 0) -> float:
+    """Return one B-spline or its derivative, by the textbook recursion, 0/0 = 0; last interval closed."""
+    if nu > 0:
+        left, right = knots[i + degree] - knots[i], knots[i + degree + 1] - knots[i + 1]
+        value = 0.0
+        if left > 0:
+            value += degree / left * naive_basis(knots, degree - 1, i, x, nu - 1)
+        if right > 0:
+            value -= degree / right * naive_basis(knots, degree - 1, i + 1, x, nu - 1)
+        return value
+    if degree == 0:
+        at_end = x == knots[-1] and knots[i] < knots[i + 1] == knots[-1]
+        return float(knots[i] <= x < knots[i + 1] or at_end)
+    left, right = knots[i + degree] - knots[i], knots[i + degree + 1] - knots[i + 1]
+    value = 0.0
+    if left > 0:
+        value += (x - knots[i]) / left * naive_basis(knots, degree - 1, i, x)
+    if right > 0:
+        value += (knots[i + degree + 1] - x) / right * naive_basis(knots, degree - 1, i + 1, x)
+    return value
+
+
+def random_breakpoints(rng: np.random.Generator, n_intervals: int, start=0.0, stop=1.0) -> np.ndarray:
+    """Breakpoints whose intervals differ by up to a factor of ten."""
+    widths = rng.uniform(0.1, 1.0, n_intervals)
+    points = np.concatenate([[0.0], np.cumsum(widths)])
+    return start + (stop - start) * points / points[-1]
+
+
+def uniform_grid(
+    durations: Iterable[float], knots_per_second: float, degree: int, n_quadrature=3
+) -> SplineGrid:
+    spaces = [SplineSpace(degree, np.linspace(0.0, d, round(d * knots_per_second) + 1)) for d in durations]
+    return SplineGrid(spaces, n_quadrature)
+
+
+def interpolate(grid: SplineGrid, functions: Sequence[Callable[[np.ndarray], np.ndarray]]) -> np.ndarray:
+    """Control points of the curves closest to one function t -> (n_times, n_dof) per trajectory."""
+    parts = []
+    for space, function in zip(grid.spaces, functions, strict=True):
+        t = np.linspace(space.breakpoints[0], space.breakpoints[-1], 6 * space.n_ctrl)
+        parts.append(np.linalg.lstsq(space.basis(t).toarray(), function(t), rcond=None)[0])
+    return np.concatenate(parts)
+
+
+# ------------------------------------------------------------------------------------ linear algebra
+def dense_from_lower_band(banded: np.ndarray) -> np.ndarray:
+    """Symmetric matrix from LAPACK's lower banded storage."""
+    n = banded.shape[1]
+    out = np.zeros((n, n))
+    for k in range(min(len(banded), n)):
+        out += np.diag(banded[k, : n - k], -k)
+        if k:
+            out += np.diag(banded[k, : n - k], k)
+    return out
+
+
+def finite_difference(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray, steps) -> np.ndarray:
+    """Jacobian by fourth-degree central differences, (…, n)."""
+    steps = np.broadcast_to(steps, x.shape)
+    columns = []
+    for k, h in enumerate(steps):
+        e = np.zeros_like(x)
+        e[k] = h
+        near = np.asarray(function(x + e)) - np.asarray(function(x - e))
+        far = np.asarray(function(x + 2 * e)) - np.asarray(function(x - 2 * e))
+        columns.append((8.0 * near - far) / (12.0 * h))
+    return np.stack(columns, axis=-1)
+
+
+# ------------------------------------------------------------------------------------------- terms
+def terms(texts: Iterable[str], coordinates: Sequence[str], kind: str = "lagrangian") -> list[Term]:
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    return [make_term(text, names, None, kind) for text in texts]
+
+
+def euler_lagrange(
+    lagrangian: Iterable[str], coordinates: Sequence[str], dissipation: Iterable[str] = ()
+) -> EulerLagrange:
+    both = [*terms(lagrangian, coordinates), *terms(dissipation, coordinates, "dissipation")]
+    return EulerLagrange(both, coordinates)
+
+
+# -------------------------------------------------------------------------------------------- data
+def record(
+    acceleration: Acceleration,
+    starts: Sequence[tuple[Sequence[float], Sequence[float]]],
+    coordinates: Sequence[str],
+    *,
+    duration: float = 6.0,
+    rate: float = 50.0,
+    noise: float | Sequence[float] = 0.01,
+    forcing: Callable[[int, np.ndarray], np.ndarray] | None = None,
+    irregular: bool = False,
+    seed: int = 0,
+) -> Trajectories:
+    """Noisy recordings of a motion whose acceleration is written out by hand.
+
+    ``forcing(k, t)`` gives the known forces of trajectory k, (n_times, n_dof).
+    """
+    rng = np.random.default_rng(seed)
+    out = []
+    for k, (q0, qdot0) in enumerate(starts):
+        t = np.linspace(0.0, duration, round(duration * rate) + 1)
+        if irregular:
+            t[1:-1] += rng.uniform(-0.4, 0.4, t.size - 2) / rate
+        push = None if forcing is None else (lambda time, k=k: forcing(k, np.array([time]))[0])
+        motion = simulate(acceleration, q0, qdot0, t, push, rtol=1e-10, atol=1e-10)
+        assert motion.complete, motion.reason
+        q = motion.q + np.asarray(noise) * rng.standard_normal(motion.q.shape)
+        forces = None if forcing is None else forcing(k, t)
+        out.append(Trajectory(t, q, forces=forces, coordinates=coordinates))
+    return Trajectories(out)
+
+
+def coefficients_of(model) -> dict[str, float]:
+    """Expression -> coefficient, of L and of the dissipation function."""
+    return {term.expression: term.coefficient for term in (*model.terms, *model.dissipation)}
+
+
+def assert_finds(model, truth: dict[str, float], *, z: float = 4.5, relative: float | None = None) -> None:
+    """The model has exactly these terms, each within z standard errors of the truth."""
+    found = coefficients_of(model)
+    assert set(found) == set(truth), (sorted(found), model.fit.warnings)
+    for term in (*model.terms, *model.dissipation):
+        error = abs(term.coefficient - truth[term.expression])
+        allowed = 1e-12 * abs(truth[term.expression]) if term.known else z * term.standard_error
+        assert error <= allowed, (term.expression, term.coefficient, term.standard_error)
+        if relative is not None:
+            assert error <= relative * abs(truth[term.expression]), (term.expression, term.coefficient)
