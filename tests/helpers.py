@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
+from scipy.interpolate import make_lsq_spline
 
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._library import Term
@@ -58,7 +59,7 @@ def interpolate(grid: SplineGrid, functions: Sequence[Callable[[np.ndarray], np.
     parts = []
     for space, function in zip(grid.spaces, functions, strict=True):
         t = np.linspace(space.breakpoints[0], space.breakpoints[-1], 6 * space.n_ctrl)
-        parts.append(np.linalg.lstsq(space.basis(t).toarray(), function(t), rcond=None)[0])
+        parts.append(make_lsq_spline(t, function(t), space.knots, space.degree).c)
     return np.concatenate(parts)
 
 

@@ -22,17 +22,17 @@ __all__ = ["FORMATS", "export"]
 def export(model: LagrangianModel, format: str, path: str | os.PathLike[str] | None = None) -> str:
     """Write a model as text that needs nothing of leastaction.
 
-    ============  ==========================================================================================
+    ============  =========================================================================================
     format        content
-    ============  ==========================================================================================
+    ============  =========================================================================================
     ``"sympy"``   a Python script that makes ``lagrangian`` and ``dissipation_function`` with SymPy, over real
                   symbols with the names of the coordinates and ``<coordinate>_dot``; all digits are kept
     ``"latex"``   L and ψ as a displayed formula (needs the package amsmath), rounded to their errors
     ``"python"``  a module that imports only `math`: ``acceleration(q, qdot, forces=None)`` -> list and
                   ``energy(q, qdot)`` -> float of plain sequences
-    ``"c"``       C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces, qddot)`` and
+    ``"c"``       C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces, qddot)``,
                   ``double leastaction_energy(q, qdot)`` of arrays; ``forces`` may be ``NULL``
-    ============  ==========================================================================================
+    ============  =========================================================================================
 
     Where the mass matrix is exactly singular the accelerations are NaN; where a function is not defined
     (logarithm of a negative number), C returns NaN and Python raises what `math` raises.

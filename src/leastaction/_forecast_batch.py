@@ -95,7 +95,7 @@ class _Batch:
             self.t[s, : start.t.size] = start.t
             self.q[s, : start.t.size] = start.q
         self.driven = any(start.forces is not None for start in starts)
-        self._force_tables: dict[int, np.ndarray] = {}
+        self._force_tables: dict[tuple[int, float], np.ndarray] = {}
         spacing = np.median(np.concatenate([np.diff(start.t) for start in starts]))
         self.n_steps = int(np.clip(np.ceil(window / (2.0 * spacing)), 16, 2000))
 
@@ -104,9 +104,9 @@ class _Batch:
         alive = np.asarray(np.isfinite(state).all(axis=1))
         state = np.where(alive[:, None], state, 0.0)
         speed = np.sqrt((state[:, self.n_dof :] ** 2).mean(axis=0))
-        steps = _STEP * np.concatenate([self.scale, np.fmax(speed, self.scale / self.window)])
+        self.unit = np.concatenate([self.scale, np.fmax(speed, self.scale / self.window)])
         guess = state
-        state = self._grow(guess, steps)
+        state = self._grow(guess)
         coarse = self._flow(state[None], 1.0 + self.horizon / self.window)
         resolved = np.zeros(len(self.starts), dtype=bool)
         for _ in range(_MAX_HALVINGS):
@@ -114,33 +114,30 @@ class _Batch:
             far = self._far(coarse[0])
             # A motion may have diverged only because the steps were too long for it: begin again.
             state = np.where(far[:, None], guess, state)
-            state = self._grow(state, steps) if far.any() else self._fit(state, steps, 1.0, rounds=2)
+            state = self._grow(state) if far.any() else self._fit(state, 1.0, rounds=2)
             fine = self._flow(state[None], 1.0 + self.horizon / self.window)
             change = np.where(np.isfinite(self.q), np.abs(fine - coarse)[0], 0.0)
             resolved = (change <= 0.02 * self.sigma + 1e-4 * self.scale).all(axis=(1, 2))
             coarse = fine
             if resolved.all():
                 break
-        return self._results(state, steps, coarse[0], alive, resolved)
+        return self._results(state, coarse[0], alive, resolved)
 
-    def _grow(self, state: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _grow(self, state: np.ndarray) -> np.ndarray:
         """Fit on growing windows, so that a poor first guess can follow a long motion."""
         for share in (0.25, 0.5, 1.0):
-            state = self._fit(state, steps, share)
+            state = self._fit(state, share)
         return state
 
-    def _results(self, state, steps, q, alive, resolved) -> list[StartResult]:
-        variance = self._variance(state, steps)
+    def _results(self, state, q, alive, resolved) -> list[StartResult]:
+        variance = self._variance(state)
         far = self._far(q)
         out = []
         for s, start in enumerate(self.starts):
             size = start.t.size
             status, reason = "ok", ""
             if not alive[s] or not np.isfinite(self._residual(q[None], self.window)[s, 0]).all():
-                status, reason = (
-                    "failed",
-                    "no motion of the model could be fitted to the data before the start",
-                )
+                status, reason = "failed", "no motion of the model fits the data before the start"
             elif far[s]:
                 status, reason = "diverged", "the free run leaves the range of the data or is not finite"
             elif not resolved[s]:
@@ -179,7 +176,7 @@ class _Batch:
 
     def _forces(self, times: np.ndarray) -> np.ndarray:
         """Forces (n_times, n_starts, n_dof); the same times come again and again."""
-        key = times.size
+        key = (times.size, float(times[-1]))
         if key not in self._force_tables:
             zero = np.zeros((times.size, self.n_dof))
             tables = [
@@ -195,11 +192,14 @@ class _Batch:
         r = np.where(inside, (q - np.where(inside, self.q, 0.0)) / self.sigma, 0.0)
         return np.moveaxis(r.reshape(*r.shape[:2], -1), 0, 1)
 
-    def _linearised(self, state: np.ndarray, steps: np.ndarray, share: float):
-        """Residual (n_starts, m), cost (n_starts,), and Jacobian (n_starts, m, 2 n_dof) by differences."""
-        variants = np.concatenate([state[None], state[None] + np.diag(steps)[:, None, :]])
-        r = self._residual(self._flow(variants, share), self.window * share)
-        jacobian = np.moveaxis((r[:, 1:] - r[:, :1]) / steps[:, None], 1, 2)
+    def _variants(self, state: np.ndarray) -> np.ndarray:
+        """The states, and then the states with one component shifted."""
+        return np.concatenate([state[None], state[None] + _STEP * np.diag(self.unit)[:, None, :]])
+
+    def _linearised(self, state: np.ndarray, share: float):
+        """Residual (n_starts, m), cost (n_starts,), and Jacobian (n_starts, m, 2 n_dof) in `unit`."""
+        r = self._residual(self._flow(self._variants(state), share), self.window * share)
+        jacobian = np.moveaxis((r[:, 1:] - r[:, :1]) / _STEP, 1, 2)
         cost = (r[:, 0] ** 2).sum(axis=1)
         bad = ~((cost < _HUGE) & (np.abs(jacobian) < _HUGE).all(axis=(1, 2)))
         return (
@@ -208,21 +208,20 @@ class _Batch:
             np.where(bad[:, None, None], 0.0, jacobian),
         )
 
-    def _fit(self, state: np.ndarray, steps: np.ndarray, share: float, rounds: int = 8) -> np.ndarray:
+    def _fit(self, state: np.ndarray, share: float, rounds: int = 8) -> np.ndarray:
         """Levenberg–Marquardt for all starts side by side; one batch of motions per round."""
         damping = np.full(len(state), 1e-3)
-        residual, cost, jacobian = self._linearised(state, steps, share)
+        residual, cost, jacobian = self._linearised(state, share)
         for _ in range(rounds):
-            scaled = jacobian * steps / _STEP
-            normal = np.swapaxes(scaled, 1, 2) @ scaled
+            normal = np.swapaxes(jacobian, 1, 2) @ jacobian
             diagonal = np.einsum("sii->si", normal)
             ridge = damping[:, None] * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
             move = -np.linalg.solve(
-                normal + ridge[:, :, None] * np.eye(steps.size),
-                np.einsum("smi,sm->si", scaled, residual)[..., None],
+                normal + ridge[:, :, None] * np.eye(self.unit.size),
+                np.einsum("smi,sm->si", jacobian, residual)[..., None],
             )[..., 0]
-            trial = state + move * steps / _STEP
-            new = self._linearised(trial, steps, share)
+            trial = state + move * self.unit
+            new = self._linearised(trial, share)
             better = new[1] < cost
             gain = np.where(better, cost - new[1], 0.0)
             settled = ~better | (gain <= 1e-3 * np.where(np.isfinite(cost), 1.0, np.inf))
@@ -235,16 +234,14 @@ class _Batch:
                 break
         return state
 
-    def _variance(self, state: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _variance(self, state: np.ndarray) -> np.ndarray:
         """Variance (n_starts, n_samples, n_dof) in σ² that the error of the fitted state causes."""
-        *_, jacobian = self._linearised(state, steps, 1.0)
-        scaled = jacobian * steps / _STEP
-        normal = np.swapaxes(scaled, 1, 2) @ scaled
+        *_, jacobian = self._linearised(state, 1.0)
+        normal = np.swapaxes(jacobian, 1, 2) @ jacobian
         diagonal = np.einsum("sii->si", normal)
         ridge = 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        covariance = np.linalg.inv(normal + ridge[:, :, None] * np.eye(steps.size))
-        variants = np.concatenate([state[None], state[None] + np.diag(steps)[:, None, :]])
-        q = self._flow(variants, 1.0 + self.horizon / self.window)
+        covariance = np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size))
+        q = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
         # (n_starts, n_samples, n_dof, 2 n_dof)
         slope = np.moveaxis((q[1:] - q[:1]) / (_STEP * self.sigma), 0, -1)
         return np.einsum("spij,sjk,spik->spi", slope, covariance, slope)

@@ -153,7 +153,8 @@ def checked_start(coordinates: Sequence[str], value: ArrayLike, label: str) -> n
     start = real_array(value, label)
     if start.shape != (len(coordinates),) or not np.isfinite(start).all():
         raise InputError(
-            f"{label} is {quoted(value)}; expected {len(coordinates)} finite number(s), for {', '.join(coordinates)}"
+            f"{label} is {quoted(value)}; expected {len(coordinates)} finite number(s), for "
+            f"{', '.join(coordinates)}"
         )
     return start
 

@@ -99,21 +99,15 @@ def plain_json(value: Any, place: str, depth: int = 0) -> Any:
     if isinstance(value, os.PathLike):
         return str(value)
     if isinstance(value, np.ndarray):
-        value = value.tolist()
-        return (
-            plain_json(value, place, depth)
-            if not isinstance(value, list)
-            else _plain_list(value, place, depth)
-        )
+        return plain_json(value.tolist(), place, depth)
     if isinstance(value, Mapping):
         for key in value:
             if not isinstance(key, str):
                 raise InputError(f"{place} has the key {quoted(key)}; expected text")
         return {str(k): plain_json(v, f"{place}.{k[:40]}", depth + 1) for k, v in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return _plain_list(
-            sorted(value, key=str) if isinstance(value, (set, frozenset)) else value, place, depth
-        )
+        items = value if isinstance(value, (list, tuple)) else sorted(value, key=str)
+        return [plain_json(item, f"{place}[{i}]", depth + 1) for i, item in enumerate(items)]
     raise InputError(
         f"{place} is of type {type(value).__name__}, which JSON cannot hold; use text, numbers, lists and "
         "dictionaries"

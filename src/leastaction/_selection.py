@@ -25,6 +25,7 @@ __all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
 Progress = Callable[[str, dict], None]
 
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
+_TRIED = 60  # supports whose mass matrix is looked at
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
 
@@ -75,17 +76,16 @@ class _Proposer:
 
     def propose(self) -> Proposal:
         workspace, smooth = self.workspace, self.smooth
-        gram = self._gram(workspace.free, smooth.control_points)
-        members = self._search(gram)
+        members = self._search(smooth.control_points)
         coefficients = self._solve(members, smooth.control_points)
         start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
         for _ in range(3):
             proposal = self._settle(members, start)
-            again = self._search(self._gram(workspace.free, proposal.start.control_points))
+            points = proposal.start.control_points
+            again = self._search(points)
             if again == members:
                 break
             members = again
-            points = proposal.start.control_points
             start = workspace.start(members, points, self._solve(members, points), proposal.start.weights.noise_std)
         return proposal
 
@@ -113,13 +113,23 @@ class _Proposer:
         coefficients[list(members)] = solve_support(gram, tuple(range(len(members))))
         return coefficients
 
-    def _search(self, gram: WeakGram) -> tuple[int, ...]:
+    def _search(self, control_points: np.ndarray) -> tuple[int, ...]:
+        """Best support along a curve whose mass matrix is positive definite there."""
         free = self.workspace.free
+        gram = self._gram(free, control_points)
         n_rows = max(gram.n_rows / _OVERLAP, 4.0)
         penalty = term_penalty(int(n_rows), free.size)
         levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
-        scores = [n_rows * np.log(level[0].ratio) + penalty * len(level[0].members) for level in levels]
-        return tuple(int(free[m]) for m in levels[int(np.argmin(scores))][0].members)
+        ranked = sorted(
+            (s for level in levels for s in level), key=lambda s: n_rows * np.log(s.ratio) + penalty * len(s.members)
+        )
+        for support in ranked[:_TRIED]:
+            members = tuple(int(free[m]) for m in support.members)
+            coefficients = np.where(np.isnan(self.workspace.known), 0.0, self.workspace.known)
+            coefficients[free] = solve_support(gram, support.members)
+            if self.workspace.regular(coefficients, control_points) > 0.9:
+                return members
+        return tuple(int(free[m]) for m in ranked[0].members)
 
 
 def characteristic_period(workspace: Workspace, smooth: Smooth) -> float:

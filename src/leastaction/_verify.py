@@ -37,7 +37,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
     names = workspace.trajectories.coordinates
     floor = workspace.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    chi2 = fit.squares / workspace.observations.counts / noise**2
+    chi2 = fit.linearisation.squares / workspace.observations.counts / noise**2
     share, rms = _equation_error(workspace, structure)
     doubts: list[str] = []
     if not fit.converged:
@@ -63,12 +63,15 @@ def _equation_error(workspace: Workspace, structure) -> tuple[np.ndarray, np.nda
     physics, index = workspace.physics(structure.members)
     states = workspace.grid.at_quadrature(structure.fit.control_points)
     points = Points(*(s[:, 0] for s in states))
-    columns = physics.columns.strong(points) * structure.coefficients[index][:, None, None]
-    size = (columns**2).sum(axis=0)
+    coefficients = structure.coefficients[index]
+    size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
+    # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
+    mass = physics.columns.mass_matrix(points, coefficients)
+    size += np.einsum("pij,pj->ip", mass**2, states[2][:, 0] ** 2)
     if workspace.forces is not None:
         size += workspace.forces[:, 0].T ** 2
     duration = workspace.grid.weights.sum()
-    rms = np.sqrt(structure.fit.equation / duration)
+    rms = np.sqrt(structure.fit.linearisation.equation / duration)
     return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
 
 

@@ -52,11 +52,12 @@ def evidence(observations: Observations, fit: JointFit) -> float:
     −∞ when the mass matrix is not positive definite along most of the motion: such equations do not
     determine q̈, and the likelihood of the curve has no meaning.
     """
-    if fit.regular < _REGULAR:
+    at = fit.linearisation
+    if at.regular < _REGULAR:
         return -np.inf
     weights = fit.weights
-    value = -0.5 * fit.misfit - float(observations.counts @ np.log(weights.noise_std))
-    prior = 0.5 * float(np.log(weights.physics).sum()) + fit.log_volume
+    value = -0.5 * at.misfit(weights) - float(observations.counts @ np.log(weights.noise_std))
+    prior = 0.5 * float(np.log(weights.physics).sum()) + at.log_volume
     return value + equation_rank(observations) * prior - 0.5 * fit.logdet
 
 
@@ -64,23 +65,22 @@ def start_weights(
     observations: Observations, physics: Physics, noise_std: np.ndarray, control_points: np.ndarray, coefficients
 ) -> Weights:
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike."""
+    at = linearise(observations, physics, control_points, coefficients)
     one = np.ones_like(noise_std)
-    normal = linearise(observations, physics, Weights(noise_std, one, 0 * one), control_points, coefficients)
     noise_std = np.maximum(noise_std, observations.noise_floor)
     counts = np.maximum(observations.counts, 1)
     rank = equation_rank(observations)
-    return Weights(noise_std, counts / np.maximum(normal.equation, 1e-300), rank * one)
+    return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), rank * one)
 
 
-def update_weights(observations: Observations, physics: Physics, fit: JointFit) -> Weights:
+def update_weights(observations: Observations, fit: JointFit) -> Weights:
     """One fixed-point update of w (and σ), each w limited to a factor of 30."""
-    normal = linearise(observations, physics, fit.weights, fit.control_points, fit.coefficients)
-    weights = fit.weights
+    weights, at = fit.weights, fit.linearisation
 
     def slope(noise: np.ndarray, physics_weight: np.ndarray) -> float:
         """Derivative of log|H| along a change of the log weights by one step either way."""
         both = [
-            logdet(factorise(observations, normal, Weights(weights.noise_std / a, weights.physics * b, weights.slack)))
+            logdet(factorise(observations, at, Weights(weights.noise_std / a, weights.physics * b, weights.slack)))
             for a, b in ((noise, physics_weight), (1 / noise, 1 / physics_weight))
         ]
         return 0.5 * (both[0] - both[1]) / _LOG_STEP
@@ -91,11 +91,11 @@ def update_weights(observations: Observations, physics: Physics, fit: JointFit) 
         bump = one.copy()
         bump[i] = np.exp(_LOG_STEP)
         slack[i] = max(rank - slope(one, bump), 1e-3)
-        ratio = slack[i] / max(fit.equation[i] * weights.physics[i], 1e-300)
+        ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         new_physics[i] = weights.physics[i] * np.clip(ratio, 1 / 30, 30)
         bump[i] = np.exp(0.5 * _LOG_STEP)
         used = slope(bump, one)
-        estimate = np.sqrt(fit.squares[i] / max(observations.counts[i] - used, 1.0))
+        estimate = np.sqrt(at.squares[i] / max(observations.counts[i] - used, 1.0))
         new_noise[i] = max(estimate, observations.noise_floor[i])
     return Weights(new_noise, new_physics, slack)
 
@@ -117,8 +117,15 @@ def fit_weights(
     for _ in range(max_rounds):
         if not best.converged:
             break
-        weights = _accelerate(best.weights, update_weights(observations, physics, best))
-        fit = fit_joint(observations, physics, weights, best.control_points, best.coefficients)
+        weights = _accelerate(best.weights, update_weights(observations, best))
+        fit = fit_joint(
+            observations,
+            physics,
+            weights,
+            best.control_points,
+            best.coefficients,
+            linearisation=best.linearisation,
+        )
         value = evidence(observations, fit)
         if not np.isfinite(value) or value < best_evidence - 0.5:
             break
@@ -146,5 +153,5 @@ def fit_curve(observations: Observations, physics: Physics, start: Start) -> tup
     fit = fit_joint(observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0)
     if not fit.converged:
         return start, -np.inf
-    weights = update_weights(observations, held, fit)
+    weights = update_weights(observations, fit)
     return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)

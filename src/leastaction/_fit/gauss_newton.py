@@ -16,9 +16,11 @@ import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from leastaction._euler_lagrange import EulerLagrange
-from leastaction._fit.problem import Normal, Observations, Physics, Weights, linearise
+from leastaction._fit.problem import Linearisation, Observations, Physics, Weights, linearise
 
-__all__ = ["JointFit", "Quadratic", "condense", "fit_joint"]
+__all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates"]
+
+_LARGEST_DAMPING = 1e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,14 +33,8 @@ class JointFit:
     coefficients : (n_columns,) array
         Known ones included.
     covariance : (n_free, n_free) array
-    cost, misfit : float
-        With and without the volume term.
-    log_volume : float
-        Mean over time of log |det M|.
-    regular : float
-        Share of the motion along which M is positive definite.
-    squares, equation : (n_dof,) arrays
-        Σ (y − N P)² and ∫ r_i² dt.
+    linearisation : Linearisation
+        At the optimum.
     logdet : float
         log |H|, for the marginal likelihood.
     weights : Weights
@@ -50,12 +46,7 @@ class JointFit:
     control_points: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray
-    cost: float
-    misfit: float
-    log_volume: float
-    regular: float
-    squares: np.ndarray
-    equation: np.ndarray
+    linearisation: Linearisation
     logdet: float
     weights: Weights
     status: str
@@ -77,9 +68,11 @@ class Quadratic:
     logdet: float
 
 
-def factorise(observations: Observations, normal: Normal, weights: Weights, damping: float = 0.0) -> np.ndarray:
+def factorise(
+    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
+) -> np.ndarray:
     """Banded Cholesky factor of H; raises LinAlgError when H is not positive definite."""
-    banded = np.tensordot(weights.physics, normal.equation_bands, 1)
+    banded = np.tensordot(weights.physics, linearisation.bands, 1)
     observations.add_band(banded, weights.noise_std)
     banded[0] *= 1.0 + damping + 1e-14
     return cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
@@ -90,7 +83,9 @@ def logdet(factor: np.ndarray) -> float:
     return 2.0 * float(np.log(factor[0]).sum())
 
 
-def condense(observations: Observations, normal: Normal, weights: Weights, damping: float = 0.0) -> Quadratic:
+def condense(
+    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
+) -> Quadratic:
     """Eliminate the control points.
 
     Raises
@@ -98,13 +93,17 @@ def condense(observations: Observations, normal: Normal, weights: Weights, dampi
     numpy.linalg.LinAlgError
         When H is not positive definite.
     """
-    factor = factorise(observations, normal, weights, damping)
-    right = np.column_stack([normal.gradient_curve, normal.border])
+    factor = factorise(observations, linearisation, weights, damping)
+    curve_gradient, gradient = linearisation.gradients(weights)
+    border = np.tensordot(weights.physics, linearisation.borders, 1)
+    corner = np.tensordot(weights.physics, linearisation.corners, 1)
+    corner += weights.slack.mean() * linearisation.volume_corner
+    right = np.column_stack([curve_gradient, border])
     solved = cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False)
     shift, response = solved[:, 0], solved[:, 1:]
-    matrix = normal.corner - normal.border.T @ response
+    matrix = corner - border.T @ response
     return Quadratic(
-        normal.gradient_coefficients - normal.border.T @ shift,
+        gradient - border.T @ shift,
         0.5 * (matrix + matrix.T),
         shift,
         response,
@@ -130,6 +129,7 @@ def fit_joint(
     control_points: np.ndarray,
     coefficients: np.ndarray,
     *,
+    linearisation: Linearisation | None = None,
     tolerance: float = 1e-2,
     max_steps: int = 30,
 ) -> JointFit:
@@ -137,6 +137,8 @@ def fit_joint(
 
     Parameters
     ----------
+    linearisation : Linearisation, optional
+        At the start, where it is at hand.
     tolerance : float
         Stop when the step is predicted to lower the cost by less than this (a χ² of 0.01 is a
         tenth of a standard error).
@@ -146,92 +148,66 @@ def fit_joint(
     JointFit
         Never raises for numerical failure: see ``status``.
     """
-    shape, damping, status = control_points.shape, 0.0, "step limit"
-    normal = linearise(observations, physics, weights, control_points, coefficients)
-    if not np.isfinite(normal.cost):
-        return _failed(control_points, coefficients, physics, weights, normal)
-    step = 0
+    here = linearisation or linearise(observations, physics, control_points, coefficients)
+    cost, damping, status, step = here.cost(weights), 0.0, "step limit", 0
+    if not np.isfinite(cost):
+        return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
     for step in range(1, max_steps + 1):
         try:
-            quadratic = condense(observations, normal, weights, damping)
+            quadratic = condense(observations, here, weights, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
-            if damping > 1e8:
+            if damping > _LARGEST_DAMPING:
                 status = "not finite"
                 break
             continue
-        matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
-        delta = -symmetric_inverse(matrix) @ quadratic.gradient
-        shift = -(quadratic.curve_shift + quadratic.curve_response @ delta)
-        predicted = -(normal.gradient_curve @ shift + normal.gradient_coefficients @ delta)
-        trial_coefficients = coefficients.copy()
-        trial_coefficients[physics.free] += delta
-        trial = linearise(observations, physics, weights, control_points + shift.reshape(shape), trial_coefficients)
-        if np.isfinite(trial.cost) and trial.cost <= normal.cost + 1e-9 * abs(normal.cost):
-            control_points, coefficients, normal = (
-                control_points + shift.reshape(shape),
-                trial_coefficients,
-                trial,
-            )
+        shift, delta, predicted = _step(here, weights, quadratic, damping)
+        new_points = control_points + shift.reshape(control_points.shape)
+        new_coefficients = coefficients.copy()
+        new_coefficients[physics.free] += delta
+        there = linearise(observations, physics, new_points, new_coefficients)
+        new_cost = there.cost(weights)
+        if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
+            control_points, coefficients, here, cost = new_points, new_coefficients, there, new_cost
             damping = damping / 10.0 if damping > 1e-6 else 0.0
             if predicted < tolerance and damping < 1e-3:
                 status = "converged"
                 break
         else:
-            if predicted < tolerance:  # no measurable progress is left: rounding decides
-                status = "stalled"
-                break
             damping = max(10.0 * damping, 1e-4)
-            if damping > 1e8:
+            # below the tolerance no measurable progress is left: rounding decides
+            if predicted < tolerance or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
-    try:
-        quadratic = condense(observations, normal, weights)
-    except np.linalg.LinAlgError:
-        return _failed(control_points, coefficients, physics, weights, normal)
-    # the weights are estimated too: what the volume term seems to know of the scale, they forget
-    slack = np.where(weights.slack > 0, weights.slack, np.inf)
-    covariance = symmetric_inverse(quadratic.matrix - 2.0 * (normal.volume.T / slack) @ normal.volume)
-    return JointFit(
-        control_points,
-        coefficients,
-        covariance,
-        normal.cost,
-        normal.misfit,
-        normal.log_volume,
-        normal.regular,
-        normal.squares,
-        normal.equation,
-        quadratic.logdet,
-        weights,
-        status,
-        step,
-    )
+    return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
 
 
-def _failed(control_points, coefficients, physics, weights, normal) -> JointFit:
-    n = physics.n_free
-    nothing = np.full((n, n), np.nan)
-    return JointFit(
-        control_points,
-        coefficients,
-        nothing,
-        np.inf,
-        np.inf,
-        0.0,
-        0.0,
-        normal.squares,
-        normal.equation,
-        np.nan,
-        weights,
-        "not finite",
-        0,
-    )
+def _step(here: Linearisation, weights: Weights, quadratic: Quadratic, damping: float):
+    """Steps of curve and coefficients, and how much they should lower the cost."""
+    matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
+    delta = -symmetric_inverse(matrix) @ quadratic.gradient
+    shift = -(quadratic.curve_shift + quadratic.curve_response @ delta)
+    curve_gradient, gradient = here.gradients(weights)
+    return shift, delta, -float(curve_gradient @ shift + gradient @ delta)
+
+
+def _finish(observations, physics, weights, control_points, coefficients, here, status, step) -> JointFit:
+    """Covariance and log |H| at the last point."""
+    covariance, log_h = np.full((physics.n_free, physics.n_free), np.nan), np.nan
+    if status != "not finite":
+        try:
+            quadratic = condense(observations, here, weights)
+            # the weights are estimated too: what the volume term seems to know of the scale, they forget
+            known_scale = 2.0 * (here.volume.T * weights.slack) @ here.volume
+            covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
+        except np.linalg.LinAlgError:
+            status = "not finite"
+    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step)
 
 
 def score_candidates(
     observations: Observations, physics: Physics, fit: JointFit, candidates: EulerLagrange
 ) -> Quadratic:
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit."""
-    normal = linearise(observations, physics, fit.weights, fit.control_points, fit.coefficients, candidates)
-    return condense(observations, normal, fit.weights)
+    at_fit = linearise(observations, physics, fit.control_points, fit.coefficients, candidates)
+    return condense(observations, at_fit, fit.weights)

@@ -17,9 +17,10 @@ from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._smoothing import banded_gram
 from leastaction._spline import SplineGrid
 
-__all__ = ["Normal", "Observations", "Physics", "Weights", "linearise"]
+__all__ = ["Linearisation", "Observations", "Physics", "Weights", "linearise", "positive_definite"]
 
 _RELATIVE_FLOOR = 1e-6
+_VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 
 
@@ -27,7 +28,7 @@ _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for
 class Weights:
     """Noise σ_i, equation weight w_i, and degrees of freedom left to the equation error, each (n_dof,).
 
-    ``slack`` weighs the volume term (see ``_volume``); it vanishes when the equations hold exactly.
+    ``slack`` weighs the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
     """
 
     noise_std: np.ndarray
@@ -49,27 +50,26 @@ class Observations:
         # integration errors would count as physics
         self.noise_floor = _RELATIVE_FLOOR * np.nanstd(stacked, axis=0)
         complete = bool(self.valid.all())
-        self._designs, self._y, self._grams = [], [], []
+        self._designs, self._transposed, self._y, self._grams = [], [], [], []
         for i in range(self.n_dof):
             keep = self.valid[:, i]
             self._designs.append(design if complete else design[keep])
             self._y.append(stacked[keep, i])
             shared = complete and i > 0
+            self._transposed.append(self._transposed[0] if shared else self._designs[i].T.tocsr())
             self._grams.append(self._grams[0] if shared else banded_gram(self._designs[i], grid.degree))
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each coordinate, valid samples only."""
         return [
-            y - d @ control_points[:, i] for i, (d, y) in enumerate(zip(self._designs, self._y, strict=True))
+            y - d @ np.ascontiguousarray(control_points[:, i]) for i, (d, y) in enumerate(zip(self._designs, self._y, strict=True))
         ]
 
-    def add_gradient(self, gradient: np.ndarray, control_points: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
-        """Add the data's half gradient; return Σ residual² of each coordinate."""
-        squares = np.empty(self.n_dof)
-        for i, residual in enumerate(self.residuals(control_points)):
-            gradient[i :: self.n_dof] -= self._designs[i].T @ residual / noise_std[i] ** 2
-            squares[i] = residual @ residual
-        return squares
+    def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """−Nᵀ(y − N P), (n_ctrl, n_dof), and Σ (y − N P)² of each coordinate."""
+        residuals = self.residuals(control_points)
+        gradient = [-(t @ r) for t, r in zip(self._transposed, residuals, strict=True)]
+        return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
     def add_band(self, banded: np.ndarray, noise_std: np.ndarray) -> None:
         """Add NᵀN / σ² of every coordinate to lower banded storage."""
@@ -99,58 +99,70 @@ class Physics:
 
 
 @dataclass(eq=False)
-class Normal:
-    """Normal equations at one point: H, C, A, gradients, and the parts of the cost.
+class Linearisation:
+    """The problem linearised at one point, free of the weights: equation by equation.
+
+    J_i is the Jacobian of equation i in the control points and e_i its columns; ``border`` columns may be
+    the free ones or any other candidates.
 
     Attributes
     ----------
-    equation_bands : (n_dof, bandwidth + 1, n_ctrl · n_dof) array
-        Lower storage of ∫ J_iᵀJ_i dt for each equation i; H is the data's part plus Σ w_i of these.
-    border : (n_ctrl · n_dof, n_border) array
-        C, the block between control points and coefficients.
-    corner : (n_border, n_border) array
-        A, the block of the coefficients.
-    gradient_curve, gradient_coefficients
-        Half gradients of the cost.
-    squares : (n_dof,) array
-        Σ (y − N P)² of each coordinate.
-    equation : (n_dof,) array
-        ∫ r_i² dt of each equation.
+    bands : (n_dof, bandwidth + 1, n_ctrl · n_dof) array
+        ∫ J_iᵀJ_i dt in lower banded storage.
+    borders : (n_dof, n_ctrl · n_dof, n_border) array
+        ∫ J_iᵀe_i dt.
+    corners : (n_dof, n_border, n_border) array
+        ∫ e_iᵀe_i dt.
+    curve_gradients, coefficient_gradients : (n_dof, …) arrays
+        ∫ J_iᵀr_i dt and ∫ e_iᵀr_i dt.
+    data_gradient : (n_ctrl, n_dof) array
+        −Nᵀ(y − N P).
+    squares, equation : (n_dof,) arrays
+        Σ (y − N P)² of each coordinate and ∫ r_i² dt of each equation.
     volume : (n_dof, n_border) array
-        slack_i · mean over time of (∂M/∂λ_k M⁻¹)_ii, the gradient of the volume term.
-    log_volume : float
-        Mean over time of log |det M|.
-    regular : float
-        Share of the motion along which M is positive definite.
-    misfit : float
-        Data and equation parts of the cost.
-    cost : float
-        The same plus the volume term.
+        Mean over time of (∂M/∂λ_k M⁻¹)_ii.
+    volume_corner : (n_border, n_border) array
+        Mean over time of tr(∂M/∂λ_k M⁻¹ ∂M/∂λ_l M⁻¹).
+    log_volume, regular : float
+        Mean of log |det M|, and share of the motion along which M is positive definite.
     """
 
-    equation_bands: np.ndarray
-    border: np.ndarray
-    corner: np.ndarray
-    gradient_curve: np.ndarray
-    gradient_coefficients: np.ndarray
+    bands: np.ndarray
+    borders: np.ndarray
+    corners: np.ndarray
+    curve_gradients: np.ndarray
+    coefficient_gradients: np.ndarray
+    data_gradient: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
     volume: np.ndarray
+    volume_corner: np.ndarray
     log_volume: float = 0.0
     regular: float = 0.0
-    misfit: float = 0.0
-    cost: float = 0.0
+
+    def misfit(self, weights: Weights) -> float:
+        """Data and equation parts of the cost."""
+        return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
+
+    def cost(self, weights: Weights) -> float:
+        """Misfit and volume term −2 slack ⟨log |det M|⟩."""
+        return self.misfit(weights) - 2.0 * float(weights.slack.mean()) * self.log_volume
+
+    def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+        """Half gradients of the cost in the control points and in the border's coefficients."""
+        curve = np.tensordot(weights.physics, self.curve_gradients, 1)
+        curve += (self.data_gradient / weights.noise_std**2).ravel()
+        return curve, weights.physics @ self.coefficient_gradients - weights.slack @ self.volume
 
 
 def linearise(
     observations: Observations,
     physics: Physics,
-    weights: Weights,
     control_points: np.ndarray,
     coefficients: np.ndarray,
     border: EulerLagrange | None = None,
-) -> Normal:
-    """Normal equations of the joint problem at (P, λ).
+) -> Linearisation:
+    """Linearise the joint problem at (P, λ).
 
     Parameters
     ----------
@@ -163,86 +175,78 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     size, n_local = grid.n_ctrl * n, (grid.degree + 1) * n
-    n_border = physics.n_free if border is None else len(border)
-    out = Normal(
-        np.zeros((n, n_local, size)),
-        np.zeros((size, n_border)),
-        np.zeros((n_border, n_border)),
-        np.zeros(size),
-        np.zeros(n_border),
-        np.zeros(n),
-        np.zeros(n),
-        np.zeros((n, n_border)),
+    columns = physics.columns.subset(np.flatnonzero(physics.free)) if border is None else border
+    k = len(columns)
+    gradient, squares = observations.gradient(control_points)
+    out = Linearisation(
+        bands=np.zeros((n, n_local, size)),
+        borders=np.zeros((n, size, k)),
+        corners=np.zeros((n, k, k)),
+        curve_gradients=np.zeros((n, size)),
+        coefficient_gradients=np.zeros((n, k)),
+        data_gradient=gradient,
+        squares=squares,
+        equation=np.zeros(n),
+        volume=np.zeros((n, k)),
+        volume_corner=np.zeros((k, k)),
     )
-    out.squares = observations.add_gradient(out.gradient_curve, control_points, weights.noise_std)
     for chunk in grid.chunks(_CHUNK):
-        _add_physics(out, grid, physics, weights, control_points, coefficients, border, chunk)
-    out.misfit = float(np.sum(out.squares / weights.noise_std**2) + np.sum(weights.physics * out.equation))
-    out.cost = out.misfit - 2.0 * weights.slack.mean() * out.log_volume
-    out.gradient_coefficients -= out.volume.sum(axis=0)
+        states = grid.at_quadrature(control_points, chunk)
+        _add_physics(out, grid, physics, states, coefficients, border, chunk)
+        _add_volume(out, grid, physics.columns, states, coefficients, columns)
     return out
 
 
-def _add_physics(out, grid, physics, weights, control_points, coefficients, border, chunk) -> None:
-    n = control_points.shape[1]
-    states = grid.at_quadrature(control_points, chunk)
-    m, n_quad = states[0].shape[:2]
+def _add_physics(out, grid, physics, states, coefficients, border, chunk) -> None:
+    m, n_quad, n = states[0].shape
     points = Points(*(s.reshape(-1, n) for s in states))
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
         residual -= physics.forces[chunk].reshape(-1, n).T
-    quadrature = grid.weights[chunk].reshape(-1)
-    out.equation += (residual**2 * quadrature).sum(axis=1)
-
-    root = np.sqrt(quadrature)
-    local = _local_jacobian(grid, physics.columns.jacobian(points, coefficients), root, chunk, n)
     columns = strong[physics.free] if border is None else border.strong(points)
+    root = np.sqrt(grid.weights[chunk].reshape(-1))
+    local = _local_jacobian(grid, physics.columns.jacobian(points, coefficients), root, chunk, n)
     for i in range(n):
         jacobian, transposed = local[i], local[i].transpose(0, 2, 1)
         r = (root * residual[i]).reshape(m, n_quad, 1)
         e = (root * columns[:, i]).reshape(-1, m, n_quad).transpose(1, 2, 0)
-        weight = weights.physics[i]
-        grid.scatter_band(out.equation_bands[i], transposed @ jacobian, chunk, n)
-        grid.scatter_rows(out.gradient_curve[:, None], weight * (transposed @ r), chunk, n)
-        grid.scatter_rows(out.border, weight * (transposed @ e), chunk, n)
+        grid.scatter_band(out.bands[i], transposed @ jacobian, chunk, n)
+        grid.scatter_rows(out.curve_gradients[i][:, None], transposed @ r, chunk, n)
+        grid.scatter_rows(out.borders[i], transposed @ e, chunk, n)
         flat = e.reshape(m * n_quad, -1)
-        out.corner += weight * (flat.T @ flat)
-        out.gradient_coefficients += weight * (flat.T @ r.ravel())
+        out.corners[i] += flat.T @ flat
+        out.coefficient_gradients[i] += flat.T @ r.ravel()
+        out.equation[i] += float(r.ravel() @ r.ravel())
 
 
-    if weights.slack.any():  # it is zero for an exact model: nothing to add then
-        _add_volume(out, grid, physics, weights.slack, states, coefficients, border)
-
-
-def _add_volume(out, grid, physics, slack, states, coefficients, border) -> None:
-    """The volume term −2 Σ_i slack_i ⟨log |det M|⟩ of the cost and its derivatives in λ.
+def _add_volume(out, grid, columns, states, coefficients, border) -> None:
+    """The volume term −2 Σ_i slack_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
 
     The equation error r is what is random, not the curve: the density of the curve carries the factor
     |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
     small coefficients, and large equation errors shrink all of them (errors-in-variables bias).
     """
-    n = states[0].shape[2]
-    middle = Points(*(s[:, s.shape[1] // 2] for s in states))
-    share = 1.0 / grid.n_intervals
-    mass = physics.columns.mass_matrix(middle, coefficients)
-    usable = _positive_definite(mass)
+    stride = max(1, states[0].shape[0] // _VOLUME_POINTS)  # a mean over time needs no more
+    points = Points(*(s[::stride, 0] for s in states))
+    share = states[0].shape[0] / points.n_points / grid.n_intervals
+    mass = columns.mass_matrix(points, coefficients)
+    usable = positive_definite(mass)
     out.regular += share * np.count_nonzero(usable)
     if not usable.any():
         return
-    out.log_volume += share * np.linalg.slogdet(mass[usable])[1].sum()
-    chosen = physics.columns.subset(np.flatnonzero(physics.free)) if border is None else border
-    if not len(chosen):
+    out.log_volume += share * float(np.linalg.slogdet(mass[usable])[1].sum())
+    if not len(border):
         return
     inverse = np.linalg.inv(mass[usable])
-    parts = np.stack([chosen.mass_of(k, middle)[usable] @ inverse for k in range(len(chosen))])  # (K, points, n, n)
-    out.volume += slack[:, None] * share * np.einsum("kpii->ik", parts)
-    flat = parts.reshape(len(chosen), -1)
-    turned = parts.transpose(0, 1, 3, 2).reshape(len(chosen), -1)
-    out.corner += share * slack.mean() * (flat @ turned.T)
+    parts = np.stack([border.mass_of(k, points)[usable] @ inverse for k in range(len(border))])
+    out.volume += share * np.einsum("kpii->ik", parts)
+    flat = parts.reshape(len(border), -1)
+    turned = parts.transpose(0, 1, 3, 2).reshape(len(border), -1)
+    out.volume_corner += share * (flat @ turned.T)
 
 
-def _positive_definite(matrices: np.ndarray) -> np.ndarray:
+def positive_definite(matrices: np.ndarray) -> np.ndarray:
     """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
     out = np.isfinite(matrices).all(axis=(1, 2))
     safe = np.where(out[:, None, None], matrices, 0.0)

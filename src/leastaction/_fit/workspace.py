@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from leastaction._euler_lagrange import EulerLagrange
+from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.evidence import Start, evidence, fit_curve, fit_weights, start_weights
 from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
-from leastaction._fit.problem import Observations, Physics, Weights
+from leastaction._fit.problem import Observations, Physics, positive_definite
 from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories
 
@@ -141,6 +141,13 @@ class Workspace:
         coefficients = np.zeros(len(self.columns))
         coefficients[index] = fit.coefficients
         return StructureFit(members, coefficients, fit, evidence(self.observations, fit))
+
+    def regular(self, coefficients: np.ndarray, control_points: np.ndarray) -> float:
+        """Share of the motion along which the mass matrix of all columns is positive definite."""
+        states = self.grid.at_quadrature(control_points)
+        stride = max(1, self.grid.n_intervals // 200)
+        points = Points(*(s[::stride, 0] for s in states))
+        return float(np.mean(positive_definite(self.columns.mass_matrix(points, coefficients))))
 
     def score(self, structure: StructureFit) -> Quadratic:
         """Quadratic model of the cost in all free columns about a structure's fit."""

@@ -1,0 +1,179 @@
+"""``leastaction simulate``, ``validate`` and ``export``: what one does with a model file."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import click
+
+from leastaction._errors import DataError, InputError
+from leastaction._names import quoted
+from leastaction.cli._options import DataOptions, assignments, blame, data_options, number
+from leastaction.cli._output import check_file
+from leastaction.cli._show import live_progress, say, show_forecast, warn
+from leastaction.cli._text import shown
+
+__all__ = ["export", "simulate", "validate"]
+
+_MAX_SAMPLES = 5_000_000
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction simulate found/model.json --initial "theta1=1, theta1_dot=0" --duration 10 --rate 100 -o run.csv
+"""
+)
+@click.argument("model", metavar="MODEL")
+@click.option(
+    "--initial",
+    required=True,
+    metavar="NAME=VALUE,...",
+    help="Coordinates and velocities at time 0; those not given are 0.",
+)
+@click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
+@click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
+@click.option("-o", "--output", required=True, metavar="FILE", help="CSV file: t, coordinates, velocities.")
+def simulate(model: str, initial: str, duration: str, rate: str, output: str) -> None:
+    """Simulate a model without external forces.
+
+    If the motion cannot be followed to the end (it blows up, or the mass matrix becomes singular), nothing
+    is written; the message says when and why, and the exit code is 1.
+    """
+    import leastaction
+    from leastaction.io import write_bytes
+
+    file = check_file(output)
+    times = _sample_times(duration, rate)
+    found = leastaction.load(model)
+    with blame("--initial"):
+        q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
+    if found.fit.status != "ok":
+        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+    run = found.simulate(q0, qdot0, times)
+    if not run.complete:
+        raise DataError(
+            f"the motion stops: {run.reason}; nothing was written; --duration {run.stop_time:.3g} is the most "
+            "that this start allows"
+        )
+    data = _csv(found.coordinates, run).encode()
+    write_bytes(file, gzip.compress(data, mtime=0) if file.suffix.lower() == ".gz" else data)
+    say(f"{len(run.t)} samples over {run.t[-1]:g} s: {shown(output)}")
+
+
+def _sample_times(duration: str, rate: str):
+    import numpy as np
+
+    values = []
+    for option, text in (("--duration", duration), ("--rate", rate)):
+        with blame(option):
+            value = number(text)
+            if value <= 0:
+                raise InputError(f"{quoted(text)} is not positive")
+            values.append(value)
+    length, frequency = values
+    if length * frequency > _MAX_SAMPLES:
+        raise InputError(f"--duration times --rate is more than {_MAX_SAMPLES} samples; choose less")
+    # A little more than the last interval, so that 0.3 s at 10 Hz are 4 samples; never beyond --duration.
+    count = int(length * frequency * (1 + 1e-12) + 1e-9) + 1
+    if count < 2:
+        raise InputError(f"--duration {duration} at --rate {rate} has no second sample; choose more of either")
+    return np.arange(count) / frequency
+
+
+def _initial_state(given: dict[str, float], coordinates: tuple[str, ...]):
+    velocities = tuple(f"{name}_dot" for name in coordinates)
+    names = (*coordinates, *velocities)
+    for name in given:
+        if name not in names:
+            raise InputError(f"{quoted(name)} is not in the model; it has {', '.join(names)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        click.echo(f"note: {', '.join(missing)} not given in --initial: 0", err=True)
+    return [given.get(c, 0.0) for c in coordinates], [given.get(v, 0.0) for v in velocities]
+
+
+def _csv(coordinates: tuple[str, ...], run) -> str:
+    header = ",".join(["t", *coordinates, *(f"{name}_dot" for name in coordinates)])
+    rows = zip(run.t.tolist(), run.q.tolist(), run.qdot.tolist(), strict=True)
+    lines = (",".join(map(repr, [t, *q, *qdot])) for t, q, qdot in rows)
+    return "\n".join([header, *lines]) + "\n"
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction validate found/model.json other.csv --horizon 2 --json errors.json
+"""
+)
+@click.argument("model", metavar="MODEL")
+@data_options(coordinates_required=False)
+@click.option("--horizon", metavar="SECONDS", help="Length of the forecasts; by default about 1 s.")
+@click.option("--json", "json_file", metavar="FILE", help="Write the errors to a JSON file too.")
+def validate(
+    model: str,
+    data: tuple[str, ...],
+    coordinates: str | None,
+    time: str,
+    trial: str | None,
+    forces: str | None,
+    angles: str | None,
+    horizon: str | None,
+    json_file: str | None,
+) -> None:
+    """Forecast measured trials with a model, and print how far off it is.
+
+    Forecasts start all along every trial, from the state that fits the data just before best. The errors are
+    given in the units of the coordinates, as they would be if the model were exact, and over noise and
+    standard deviation of the data.
+    """
+    import leastaction
+    from leastaction.io import write_text
+
+    file = None if json_file is None else check_file(json_file)
+    length = None
+    if horizon is not None:
+        with blame("--horizon"):
+            length = number(horizon)
+            if length <= 0:
+                raise InputError(f"{quoted(horizon)} is not positive")
+    found = leastaction.load(model)
+    options = DataOptions.of(data, coordinates, time, trial, forces, angles, default=found.coordinates)
+    trajectories = options.in_order_of(found.coordinates).read()
+    with live_progress("forecasting"):
+        result = found.validate(trajectories, length)
+    if found.fit.status != "ok":
+        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+    if file is not None:
+        write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    show_forecast(result)
+    if file is not None:
+        say(f"errors: {shown(file)}")
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction export found/model.json --format latex --output model.tex
+"""
+)
+@click.argument("model", metavar="MODEL")
+@click.option("--format", "kind", required=True, metavar="sympy|latex|python|c", help="What to write.")
+@click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
+def export(model: str, kind: str, output: str) -> None:
+    """Write a model as a SymPy script, LaTeX formula, Python module or C file.
+
+    The exported code needs nothing of leastaction.
+    """
+    import leastaction
+
+    file: Path = check_file(output)
+    found = leastaction.load(model)
+    with blame("--format"):
+        text = leastaction.export(found, kind)
+    from leastaction.io import write_text
+
+    write_text(file, text)
+    say(f"{kind}: {shown(output)}")
