@@ -174,7 +174,9 @@ def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
         )
 
 
-def _model(prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings):
+def _model(
+    prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings
+):
     structure = selection.structure
     weights = structure.fit.weights
     members = dict(zip(structure.members, structure.standard_errors, strict=True))

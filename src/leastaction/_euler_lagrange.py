@@ -64,7 +64,9 @@ def _clean(expr: sp.Expr) -> sp.Expr:
 class _Compiled:
     """Several expressions of (q, q̇, q̈) as one numpy function; zeros are left out."""
 
-    def __init__(self, expressions: dict[tuple[int, ...], sp.Expr], symbols: list[sp.Symbol], n_dof: int) -> None:
+    def __init__(
+        self, expressions: dict[tuple[int, ...], sp.Expr], symbols: list[sp.Symbol], n_dof: int
+    ) -> None:
         entries = {key: e for key, e in expressions.items() if e != 0}
         self.keys = tuple(entries)
         atoms = sorted({a for e in entries.values() for a in _shared_atoms(e)}, key=sp.default_sort_key)
@@ -72,7 +74,10 @@ class _Compiled:
         swap = dict(zip(atoms, stand_ins, strict=True))
         bodies = [e.xreplace(swap) for e in entries.values()]
         self._atoms = [(a, _atom_function(a, tuple(symbols[: 2 * n_dof]))) for a in atoms]
-        self._function = sp.lambdify([*symbols, *stand_ins], bodies, modules="numpy", cse=len(bodies) > 2)
+        # dummify: a coordinate may bear the name of a numpy function
+        self._function = sp.lambdify(
+            [*symbols, *stand_ins], bodies, modules="numpy", cse=len(bodies) > 2, dummify=True
+        )
         self._n_symbols = len(symbols)
 
     def __call__(self, points: Points) -> Iterable[tuple[tuple[int, ...], np.ndarray | float]]:
@@ -100,7 +105,7 @@ def _shared_atoms(expr: sp.Expr) -> set[sp.Basic]:
 
 @lru_cache(maxsize=4096)
 def _atom_function(atom: sp.Basic, symbols: tuple[sp.Symbol, ...]) -> Callable:
-    return sp.lambdify(symbols, atom, modules="numpy")
+    return sp.lambdify(symbols, atom, modules="numpy", dummify=True)
 
 
 class _Column:
@@ -136,7 +141,9 @@ class _Column:
             return {}
         momentum = [sp.diff(self.term.expr, v) for v in self.qdot]
         return {
-            (i, j): _clean(sp.diff(p, self.qdot[j])) for i, p in enumerate(momentum) for j in range(self.n_dof)
+            (i, j): _clean(sp.diff(p, self.qdot[j]))
+            for i, p in enumerate(momentum)
+            for j in range(self.n_dof)
         }
 
     def _strong(self) -> dict[tuple[int, ...], sp.Expr]:

@@ -120,6 +120,12 @@ class _SymPyPrinter(SymPyPrinter):
     def _print_Rational(self, expr):
         return f"{self.module}.Rational({expr.p}, {expr.q})"
 
+    def _print_Pi(self, expr):
+        return f"{self.module}.pi"
+
+    def _print_Exp1(self, expr):
+        return f"{self.module}.E"
+
 
 def _latex(model: LagrangianModel) -> str:
     return f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n"

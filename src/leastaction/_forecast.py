@@ -64,7 +64,7 @@ class ForecastTrace:
 
 @dataclass(frozen=True, eq=False)
 class ForecastResult:
-    """Forecast errors on held-out trials.
+    """Forecast errors on held-out trials, as `LagrangianModel.validate` returns them.
 
     Attributes
     ----------
@@ -77,6 +77,18 @@ class ForecastResult:
         One per start, in the sequence of the trials.
     skipped : tuple of (str, str)
         Trials without a start, and why.
+
+    Examples
+    --------
+    >>> from leastaction._trajectory import Trajectory
+    >>> t = np.linspace(0.0, 10.0, 201)
+    >>> data = Trajectories([Trajectory(t, np.cos(t), coordinates=["x"])])
+    >>> spring = forecast(lambda q, qdot, forces: -q, data, np.array([0.01]))
+    >>> spring.n_starts, spring.valid_time, bool(spring.rms_over_std < 0.001)
+    (9, 1.0, True)
+    >>> free = forecast(lambda q, qdot, forces: 0 * q, data, np.array([0.01]))
+    >>> bool(free.rms > 10 * free.expected_rms)
+    True
     """
 
     coordinates: tuple[str, ...]

@@ -51,6 +51,9 @@ def rounded(
     # Position of the last digit, as a power of ten; a double has no more than 15 digits.
     last = _exponent(standard_error) - 1 if digits is None else size - digits + 1
     last = max(last, size - 14)
+    if known_error:
+        # A value far below its error is written on the scale of the error.
+        size = max(size, _exponent(standard_error))
     error = f"({round(standard_error / 10.0**last)})" if uncertainty and known_error else ""
     if last > 0 or size < -4:
         # Here a decimal number would show digits that are not known, or a row of zeros.
@@ -96,9 +99,9 @@ def latex_symbols(coordinates: Sequence[str]) -> dict[sp.Symbol, str]:
     \ddot{x}_{\mathrm{cart}}
     """
     split = [_head_and_subscript(c) for c in coordinates]
-    for i, c in enumerate(coordinates):
-        if split.count(split[i]) > 1:  # q1 and q_1 would look alike
-            split[i] = (rf"\mathrm{{{c}}}".replace("_", r"\_"), "")
+    # q1 and q_1 would look alike.
+    upright = [(rf"\mathrm{{{c}}}".replace("_", r"\_"), "") for c in coordinates]
+    split = [other if split.count(one) > 1 else one for one, other in zip(split, upright, strict=True)]
     out = {}
     for accent, symbols in zip(("", r"\dot", r"\ddot"), state_symbols(coordinates), strict=True):
         for symbol, (head, subscript) in zip(symbols, split, strict=True):

@@ -81,16 +81,25 @@ def prepare(
     if not known_terms and not trajectories.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation. Give the coefficient "
-            "of at least one term, e.g. known={'" + library.terms[0].text + "': 1.0}, which sets the units of L"
+            "of at least one term, e.g. known={'"
+            + library.terms[0].text
+            + "': 1.0}, which sets the units of L"
         )
     knots_per_second, smoothed, rates = lay_knots(trajectories, degree)
     notes = _notes_on_angles(trajectories, angles)
-    smoothing = {f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r) for c, r in zip(library.coordinates, rates, strict=True)}
+    smoothing = {
+        f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
+        for c, r in zip(library.coordinates, rates, strict=True)
+    }
     softened = smooth_abs(library, smoothing)
     if softened is not library:
-        swap = dict(zip((*library.terms, *library.dissipation), (*softened.terms, *softened.dissipation), strict=True))
+        swap = dict(
+            zip((*library.terms, *library.dissipation), (*softened.terms, *softened.dissipation), strict=True)
+        )
         known_terms = {swap[term]: value for term, value in known_terms.items()}
-        notes.append("abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in smoothing.items()))
+        notes.append(
+            "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in smoothing.items())
+        )
     reduced = softened.reduced(keep=list(known_terms))
     columns = (*reduced.terms, *reduced.dissipation)
     coefficients = np.array([known_terms.get(term, np.nan) for term in columns])
@@ -104,9 +113,7 @@ def prepare(
         raise InputError(
             "nothing is left to find: every candidate is known, or is a constant or total time derivative"
         )
-    return Prepared(
-        trajectories, reduced, columns, coefficients, smoothed, knots_per_second, tuple(notes)
-    )
+    return Prepared(trajectories, reduced, columns, coefficients, smoothed, knots_per_second, tuple(notes))
 
 
 def _check_data(trajectories: Trajectories) -> None:
@@ -162,7 +169,9 @@ def _notes_on_angles(trajectories: Trajectories, angles) -> list[str]:
         steps = np.concatenate([np.diff(t.q[:, i][np.isfinite(t.q[:, i])]) for t in trajectories])
         wraps = int(np.sum(np.abs(np.abs(steps) - 2 * np.pi) < 0.5))
         if wraps and np.quantile(np.abs(steps), 0.99) < np.pi / 2:
-            notes.append(f"{name} jumps by about 2π {wraps} times: if it is an angle, say so with angles=[{name!r}]")
+            notes.append(
+                f"{name} jumps by about 2π {wraps} times: if it is an angle, say so with angles=[{name!r}]"
+            )
     return notes
 
 

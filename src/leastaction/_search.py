@@ -81,7 +81,9 @@ def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np
     return np.maximum(high, _SMALLEST)
 
 
-def beam_search(gram: WeakGram, penalty: float, n_rows: float, max_size: int, width: int = 8) -> list[list[Support]]:
+def beam_search(
+    gram: WeakGram, penalty: float, n_rows: float, max_size: int, width: int = 8
+) -> list[list[Support]]:
     """The best supports of each size 1, 2, …, best first.
 
     Grows every kept support by one candidate, then swaps single members while that helps.  Ends when four

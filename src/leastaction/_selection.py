@@ -86,7 +86,9 @@ class _Proposer:
             if again == members:
                 break
             members = again
-            start = workspace.start(members, points, self._solve(members, points), proposal.start.weights.noise_std)
+            start = workspace.start(
+                members, points, self._solve(members, points), proposal.start.weights.noise_std
+            )
         return proposal
 
     def _settle(self, members: tuple[int, ...], start: Start, rounds: int = 4) -> Proposal:
@@ -121,7 +123,8 @@ class _Proposer:
         penalty = term_penalty(int(n_rows), free.size)
         levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
         ranked = sorted(
-            (s for level in levels for s in level), key=lambda s: n_rows * np.log(s.ratio) + penalty * len(s.members)
+            (s for level in levels for s in level),
+            key=lambda s: n_rows * np.log(s.ratio) + penalty * len(s.members),
         )
         for support in ranked[:_TRIED]:
             members = tuple(int(free[m]) for m in support.members)
@@ -215,7 +218,9 @@ class _Refiner:
         """A better support by the quadratic model, with its start; None when there is none."""
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
-        self.levels = {n: [Choice(self._columns(c.members), c.cost) for c in level] for n, level in levels.items()}
+        self.levels = {
+            n: [Choice(self._columns(c.members), c.cost) for c in level] for n, level in levels.items()
+        }
         best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
         if best.members == current:
             return None
@@ -275,7 +280,11 @@ def select_structure(
 
 
 def refine_knots(
-    workspace: Workspace, structure: StructureFit, progress: Progress, max_rounds: int = 6, factor: float = 1.4
+    workspace: Workspace,
+    structure: StructureFit,
+    progress: Progress,
+    max_rounds: int = 6,
+    factor: float = 1.4,
 ) -> tuple[StructureFit, bool]:
     """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %."""
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)

@@ -133,6 +133,8 @@ def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: 
     coarse = np.linspace(-12.0, 4.0, 9)
     scores = [objective(c) for c in coarse]
     best = coarse[int(np.argmin(scores))]
-    found = minimize_scalar(objective, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.05})
+    found = minimize_scalar(
+        objective, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.05}
+    )
     _, coefficients, sigma2, kappa = solve(found.x if found.fun <= min(scores) else best)
     return coefficients, float(np.sqrt(sigma2)), kappa

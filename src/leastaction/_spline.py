@@ -185,7 +185,9 @@ class SplineGrid:
             m, p = space.n_intervals, self.degree
             points = self.points[self.owner == k]
             keep = np.arange(m) if m <= 2 * p else np.r_[0 : p + 1, m - p : m]
-            if m > 2 * p and not np.allclose(np.diff(space.breakpoints), space.breakpoints[1] - space.breakpoints[0]):
+            if m > 2 * p and not np.allclose(
+                np.diff(space.breakpoints), space.breakpoints[1] - space.breakpoints[0]
+            ):
                 keep = np.arange(m)
             index = np.arange(m) if keep.size == m else np.r_[0:p, np.full(m - 2 * p, p), p + 1 : 2 * p + 1]
             patterns.append(total + index)
@@ -216,24 +218,34 @@ class SplineGrid:
         """Parts of a chunk within one trajectory, each with the number of its first control point."""
         owner = self.owner[chunk]
         cuts = [0, *(np.flatnonzero(np.diff(owner)) + 1), owner.size]
-        return [(slice(a, b), int(self.first[chunk.start + a])) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        return [
+            (slice(a, b), int(self.first[chunk.start + a])) for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        ]
 
-    def scatter_band(self, banded: np.ndarray, blocks: np.ndarray, chunk: slice, n_dof: int) -> None:
-        """Add one (k, k) block an interval, k = (degree + 1) n_dof, to lower banded storage."""
-        k = blocks.shape[1]
+    def add_gram(self, banded: np.ndarray, local: np.ndarray, chunk: slice, n_dof: int) -> None:
+        """Add Σ LᵀL of the knot intervals to lower banded storage.
+
+        ``local`` is (k, n_quadrature, n_intervals), k = (degree + 1) n_dof: derivatives in the control
+        points that matter in each interval.
+        """
+        k = local.shape[0]
         for run, first in self._runs(chunk):
             start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
-            part = np.ascontiguousarray(blocks[run].transpose(2, 1, 0))  # column, row, interval
+            part = local[:, :, run]
             for column in range(k):
                 # the rows of a block's column below the diagonal are a run of one banded column
-                banded[: k - column, start + column : stop + column : n_dof] += part[column, column:]
+                products = np.einsum("rqm,qm->rm", part[column:], part[column])
+                banded[: k - column, start + column : stop + column : n_dof] += products
 
-    def scatter_rows(self, rows: np.ndarray, blocks: np.ndarray, chunk: slice, n_dof: int) -> None:
-        """Add one (k, n_columns) block an interval to the rows of its control points."""
+    def add_products(
+        self, rows: np.ndarray, local: np.ndarray, values: np.ndarray, chunk: slice, n_dof: int
+    ) -> None:
+        """Add Σ Lᵀv of the knot intervals, v (n_columns, n_quadrature, n_intervals), to (size, n_columns) rows."""
         for run, first in self._runs(chunk):
             start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
-            for row in range(blocks.shape[1]):
-                rows[start + row : stop + row : n_dof] += blocks[run, row]
+            part, value = local[:, :, run], values[:, :, run]
+            for row in range(local.shape[0]):
+                rows[start + row : stop + row : n_dof] += np.einsum("kqm,qm->mk", value, part[row])
 
     def design(self, times: Sequence[np.ndarray], nu: int = 0) -> sp.csr_array:
         """Block-diagonal design matrix for one array of times per trajectory."""
@@ -244,7 +256,9 @@ class SplineGrid:
         """Control points of each trajectory, (n_ctrl_k, n_dof) each."""
         return np.split(control_points, self.offsets[1:-1])
 
-    def evaluate(self, control_points: np.ndarray, times: Sequence[np.ndarray], nu: int = 0) -> list[np.ndarray]:
+    def evaluate(
+        self, control_points: np.ndarray, times: Sequence[np.ndarray], nu: int = 0
+    ) -> list[np.ndarray]:
         """Derivative ``nu`` of every trajectory's curve at its own times."""
         parts = self.split(control_points)
         return [s.evaluate(p, t, nu) for s, p, t in zip(self.spaces, parts, times, strict=True)]

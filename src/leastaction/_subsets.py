@@ -67,7 +67,9 @@ class QuadraticModel:
         if not supports:
             return []
         members = np.array(sorted(supports), dtype=int).reshape(len(supports), -1)
-        costs = np.concatenate([self.costs(part) for part in np.array_split(members, 1 + len(members) // 4096)])
+        costs = np.concatenate(
+            [self.costs(part) for part in np.array_split(members, 1 + len(members) // 4096)]
+        )
         top = np.argsort(costs, kind="stable")[:width]
         return [Choice(tuple(int(m) for m in members[k]), float(costs[k])) for k in top]
 

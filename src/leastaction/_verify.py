@@ -78,7 +78,11 @@ def _equation_error(workspace: Workspace, structure) -> tuple[np.ndarray, np.nda
 def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
     structure = selection.structure
     relative = structure.standard_errors / np.maximum(np.abs(structure.estimates), 1e-300)
-    loose = [workspace.columns.terms[m].text for m, r in zip(structure.members, relative, strict=True) if r > _INDISTINCT]
+    loose = [
+        workspace.columns.terms[m].text
+        for m, r in zip(structure.members, relative, strict=True)
+        if r > _INDISTINCT
+    ]
     if not loose:
         return []
     return [
@@ -108,7 +112,9 @@ def _mass_matrix(workspace: Workspace, structure) -> list[str]:
 
 def _friction(workspace: Workspace, structure) -> list[str]:
     out = []
-    for m, value, error in zip(structure.members, structure.estimates, structure.standard_errors, strict=True):
+    for m, value, error in zip(
+        structure.members, structure.estimates, structure.standard_errors, strict=True
+    ):
         term = workspace.columns.terms[m]
         if term.kind == "dissipation" and value < -3.0 * error:
             out.append(

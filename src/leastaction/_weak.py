@@ -42,7 +42,9 @@ class WeakGram:
     n_rows: int
 
 
-def _test_functions(points: np.ndarray, weights: np.ndarray, width: float, hop: float) -> tuple[np.ndarray, ...]:
+def _test_functions(
+    points: np.ndarray, weights: np.ndarray, width: float, hop: float
+) -> tuple[np.ndarray, ...]:
     """χ = (1 − x²)⁴ and χ̇ times quadrature weights, one row a window, as two sparse matrices."""
     start, stop = points[0], points[-1]
     n_windows = max(1, int((stop - start - width) / hop) + 1)
@@ -56,7 +58,9 @@ def _test_functions(points: np.ndarray, weights: np.ndarray, width: float, hop: 
     inside = np.clip(1.0 - x**2, 0.0, None)
     shape = (n_windows, points.size)
     chi = sp.csr_array((inside**4 * weights[columns], (rows, columns)), shape=shape)
-    chi_dot = sp.csr_array((-8.0 * x * inside**3 / (0.5 * width) * weights[columns], (rows, columns)), shape=shape)
+    chi_dot = sp.csr_array(
+        (-8.0 * x * inside**3 / (0.5 * width) * weights[columns], (rows, columns)), shape=shape
+    )
     return chi, chi_dot, low, high
 
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from leastaction._fit.gauss_newton import JointFit, factorise, fit_joint, logdet
+from leastaction._fit.gauss_newton import JointFit, assemble, cholesky, fit_joint, logdet
 from leastaction._fit.problem import Observations, Physics, Weights, linearise
 
 __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
@@ -62,7 +62,11 @@ def evidence(observations: Observations, fit: JointFit) -> float:
 
 
 def start_weights(
-    observations: Observations, physics: Physics, noise_std: np.ndarray, control_points: np.ndarray, coefficients
+    observations: Observations,
+    physics: Physics,
+    noise_std: np.ndarray,
+    control_points: np.ndarray,
+    coefficients,
 ) -> Weights:
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike."""
     at = linearise(observations, physics, control_points, coefficients)
@@ -77,24 +81,24 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
     """One fixed-point update of w (and σ), each w limited to a factor of 30."""
     weights, at = fit.weights, fit.linearisation
 
-    def slope(noise: np.ndarray, physics_weight: np.ndarray) -> float:
-        """Derivative of log|H| along a change of the log weights by one step either way."""
-        both = [
-            logdet(factorise(observations, at, Weights(weights.noise_std / a, weights.physics * b, weights.slack)))
-            for a, b in ((noise, physics_weight), (1 / noise, 1 / physics_weight))
-        ]
+    band = assemble(observations, at, weights)
+
+    def slope(part: np.ndarray, stride: int = 1, offset: int = 0) -> float:
+        """Derivative of log|H| in the logarithm of one weight, whose part of H is given."""
+        both = []
+        for factor in (np.expm1(_LOG_STEP), np.expm1(-_LOG_STEP)):
+            moved = band.copy()
+            moved[::stride, offset::stride] += factor * part
+            both.append(logdet(cholesky(moved)))
         return 0.5 * (both[0] - both[1]) / _LOG_STEP
 
     n, rank = observations.n_dof, equation_rank(observations)
-    one, new_physics, slack, new_noise = np.ones(n), np.empty(n), np.empty(n), weights.noise_std.copy()
+    new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
-        bump = one.copy()
-        bump[i] = np.exp(_LOG_STEP)
-        slack[i] = max(rank - slope(one, bump), 1e-3)
+        slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         new_physics[i] = weights.physics[i] * np.clip(ratio, 1 / 30, 30)
-        bump[i] = np.exp(0.5 * _LOG_STEP)
-        used = slope(bump, one)
+        used = slope(observations.gram(i) / weights.noise_std[i] ** 2, n, i)
         estimate = np.sqrt(at.squares[i] / max(observations.counts[i] - used, 1.0))
         new_noise[i] = max(estimate, observations.noise_floor[i])
     return Weights(new_noise, new_physics, slack)
@@ -141,7 +145,9 @@ def fit_weights(
 def _accelerate(old: Weights, new: Weights) -> Weights:
     """Square the growth of w while it is large: the plain fixed point needs many rounds to grow a thousandfold."""
     ratio = new.physics / old.physics
-    return Weights(new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack)
+    return Weights(
+        new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack
+    )
 
 
 def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
@@ -150,7 +156,9 @@ def fit_curve(observations: Observations, physics: Physics, start: Start) -> tup
     Returns the new start and the evidence at the old weights; −inf when the fit failed.
     """
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
-    fit = fit_joint(observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0)
+    fit = fit_joint(
+        observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0
+    )
     if not fit.converged:
         return start, -np.inf
     weights = update_weights(observations, fit)

@@ -68,13 +68,18 @@ class Quadratic:
     logdet: float
 
 
-def factorise(
-    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
-) -> np.ndarray:
-    """Banded Cholesky factor of H; raises LinAlgError when H is not positive definite."""
-    banded = np.tensordot(weights.physics, linearisation.bands, 1)
+def assemble(observations: Observations, linearisation: Linearisation, weights: Weights) -> np.ndarray:
+    """H in lower banded storage, its diagonal raised by a rounding error."""
+    banded = weights.physics[0] * linearisation.bands[0]
+    for weight, band in zip(weights.physics[1:], linearisation.bands[1:], strict=True):
+        banded += weight * band
     observations.add_band(banded, weights.noise_std)
-    banded[0] *= 1.0 + damping + 1e-14
+    banded[0] *= 1.0 + 1e-14
+    return banded
+
+
+def cholesky(banded: np.ndarray) -> np.ndarray:
+    """Banded Cholesky factor, in place; raises LinAlgError when H is not positive definite."""
     return cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
 
 
@@ -93,7 +98,9 @@ def condense(
     numpy.linalg.LinAlgError
         When H is not positive definite.
     """
-    factor = factorise(observations, linearisation, weights, damping)
+    banded = assemble(observations, linearisation, weights)
+    banded[0] *= 1.0 + damping
+    factor = cholesky(banded)
     curve_gradient, gradient = linearisation.gradients(weights)
     border = np.tensordot(weights.physics, linearisation.borders, 1)
     corner = np.tensordot(weights.physics, linearisation.corners, 1)

@@ -62,7 +62,8 @@ class Observations:
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each coordinate, valid samples only."""
         return [
-            y - d @ np.ascontiguousarray(control_points[:, i]) for i, (d, y) in enumerate(zip(self._designs, self._y, strict=True))
+            y - d @ np.ascontiguousarray(control_points[:, i])
+            for i, (d, y) in enumerate(zip(self._designs, self._y, strict=True))
         ]
 
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,6 +71,10 @@ class Observations:
         residuals = self.residuals(control_points)
         gradient = [-(t @ r) for t, r in zip(self._transposed, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
+
+    def gram(self, i: int) -> np.ndarray:
+        """NᵀN of coordinate i in lower banded storage, (degree + 1, n_ctrl)."""
+        return self._grams[i]
 
     def add_band(self, banded: np.ndarray, noise_std: np.ndarray) -> None:
         """Add NᵀN / σ² of every coordinate to lower banded storage."""
@@ -199,25 +204,27 @@ def linearise(
 
 def _add_physics(out, grid, physics, states, coefficients, border, chunk) -> None:
     m, n_quad, n = states[0].shape
-    points = Points(*(s.reshape(-1, n) for s in states))
+    # all arrays below run over quadrature point, then interval: long inner loops
+    points = Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states))
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
-        residual -= physics.forces[chunk].reshape(-1, n).T
+        residual -= physics.forces[chunk].transpose(2, 1, 0).reshape(n, -1)
     columns = strong[physics.free] if border is None else border.strong(points)
-    root = np.sqrt(grid.weights[chunk].reshape(-1))
+    root = np.sqrt(grid.weights[chunk]).T.ravel()
     local = _local_jacobian(grid, physics.columns.jacobian(points, coefficients), root, chunk, n)
     for i in range(n):
-        jacobian, transposed = local[i], local[i].transpose(0, 2, 1)
-        r = (root * residual[i]).reshape(m, n_quad, 1)
-        e = (root * columns[:, i]).reshape(-1, m, n_quad).transpose(1, 2, 0)
-        grid.scatter_band(out.bands[i], transposed @ jacobian, chunk, n)
-        grid.scatter_rows(out.curve_gradients[i][:, None], transposed @ r, chunk, n)
-        grid.scatter_rows(out.borders[i], transposed @ e, chunk, n)
-        flat = e.reshape(m * n_quad, -1)
-        out.corners[i] += flat.T @ flat
-        out.coefficient_gradients[i] += flat.T @ r.ravel()
-        out.equation[i] += float(r.ravel() @ r.ravel())
+        r = root * residual[i]
+        e = root * columns[:, i]
+        grid.add_gram(out.bands[i], local[i], chunk, n)
+        values = np.concatenate([r[None], e]).reshape(-1, n_quad, m)
+        products = np.zeros((out.borders.shape[1], len(values)))
+        grid.add_products(products, local[i], values, chunk, n)
+        out.curve_gradients[i] += products[:, 0]
+        out.borders[i] += products[:, 1:]
+        out.corners[i] += e @ e.T
+        out.coefficient_gradients[i] += e @ r
+        out.equation[i] += float(r @ r)
 
 
 def _add_volume(out, grid, columns, states, coefficients, border) -> None:
@@ -255,11 +262,11 @@ def positive_definite(matrices: np.ndarray) -> np.ndarray:
     return out
 
 
-def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> list[np.ndarray]:
-    """For each equation ∂(scaled residual)/∂(local control points): (n_intervals, n_quadrature, (degree + 1) · n_dof)."""
-    basis = [grid.quadrature_basis(chunk, nu) for nu in range(3)]
-    m, n_quad, n_basis = basis[0].shape
-    local = np.zeros((n, m, n_quad, n_basis, n))
+def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:
+    """∂(scaled residual)/∂(local control points): (n_dof, (degree + 1) · n_dof, n_quadrature, n_intervals)."""
+    basis = [np.ascontiguousarray(grid.quadrature_basis(chunk, nu).transpose(2, 1, 0)) for nu in range(3)]
+    n_basis, n_quad, m = basis[0].shape
+    local = np.zeros((n, n_basis, n, n_quad, m))
     for (nu, i, j), value in jacobian.items():
-        local[i, ..., j] += (root * value).reshape(m, n_quad, 1) * basis[nu]
-    return list(local.reshape(n, m, n_quad, n_basis * n))
+        local[i, :, j] += (root * value).reshape(n_quad, m) * basis[nu]
+    return local.reshape(n, n_basis * n, n_quad, m)

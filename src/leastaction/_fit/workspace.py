@@ -110,7 +110,9 @@ class Workspace:
             sites = _greville(space.knots, self.degree)
             values = old.spaces[k].evaluate(part, sites)
             matrix = space.basis(sites).tocsc()
-            moved[self.grid.offsets[k] : self.grid.offsets[k + 1]] = _banded_solve(matrix, values, self.degree)
+            moved[self.grid.offsets[k] : self.grid.offsets[k + 1]] = _banded_solve(
+                matrix, values, self.degree
+            )
         weights = fit.fit.weights
         return Start(moved, fit.coefficients, weights)
 

@@ -30,9 +30,9 @@ class DataFigures:
         axes = panel(*_WIDE)
         start, stop = self.series.zoom
         axes.axvspan(start, stop, color=COLOURS["shade"], lw=0, zorder=0)
-        dots(axes, *thin_points(trial.t, trial.q[:, i]), "measured", 2.0)
+        dots(axes, *thin_points(trial.t, trial.q[:, i]), "measured", 2.6)
         t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
-        axes.plot(*thin_line(t, self.series.curve(t)[:, i], 1600), color=COLOURS["fit"], lw=1.2)
+        axes.plot(*thin_line(t, self.series.curve(t)[:, i], 1600), color=COLOURS["fit"], lw=1.1)
         label(axes, "t (s)", name, y_unit=self._unit(i))
         alt = f"{name} over the whole trial: {trial.n_samples} samples as dots, the fitted curve as a line"
         return inline(axes, f"overview{i}", alt)
@@ -44,12 +44,21 @@ class DataFigures:
         axes = panel()
         t = sample_times(start, stop, 400)
         if derivative == 0:
-            inside = (trial.t >= start) & (trial.t <= stop)
-            dots(axes, trial.t[inside], trial.q[inside, i], "measured", 3.2)
+            dots(axes, *self._samples(i), "measured", 3.2)
         axes.plot(t, self.series.curve(t, derivative)[:, i], color=COLOURS["fit"])
         label(axes, "t (s)", name, y_unit=self._unit(i, derivative))
         what = "samples as dots and the fitted curve" if derivative == 0 else "the fitted curve"
         return inline(axes, f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s: {what}")
+
+    def _samples(self, i: int) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of the zoom; fewer where noise is so small that they would hide the curve."""
+        trial = self.series.shown
+        start, stop = self.series.zoom
+        inside = (trial.t >= start) & (trial.t <= stop) & np.isfinite(trial.q[:, i])
+        t, q = trial.t[inside], trial.q[inside, i]
+        quiet = t.size > 1 and self.series.model.noise_std[i] < 0.015 * np.ptp(q)
+        step = -(-t.size // 50) if quiet else 1
+        return t[::step], q[::step]
 
     def residuals(self, i: int) -> Markup:
         """Residuals of the shown trial over time, with the band that should hold 95 % of them."""

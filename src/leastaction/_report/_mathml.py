@@ -30,7 +30,6 @@ _GREEK |= {
 }
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _MARKS = {0: "", 1: "\N{COMBINING DOT ABOVE}", 2: "\N{COMBINING DIAERESIS}"}
-_ACCENTS = {1: "\N{DOT ABOVE}", 2: "\N{DIAERESIS}"}
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
@@ -91,9 +90,13 @@ class Notation:
 
     def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
         head, subscript = self._parts[coordinate]
-        base = f"<mi>{escape(head)}</mi>"
-        if derivative:
-            base = f'<mover accent="true">{base}<mo>{_ACCENTS[derivative]}</mo></mover>'
+        # A combining dot in the letter: without a mathematical font, an accent in <mover> strikes through it.
+        # The style sheet makes the letter italic; MathML by itself would take it from another font.
+        if len(head) == 1:
+            base = f'<mi class="q" mathvariant="normal">{escape(head + _MARKS[derivative])}</mi>'
+        else:
+            base = f"<mi>{escape(head)}</mi>"
+            base = f"<mover>{base}<mo>{'.' * derivative}</mo></mover>" if derivative else base
         if subscript:
             tag = "mn" if subscript.isdecimal() else "mtext"
             low = f"<{tag}>{escape(subscript)}</{tag}>"
@@ -173,7 +176,7 @@ def number_parts(value: float, standard_error: float) -> tuple[str, str, str]:
     Examples
     --------
     >>> number_parts(0.557712, 0.0012), number_parts(-1.23456e-7, 4e-10), number_parts(2.0, 0.0)
-    (('0.5577', '0.0012', ''), ('−1.23456', '0.00400', '−7'), ('2', '', ''))
+    (('0.5577', '0.0012', ''), ('−1.2346', '0.0040', '−7'), ('2', '', ''))
     """
     text = rounded(value, standard_error, uncertainty=True)
     match = re.fullmatch(r"(-?)(\d+)(?:\.(\d+))?(?:\((\d+)\))?(?:e([+-]?\d+))?", text)

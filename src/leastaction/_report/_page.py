@@ -156,8 +156,7 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         }
         for k, (title, trace) in enumerate(picked)
     ]
-    finite = np.isfinite(result.rms) & (result.expected_rms > 0)
-    ratio = float(np.max(result.rms[finite] / result.expected_rms[finite])) if finite.any() else math.inf
+    worst = float(np.nanmax(result.rms_over_std)) if not np.isnan(result.rms_over_std).all() else math.nan
     rows = tables.forecast_trials(result)
     return {
         "forecast": {
@@ -166,7 +165,7 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
             "rows": tables.forecast_rows(result, notation, units),
             "trials": rows[:_MOST_ROWS],
             "n_more": max(len(rows) - _MOST_ROWS, 0),
-            "ratio": "∞" if math.isinf(ratio) else f"{ratio:.1f}",
+            "error": tables.plain(100 * worst, 2) + (" %" if math.isfinite(worst) else ""),
         }
     }
 

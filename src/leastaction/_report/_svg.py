@@ -19,11 +19,14 @@ from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
 __all__ = ["COLOURS", "dots", "drawing", "inline", "label", "panel"]
 
-COLOURS = {name: f"#01{k:02d}fe" for k, name in enumerate(("ink", "muted", "grid", "measured", "fit", "forecast", "kinetic", "potential", "shade"))}
+_NAMES = ("ink", "muted", "grid", "measured", "fit", "forecast", "kinetic", "potential", "shade")
+COLOURS = {name: f"#01{k:02d}fe" for k, name in enumerate(_NAMES)}
 """Name of a CSS variable of the page -> the colour that stands for it in Matplotlib."""
 
 _VARIABLES = {value: f"var(--{name})" for name, value in COLOURS.items()}
@@ -87,10 +90,12 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, size: float = 2.
     points = np.column_stack([x[there], y[there]])
     if not points.size:
         return
-    path = np.full((3 * len(points), 2), np.nan)
-    path[0::3] = path[1::3] = points
-    (line,) = axes.plot(path[:, 0], path[:, 1], color=COLOURS[colour], lw=size, alpha=alpha, zorder=2)
-    line.get_path().should_simplify = False
+    path = Path(np.repeat(points, 2, axis=0), np.tile([Path.MOVETO, Path.LINETO], len(points)))
+    path.should_simplify = False
+    style = {"edgecolor": COLOURS[colour], "lw": size, "alpha": alpha, "capstyle": "round", "zorder": 2}
+    axes.add_patch(PathPatch(path, fill=False, snap=False, **style))
+    axes.update_datalim(points)
+    axes.autoscale_view()
 
 
 def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> None:

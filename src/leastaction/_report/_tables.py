@@ -37,19 +37,21 @@ _REASONS = {
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def plain(value: float, digits: int = 3) -> str:
-    """A number for a table, with a proper minus sign and power of ten.
+def plain(value: float, digits: int = 3, full: bool = False) -> str:
+    """A number for a table, with a proper minus sign and power of ten; `full`: with its trailing zeros.
 
     Examples
     --------
     >>> plain(-0.00001234), plain(1234567.0), plain(0.5), plain(float("inf")), plain(12345.6, 6)
     ('−1.23 × 10⁻⁵', '1.23 × 10⁶', '0.5', '∞', '12345.6')
+    >>> plain(0.5, full=True), plain(120.0, full=True)
+    ('0.500', '120')
     """
     if math.isnan(value):
         return "–"
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
-    return _typeset(f"{value:.{digits}g}")
+    return _typeset(f"{value:#.{digits}g}".rstrip(".") if full else f"{value:.{digits}g}")
 
 
 def _typeset(text: str) -> str:
@@ -75,7 +77,7 @@ def coefficient_rows(model: LagrangianModel, notation: Notation) -> list[dict[st
                     "value": value + power,
                     "error": spread + power if spread else "",
                     "interval": " … ".join(ends),
-                    "z": "" if math.isnan(term.z) else f"{term.z:.1f}".replace("-", "−") if abs(term.z) < 100 else plain(term.z),
+                    "z": "" if math.isnan(term.z) else _typeset(f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.6g}"),
                     "known": term.known,
                 }
             )
@@ -102,10 +104,9 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
                 "samples": int(there.sum()),
                 "missing": int((~there).sum()),
                 "wraps": data.wraps_removed[name],
-                "noise": plain(sigma),
+                "noise": plain(sigma, full=True),
                 "relative": f"{plain(100 * sigma / spread, 2)} %" if spread > 0 else "–",
-                "equation": plain(float(diagnostics.equation_error[i])),
-                "weight": plain(float(diagnostics.physics_weight[i]), 2),
+                "equation": plain(float(diagnostics.equation_error[i]), full=True),
             }
         )
     return rows
@@ -122,8 +123,8 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
         rows.append(
             {
                 "symbol": notation.symbol(name),
-                "noise": plain(sigma),
-                "rms": plain(rms),
+                "noise": plain(sigma, full=True),
+                "rms": plain(rms, full=True),
                 "unit": units[i],
                 "ratio": f"{rms / sigma:.2f}",
                 "lag": f"{lags[0]:+.2f}".replace("-", "−") if lags.size and np.isfinite(lags[0]) else "–",
@@ -156,24 +157,26 @@ def _signed(value: float) -> str:
 
 
 def trial_rows(series: Series) -> list[dict[str, Any]]:
-    """Length and sampling of each trial."""
+    """Length and sampling of the trials; those that are alike share a row."""
     data = series.trajectories
-    rows = []
+    rows: dict[tuple, list[str]] = {}
     for name, trial in zip(data.names, data, strict=True):
         steps = np.diff(trial.t)
         step = float(np.median(steps)) if steps.size else math.nan
-        rows.append(
-            {
-                "name": name,
-                "times": trial.n_times,
-                "duration": plain(trial.duration, 4),
-                "step": f"{plain(1e3 * step)} ms",
-                "uniform": bool(steps.size == 0 or np.ptp(steps) <= 0.02 * step),
-                "missing": trial.q.size - trial.n_samples,
-                "driven": trial.driven,
-            }
-        )
-    return rows
+        uneven = " (uneven)" if steps.size and np.ptp(steps) > 0.02 * step else ""
+        sampling = f"{plain(1e3 * step)} ms{uneven}"
+        forces = "yes" if trial.driven else "none"
+        key = (trial.n_times, plain(trial.duration, 4), sampling, trial.q.size - trial.n_samples, forces)
+        rows.setdefault(key, []).append(name)
+    return [
+        {**dict(zip(("times", "duration", "step", "missing", "forces"), key, strict=True)), "names": _listed(names)}
+        for key, names in rows.items()
+    ]
+
+
+def _listed(names: Sequence[str], limit: int = 8) -> str:
+    more = len(names) - limit
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
 
 
 def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
@@ -182,8 +185,8 @@ def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[st
         {
             "symbol": notation.symbol(name),
             "unit": units[i],
-            "rms": plain(float(result.rms[i])),
-            "expected": plain(float(result.expected_rms[i])),
+            "rms": plain(float(result.rms[i]), full=True),
+            "expected": plain(float(result.expected_rms[i]), full=True),
             "noise": plain(float(result.rms_over_noise[i])),
             "std": f"{plain(100 * float(result.rms_over_std[i]), 2)} %",
         }
@@ -198,7 +201,7 @@ def forecast_trials(result: ForecastResult) -> list[dict[str, Any]]:
             "name": name,
             "starts": part.n_starts,
             "diverged": part.n_diverged,
-            "rms": [plain(float(x)) for x in part.rms],
+            "rms": [plain(float(x), full=True) for x in part.rms],
             "valid": plain(part.valid_time),
         }
         for name, part in result.by_trial().items()

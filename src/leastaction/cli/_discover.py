@@ -13,7 +13,7 @@ from leastaction._names import quoted
 from leastaction.cli._options import DataOptions, blame, data_options, expression_list, known_coefficients
 from leastaction.cli._output import check_folder, write_together
 from leastaction.cli._show import live_progress, say, show_forecast, show_model, warn
-from leastaction.cli._text import shown
+from leastaction.cli._text import counted, shown
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Library, Trajectories
@@ -46,7 +46,9 @@ Example:
     metavar="EXPR=VALUE",
     help="A coefficient that is known; may be given several times. Without known forces, one is needed.",
 )
-@click.option("--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'.")
+@click.option(
+    "--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'."
+)
 @click.option("--method", default="gauss-newton", show_default=True, metavar="NAME", help="How to fit.")
 @click.option(
     "--seed",
@@ -94,8 +96,8 @@ def discover(
     fitted, held_out = _split(options.read(), hold_out)
     if not given and not fitted.driven:
         raise InputError(
-            "no force acts and no coefficient is known: then L = 0 solves every equation; give one coefficient, "
-            f'which sets the units of L, e.g. --known "{candidates[0].text}=1", or the columns of --forces'
+            "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
+            f'coefficient, which sets the units of L, e.g. --known "{candidates[0].text}=1", or --forces'
         )
     import leastaction
 
@@ -169,8 +171,8 @@ def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectori
             last = trajectories.names[len(trajectories) - count :] if 0 < count < len(trajectories) else ()
             if not last:
                 raise InputError(
-                    f"{quoted(text)} of {len(trajectories)} trial(s); hold out at least 1 and leave at least 1 "
-                    "to fit"
+                    f"{quoted(text)} of {counted(len(trajectories), 'trial')}; hold out at least 1 and leave "
+                    "at least 1 to fit"
                 )
             held = trajectories.select(last)
         else:

@@ -11,7 +11,7 @@ from leastaction._errors import InputError
 from leastaction.cli._options import blame, number
 from leastaction.cli._output import check_file
 from leastaction.cli._show import say
-from leastaction.cli._text import shown
+from leastaction.cli._text import counted, shown
 
 if TYPE_CHECKING:
     from leastaction.systems import MechanicalSystem
@@ -50,8 +50,12 @@ Example:
 @click.option("--trials", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Trajectories.")
 @click.option("--duration", default="20", show_default=True, metavar="SECONDS", help="Of each trajectory.")
 @click.option("--rate", default="100", show_default=True, metavar="HZ", help="Samples a second.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same data.")
-@click.option("--missing", default="0", show_default=True, metavar="FRACTION", help="Samples left out at random.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same data."
+)
+@click.option(
+    "--missing", default="0", show_default=True, metavar="FRACTION", help="Samples left out at random."
+)
 @click.option("--irregular", is_flag=True, help="Sample at irregular times.")
 @click.option("-o", "--output", required=True, metavar="FILE", help="CSV file to write.")
 def generate(
@@ -78,7 +82,9 @@ def generate(
         with blame(option):
             values[option] = number(text)
     if abs(trials * values["--duration"] * values["--rate"]) > _MAX_SAMPLES:
-        raise InputError(f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less")
+        raise InputError(
+            f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less"
+        )
     from leastaction import systems
     from leastaction.io import write_csv
 
@@ -95,7 +101,8 @@ def generate(
         irregular=irregular,
     )
     write_csv(file, data)
-    say(f"{len(data)} trial(s) of the {source.title}, {data.n_samples} samples: {shown(output)}")
+    trials_made = counted(len(data), "trial")
+    say(f"{trials_made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")
     say(f"next: {_next_command(source, output)}")
 
 

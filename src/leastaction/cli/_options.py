@@ -165,8 +165,8 @@ class DataOptions:
         """Return the same with the coordinates in another order."""
         if sorted(names) != sorted(self.names):
             raise InputError(
-                f"--coordinates: the model has {', '.join(names)}, not {', '.join(self.names)}; if the columns "
-                "have other names, write name=column"
+                f"--coordinates: the model has {', '.join(names)}, not {', '.join(self.names)}; if the "
+                "columns have other names, write name=column"
             )
         ordered = {name: self.coordinates[name] for name in names}
         return DataOptions(self.paths, ordered, self.time, self.trial, self.forces, self.angles)

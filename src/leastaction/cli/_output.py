@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from leastaction._errors import InputError
@@ -63,24 +63,31 @@ def write_together(folder: Path, writers: Mapping[str, Callable[[Path], object]]
     """
     missing = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         temporary = folder / f".leastaction-{secrets.token_hex(6)}.tmp"
-        temporary.mkdir()
+        with _named(folder):
+            temporary.mkdir(parents=True)
         try:
             for name, write in writers.items():
                 write(temporary / name)
-            for name in writers:
-                os.replace(temporary / name, folder / name)
+            with _named(folder):
+                for name in writers:
+                    os.replace(temporary / name, folder / name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
-    except BaseException as error:
+    except BaseException:
         for path in missing:
             with suppress(OSError):
                 path.rmdir()
-        if isinstance(error, OSError):
-            reason = error.strerror or error
-            raise InputError(f"{shown(folder)} cannot be written: {reason}; choose another --output") from None
         raise
+
+
+@contextmanager
+def _named(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"{shown(folder)} cannot be written: {reason}; choose another --output") from None
 
 
 def _checked(path: str) -> Path:

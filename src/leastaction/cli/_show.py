@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from leastaction.cli._text import in_options, one_line
+from leastaction.cli._text import counted, in_options, one_line
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -27,6 +28,12 @@ _STAGES = {
     "select": "choosing terms",
     "knots": "refining knots",
     "verify": "verifying",
+}
+
+_DETAILS = {
+    "terms": "{:d} terms",
+    "evidence": "evidence {:.1f}",
+    "knots_per_second": "{:.0f} knots per second",
 }
 
 
@@ -63,8 +70,11 @@ def describe(stage: str, details: dict) -> str:
     >>> describe("select", {"terms": 5, "evidence": 1234.567})
     'choosing terms: 5 terms, evidence 1234.6'
     """
-    words = {"terms": "{} terms", "evidence": "evidence {:.1f}", "knots_per_second": "{:.0f} knots per second"}
-    parts = [words.get(name, name + " {}").format(value) for name, value in details.items()]
+    parts = [
+        (_DETAILS[name] if name in _DETAILS else f"{name} {{}}").format(value)
+        for name, value in details.items()
+        if not isinstance(value, float) or math.isfinite(value)
+    ]
     return _STAGES.get(stage, stage) + (": " + ", ".join(parts) if parts else "")
 
 
@@ -140,11 +150,9 @@ def show_model(model: LagrangianModel) -> None:
 def show_fit(model: LagrangianModel) -> None:
     """Print the status of the fit, its warnings, and what was done to library and data."""
     doubtful = model.fit.status != "ok"
-    say(
-        f"fit: {model.fit.status.upper() if doubtful else 'ok'}, chi2 per sample {model.fit.chi2_per_sample:.3g}",
-        bold=True,
-        fg="yellow" if doubtful else "green",
-    )
+    status = "DOUBTFUL" if doubtful else "ok"
+    color = "yellow" if doubtful else "green"
+    say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
     for text in model.fit.warnings:
         say(f"WARNING: {one_line(in_options(text))}", bold=True, fg="yellow")
     if doubtful and not sys.stdout.isatty():
@@ -156,16 +164,17 @@ def show_fit(model: LagrangianModel) -> None:
     if dropped:
         kinds = {"null": "without effect", "duplicate": "repeated", "dependent": "equal to others in effect"}
         parts = ", ".join(f"{count} {kinds.get(reason, reason)}" for reason, count in dropped.items())
-        say(f"left out before the fit: {sum(dropped.values())} candidates ({parts}); the report names them")
+        total = counted(sum(dropped.values()), "candidate")
+        say(f"left out before the fit: {total} ({parts}); the report names them")
     for note in model.diagnostics.notes:
         say(f"note: {one_line(in_options(note))}")
 
 
 def show_forecast(forecast: ForecastResult) -> None:
     """Print the errors of forecasts."""
-    trials = len(forecast.by_trial())
+    trials = counted(len(forecast.by_trial()), "trial")
     say(
-        f"forecasts over {forecast.horizon:g} s: {forecast.n_starts} starts in {trials} trial(s), "
+        f"forecasts over {forecast.horizon:g} s: {counted(forecast.n_starts, 'start')} in {trials}, "
         f"{forecast.n_diverged} diverged; within tolerance for {forecast.valid_time:.3g} s (median)"
     )
     show_table(forecast.format_rows())

@@ -5,18 +5,29 @@ from __future__ import annotations
 import os
 import re
 
-__all__ = ["in_options", "one_line", "shown"]
+__all__ = ["counted", "in_options", "one_line", "shown"]
 
 
 def one_line(text: str) -> str:
-    """Return the text on one line, without control characters: it may quote a hostile file name.
+    r"""Return the text on one line, without control characters: it may quote a hostile file name.
 
     Examples
     --------
-    >>> one_line("first\\n  second\\x1b[31m")
+    >>> one_line("first\n  second\x1b[31m")
     'first second [31m'
     """
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, which takes an s in the plural.
+
+    Examples
+    --------
+    >>> counted(1, "trial"), counted(3, "trial")
+    ('1 trial', '3 trials')
+    """
+    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def shown(path: str | os.PathLike[str]) -> str:

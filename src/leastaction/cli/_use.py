@@ -39,8 +39,8 @@ Example:
 def simulate(model: str, initial: str, duration: str, rate: str, output: str) -> None:
     """Simulate a model without external forces.
 
-    If the motion cannot be followed to the end (it blows up, or the mass matrix becomes singular), nothing
-    is written; the message says when and why, and the exit code is 1.
+    MODEL is a model.json of discover. If the motion cannot be followed to the end (it blows up, or the mass
+    matrix becomes singular), nothing is written; the message says when and why, and the exit code is 1.
     """
     import leastaction
     from leastaction.io import write_bytes
@@ -55,8 +55,8 @@ def simulate(model: str, initial: str, duration: str, rate: str, output: str) ->
     run = found.simulate(q0, qdot0, times)
     if not run.complete:
         raise DataError(
-            f"the motion stops: {run.reason}; nothing was written; --duration {run.stop_time:.3g} is the most "
-            "that this start allows"
+            f"the motion stops: {run.reason}; nothing was written; with this start, "
+            f"choose a --duration below {run.stop_time:.3g}"
         )
     data = _csv(found.coordinates, run).encode()
     write_bytes(file, gzip.compress(data, mtime=0) if file.suffix.lower() == ".gz" else data)
@@ -79,7 +79,9 @@ def _sample_times(duration: str, rate: str):
     # A little more than the last interval, so that 0.3 s at 10 Hz are 4 samples; never beyond --duration.
     count = int(length * frequency * (1 + 1e-12) + 1e-9) + 1
     if count < 2:
-        raise InputError(f"--duration {duration} at --rate {rate} has no second sample; choose more of either")
+        raise InputError(
+            f"--duration {duration} at --rate {rate} has no second sample; choose more of either"
+        )
     return np.arange(count) / frequency
 
 
@@ -103,10 +105,11 @@ def _csv(coordinates: tuple[str, ...], run) -> str:
 
 
 @click.command(
+    short_help="Forecast measured trials with a model.",
     epilog="""\b
 Example:
   leastaction validate found/model.json other.csv --horizon 2 --json errors.json
-"""
+""",
 )
 @click.argument("model", metavar="MODEL")
 @data_options(coordinates_required=False)
@@ -125,9 +128,9 @@ def validate(
 ) -> None:
     """Forecast measured trials with a model, and print how far off it is.
 
-    Forecasts start all along every trial, from the state that fits the data just before best. The errors are
-    given in the units of the coordinates, as they would be if the model were exact, and over noise and
-    standard deviation of the data.
+    MODEL is a model.json of discover. Forecasts start all along every trial, from the state that fits the
+    data just before best. The errors are given in the units of the coordinates, as they would be if the model
+    were exact, and over noise and standard deviation of the data.
     """
     import leastaction
     from leastaction.io import write_text
@@ -154,10 +157,11 @@ def validate(
 
 
 @click.command(
+    short_help="Write a model as SymPy, LaTeX, Python or C.",
     epilog="""\b
 Example:
   leastaction export found/model.json --format latex --output model.tex
-"""
+""",
 )
 @click.argument("model", metavar="MODEL")
 @click.option("--format", "kind", required=True, metavar="sympy|latex|python|c", help="What to write.")
@@ -165,7 +169,7 @@ Example:
 def export(model: str, kind: str, output: str) -> None:
     """Write a model as a SymPy script, LaTeX formula, Python module or C file.
 
-    The exported code needs nothing of leastaction.
+    MODEL is a model.json of discover. The exported code needs nothing of leastaction.
     """
     import leastaction
 

@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from leastaction import systems
+from leastaction._errors import InputError
+from leastaction._export import FORMATS, export
+from leastaction._model import LagrangianModel, ModelTerm
+
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def pendulum(name):
+    system = systems.get(name)
+    damping = [ModelTerm(f"{c}_dot**2*abs({c}_dot)", 0.1) for c in system.coordinates]
+    return LagrangianModel(
+        system.coordinates, [ModelTerm(k, c) for k, c in system.lagrangian.items()], damping
+    )
+
+
+def odd():
+    """Every function of the grammar, Greek names, and names that occur in generated code."""
+    names = ["θ1", "math", "n"]
+    terms = [
+        ModelTerm("(θ1_dot**2 + math_dot**2 + n_dot**2)*exp(sin(θ1)/3)", 1 / 3),
+        ModelTerm("θ1_dot*n_dot*tan(θ1/2)*sqrt(2)/10", 0.1),
+        ModelTerm("log(2 + cos(math))*sqrt(1 + n**2)*exp(1)", -1.7),
+        ModelTerm("(1 + n**2)**(-3/2)*abs(θ1)**2.5", 0.7),
+        ModelTerm("abs(math)*pi*θ1**5/(1 + math**4)", 123456.789e-5),
+    ]
+    return LagrangianModel(names, terms, [ModelTerm("abs(n_dot) + sqrt(1 + n_dot**2)", 0.3)])
+
+
+MODELS = {
+    "odd": odd,
+    "single": lambda: pendulum("single_pendulum"),
+    "chaotic": lambda: pendulum("chaotic_pendulum"),
+    "spherical": lambda: pendulum("spherical_spring_pendulum"),
+    "magnetic": lambda: pendulum("magnetic_pendulum"),
+    # The diagonal is zero: elimination without pivoting would fail.
+    "swapped": lambda: LagrangianModel(["x", "y"], [ModelTerm("x_dot*y_dot", 1.0), ModelTerm("x*y", 2.0)]),
+    "free": lambda: LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.5)]),
+}
+
+
+@pytest.fixture(params=MODELS, scope="module")
+def model(request):
+    return MODELS[request.param]()
+
+
+def states(model):
+    return np.random.default_rng(4).uniform(0.2, 1.5, size=(5, 3, model.n_dof))
+
+
+def test_python_agrees(model):
+    namespace = {}
+    exec(export(model, "python"), namespace)
+    for q, v, f in states(model):
+        a = namespace["acceleration"](q.tolist(), v.tolist(), f.tolist())
+        np.testing.assert_allclose(a, model.acceleration(q, v, f), rtol=1e-12, atol=1e-12)
+        a = namespace["acceleration"](q.tolist(), v.tolist())
+        np.testing.assert_allclose(a, model.acceleration(q, v), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(namespace["energy"](q, v), model.energy(q, v), rtol=1e-12, atol=1e-12)
+
+
+def compiled(model, folder):
+    source, library = folder / "model.c", folder / "model.so"
+    export(model, "c", source)
+    assert source.read_text("ascii").startswith("/*\n * Equations of motion")
+    options = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
+    subprocess.run(
+        [COMPILER, *options, "-o", library, source, "-lm"], check=True, capture_output=True, timeout=60
+    )
+    library = ctypes.CDLL(str(library))
+    library.leastaction_energy.restype = ctypes.c_double
+    return library
+
+
+def pointer(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_c_agrees(model, tmp_path):
+    library = compiled(model, tmp_path)
+    for q, v, f in states(model):
+        a = np.empty(model.n_dof)
+        library.leastaction_acceleration(pointer(q), pointer(v), pointer(f), pointer(a))
+        np.testing.assert_allclose(a, model.acceleration(q, v, f), rtol=1e-12, atol=1e-12)
+        library.leastaction_acceleration(pointer(q), pointer(v), None, pointer(a))
+        np.testing.assert_allclose(a, model.acceleration(q, v), rtol=1e-12, atol=1e-12)
+        energy = library.leastaction_energy(pointer(q), pointer(v))
+        np.testing.assert_allclose(energy, model.energy(q, v), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_singular_mass_matrix_gives_nan(tmp_path):
+    model = LagrangianModel(["x", "y"], [ModelTerm("x**2*x_dot**2", 1.0), ModelTerm("y_dot**2", 1.0)])
+    namespace = {}
+    exec(export(model, "python"), namespace)
+    assert np.isnan(namespace["acceleration"]([0.0, 0.0], [0.0, 0.0])).all()
+    zero, a = np.zeros(2), np.zeros(2)
+    compiled(model, tmp_path).leastaction_acceleration(pointer(zero), pointer(zero), None, pointer(a))
+    assert np.isnan(a).all()
+
+
+def test_sympy_reads_back_equal(model):
+    namespace = {}
+    exec(export(model, "sympy"), namespace)
+    assert sp.simplify(namespace["lagrangian"] - model.lagrangian) == 0
+    assert sp.simplify(namespace["dissipation_function"] - model.dissipation_function) == 0
+
+
+def test_sympy_script_with_names_of_its_own():
+    model = LagrangianModel(["sympy", "lagrangian"], [ModelTerm("sympy_dot**2*cos(lagrangian/3)", 0.5)])
+    namespace = {}
+    exec(export(model, "sympy"), namespace)
+    assert namespace["lagrangian_"] == model.lagrangian
+
+
+def test_latex():
+    text = export(MODELS["free"](), "latex")
+    assert text == "% Written by leastaction; needs amsmath.\n\\[\nL = 1.5 \\, \\dot{x}^{2}\n\\]\n"
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_text_is_written_to_the_path(format, tmp_path):
+    text = export(MODELS["single"](), format, tmp_path / "out")
+    assert (tmp_path / "out").read_bytes().decode() == text
+    assert text.endswith("\n")
+
+
+def test_wrong_use():
+    with pytest.raises(InputError, match="expected one of sympy, latex, python, c; did you mean 'python'"):
+        export(MODELS["free"](), "Pythn")
+    with pytest.raises(InputError, match="expected a LagrangianModel"):
+        export("model.json", "c")
