@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import click
@@ -93,12 +94,13 @@ def published_model(chosen: Demo, like: LagrangianModel) -> LagrangianModel:
     from leastaction._model import LagrangianModel
     from leastaction._model_parts import ModelTerm
 
+    def terms(values: Mapping[str, float]) -> tuple[ModelTerm, ...]:
+        return tuple(ModelTerm(text, value, known=True) for text, value in values.items())
+
     return LagrangianModel(
         chosen.coordinates,
-        *(
-            tuple(ModelTerm(text, value, known=True) for text, value in terms.items())
-            for terms in (chosen.published, chosen.published_dissipation)
-        ),
+        terms(chosen.published),
+        terms(chosen.published_dissipation),
         noise_std=like.noise_std,
     )
 

@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -62,7 +62,7 @@ def live_progress(what: str) -> Iterator[Callable[[str, dict], None] | None]:
         yield lambda stage, details: progress.update(task, description=describe(stage, details))
 
 
-def describe(stage: str, details: dict) -> str:
+def describe(stage: str, details: dict[str, Any]) -> str:
     """Return a stage of `discover` and its numbers in words.
 
     Examples
@@ -71,7 +71,7 @@ def describe(stage: str, details: dict) -> str:
     'choosing terms: 5 terms, evidence 1234.6'
     """
     parts = [
-        (_DETAILS[name] if name in _DETAILS else f"{name} {{}}").format(value)
+        _DETAILS.get(name, f"{name} {{}}").format(value)
         for name, value in details.items()
         if not isinstance(value, float) or math.isfinite(value)
     ]
@@ -141,9 +141,9 @@ def show_model(model: LagrangianModel) -> None:
             z = f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}"
         rows.append((term.expression, with_error(term), ends, z))
     show_table(rows, [len(model.terms) + 1] if model.dissipation else [])
-    say()
     if model.dissipation:
         say("Below the rule: friction, the terms of psi.")
+    say()
     show_fit(model)
 
 
