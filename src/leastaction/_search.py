@@ -1,11 +1,13 @@
-"""Search for supports by a scale-free ratio on the Gram matrices of the weak form.
+"""Search for supports on the weak form, by how well noise explains what is left.
 
 A support S is judged by
 
-    ρ(S) = min over λ of ‖(I + V) λ‖² / ½ (‖I λ‖² + ‖V λ‖²),
+    ρ(S) = min over λ of λᵀ R λ / λᵀ N λ,
 
-the smallest generalised eigenvalue of two small matrices.  The ratio cannot be made small by letting
-candidates cancel a known term, because that lowers numerator and denominator alike.
+the smallest generalised eigenvalue of two small matrices: R is the sum of squared row residuals, N what the
+measurement noise makes of that sum on average.  For the true support ρ is about one, whatever the units and the
+noise; λ is the total-least-squares estimate, free of the bias that noisy columns give to plain least squares. The ratio
+cannot be made small by letting candidates cancel a known term: their noise remains.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ import numpy as np
 
 from leastaction._weak import WeakGram
 
-__all__ = ["Support", "beam_search", "solve_support"]
+__all__ = ["Support", "beam_search", "solve_support", "support_score"]
 
 _RIDGE = 1e-12
 _SMALLEST = 1e-13
@@ -35,19 +37,19 @@ class Support:
 
 
 class _Scaled:
-    """Gram matrices with unit diagonal of the parts, so that a ridge means the same for every column."""
+    """Both matrices with unit diagonal of the reference, so that a ridge means the same for every column."""
 
     def __init__(self, gram: WeakGram) -> None:
-        scale = 1.0 / np.sqrt(np.clip(np.diag(gram.parts), 1e-300, None))
+        scale = 1.0 / np.sqrt(np.clip(np.diag(gram.reference), 1e-300, None))
         self.scale = scale
-        self.total = gram.total * np.outer(scale, scale)
-        self.parts = gram.parts * np.outer(scale, scale)
-        self.known = self.total.shape[0] - 1
+        self.residual = gram.residual * np.outer(scale, scale)
+        self.reference = gram.reference * np.outer(scale, scale)
+        self.known = self.residual.shape[0] - 1
 
     def extended(self, supports: np.ndarray) -> np.ndarray:
         """ρ of every support with every candidate added: (n_supports, size) → (n_supports, n_candidates).
 
-        With the support's own eigenvectors V (VᵀGV = 1, VᵀTV = diag μ) one more column borders a diagonal
+        With the support's own eigenvectors V (VᵀNV = 1, VᵀRV = diag μ) one more column borders a diagonal
         matrix; the smallest eigenvalue x of that arrow matrix is the root below min μ of
 
             α − x − Σ_j a_j² / (μ_j − x) = 0.
@@ -56,13 +58,13 @@ class _Scaled:
         """
         index = np.column_stack([supports, np.full(len(supports), self.known)]).astype(int)
         pick = (index[:, :, None], index[:, None, :])
-        root = np.linalg.inv(np.linalg.cholesky(self.parts[pick] + _RIDGE * np.eye(index.shape[1])))
-        mu, vectors = np.linalg.eigh(root @ self.total[pick] @ root.transpose(0, 2, 1))
+        root = np.linalg.inv(np.linalg.cholesky(self.reference[pick] + _RIDGE * np.eye(index.shape[1])))
+        mu, vectors = np.linalg.eigh(root @ self.residual[pick] @ root.transpose(0, 2, 1))
         mu = np.maximum(mu, _SMALLEST)  # rounding may leave it below zero
         basis = vectors.transpose(0, 2, 1) @ root
-        a, b = basis @ self.total[index], basis @ self.parts[index]
-        rest = np.maximum(1.0 - (b**2).sum(axis=1), _DEPENDENT)  # what the new column adds to the parts
-        alpha = np.diag(self.total) - 2.0 * (a * b).sum(axis=1) + (mu[:, :, None] * b**2).sum(axis=1)
+        a, b = basis @ self.residual[index], basis @ self.reference[index]
+        rest = np.maximum(1.0 - (b**2).sum(axis=1), _DEPENDENT)  # what the new column adds
+        alpha = np.diag(self.residual) - 2.0 * (a * b).sum(axis=1) + (mu[:, :, None] * b**2).sum(axis=1)
         squares = (a - mu[:, :, None] * b) ** 2 / rest[:, None, :]
         ratios = _smallest_root(alpha / rest, squares, mu)
         np.put_along_axis(ratios, index, np.inf, axis=1)
@@ -87,15 +89,16 @@ def beam_search(
     """The best supports of each size 1, 2, …, best first.
 
     Grows every kept support by one candidate, then swaps single members while that helps.  Ends when four
-    more terms have not improved n_rows · log ρ + penalty · size.
+    more terms have not improved :func:`support_score`.
     """
     scaled = _Scaled(gram)
     kept: list[Support] = [Support((), np.inf)]
     levels: list[list[Support]] = []
     best, since = np.inf, 0
     for size in range(1, min(max_size, scaled.known) + 1):
-        kept = _best_extensions(scaled, {s.members for s in kept}, width)
-        for _ in range(_SWAP_ROUNDS):
+        # two terms often make sense together only: all pairs are tried
+        kept = _best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
+        for _ in range(_SWAP_ROUNDS if size > 2 else 0):
             smaller = {s.members[:m] + s.members[m + 1 :] for s in kept[: width // 2] for m in range(size)}
             swapped = _best_extensions(scaled, smaller, width)
             merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
@@ -104,11 +107,16 @@ def beam_search(
             if not improved:
                 break
         levels.append(kept)
-        value = n_rows * np.log(kept[0].ratio) + penalty * size
+        value = support_score(kept[0], penalty, n_rows)
         best, since = (value, 0) if value < best else (best, since + 1)
         if since == _PATIENCE:
             break
     return levels
+
+
+def support_score(support: Support, penalty: float, n_rows: float) -> float:
+    """n_rows · log ρ + penalty · size, with ρ < 1 counted as 1: better than noise is not better."""
+    return n_rows * float(np.log(max(support.ratio, 1.0))) + penalty * len(support.members)
 
 
 def _best_extensions(scaled: _Scaled, supports: set[tuple[int, ...]], width: int) -> list[Support]:
@@ -134,15 +142,15 @@ def solve_support(gram: WeakGram, members: tuple[int, ...]) -> np.ndarray:
     """
     scaled = _Scaled(gram)
     index = np.array([*members, scaled.known])
-    parts = scaled.parts[np.ix_(index, index)] + _RIDGE * np.eye(index.size)
+    parts = scaled.reference[np.ix_(index, index)] + _RIDGE * np.eye(index.size)
     root = np.linalg.inv(np.linalg.cholesky(parts))
-    _, vectors = np.linalg.eigh(root @ scaled.total[np.ix_(index, index)] @ root.T)
+    _, vectors = np.linalg.eigh(root @ scaled.residual[np.ix_(index, index)] @ root.T)
     vector = root.T @ vectors[:, 0] * scaled.scale[index]
     weight = vector[-1] / scaled.scale[scaled.known]
     out = np.zeros(scaled.known)
     if abs(weight) > 1e-6 * np.abs(root.T @ vectors[:, 0]).max():
         out[list(members)] = vector[:-1] / vector[-1]
     else:
-        total = gram.total[np.ix_(index, index)]
+        total = gram.residual[np.ix_(index, index)]
         out[list(members)] = -np.linalg.lstsq(total[:-1, :-1], total[:-1, -1], rcond=1e-10)[0]
     return out

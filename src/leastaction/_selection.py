@@ -15,15 +15,17 @@ import numpy as np
 
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
-from leastaction._search import beam_search, solve_support
+from leastaction._search import beam_search, solve_support, support_score
 from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty
-from leastaction._weak import WeakGram, weak_gram
+from leastaction._weak import WeakForm, WeakGram
 
 __all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
 
 Progress = Callable[[str, dict], None]
 
+_WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
+_REPLICATES = 8
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
 _TRIED = 60  # supports whose mass matrix is looked at
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
@@ -59,103 +61,59 @@ class Proposal:
     evidence: float
 
 
-class _Proposer:
-    """Supports from the weak form, at one width of the test functions.
-
-    Curve and coefficients are improved in turn: the weak form gives coefficients along a curve, free of
-    the scale (the joint fit would let it drift from a rough start); these coefficients, held, give a
-    better curve and better weights.
-    """
-
-    def __init__(self, workspace: Workspace, smooth: Smooth, width: float) -> None:
-        self.workspace = workspace
-        self.smooth = smooth
-        self.width = width
-        _, qdot, _ = workspace.grid.at_quadrature(smooth.control_points)
-        self.scale = np.sqrt((qdot**2).mean(axis=(0, 1)))
-
-    def propose(self) -> Proposal:
-        workspace, smooth = self.workspace, self.smooth
-        members = self._search(smooth.control_points)
-        coefficients = self._solve(members, smooth.control_points)
-        start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
-        for _ in range(3):
-            proposal = self._settle(members, start)
-            points = proposal.start.control_points
-            again = self._search(points)
-            if again == members:
-                break
-            members = again
-            start = workspace.start(
-                members, points, self._solve(members, points), proposal.start.weights.noise_std
-            )
-        return proposal
-
-    def _settle(self, members: tuple[int, ...], start: Start, rounds: int = 4) -> Proposal:
-        for _ in range(rounds):
-            start, value = self.workspace.fit_curve(members, start)
-            if not np.isfinite(value):
-                break
-            start = Start(start.control_points, self._solve(members, start.control_points), start.weights)
-        return Proposal(members, start, value)
-
-    def _gram(self, members, control_points: np.ndarray) -> WeakGram:
-        """Gram matrices of some free columns and the known one."""
-        workspace = self.workspace
-        index = [*(int(m) for m in members), *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
-        columns, known = workspace.columns.subset(index), workspace.known[index]
-        return weak_gram(
-            workspace.grid, control_points, columns, known, workspace.forces, self.width, self.scale
-        )
-
-    def _solve(self, members: tuple[int, ...], control_points: np.ndarray) -> np.ndarray:
-        """Coefficients of all columns by the weak form."""
-        gram = self._gram(members, control_points)
-        coefficients = np.where(np.isnan(self.workspace.known), 0.0, self.workspace.known)
-        coefficients[list(members)] = solve_support(gram, tuple(range(len(members))))
-        return coefficients
-
-    def _search(self, control_points: np.ndarray) -> tuple[int, ...]:
-        """Best support along a curve whose mass matrix is positive definite there."""
-        free = self.workspace.free
-        gram = self._gram(free, control_points)
-        n_rows = max(gram.n_rows / _OVERLAP, 4.0)
-        penalty = term_penalty(int(n_rows), free.size)
-        levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
-        ranked = sorted(
-            (s for level in levels for s in level),
-            key=lambda s: n_rows * np.log(s.ratio) + penalty * len(s.members),
-        )
-        for support in ranked[:_TRIED]:
-            members = tuple(int(free[m]) for m in support.members)
-            coefficients = np.where(np.isnan(self.workspace.known), 0.0, self.workspace.known)
-            coefficients[free] = solve_support(gram, support.members)
-            if self.workspace.regular(coefficients, control_points) > 0.9:
-                return members
-        return tuple(int(free[m]) for m in ranked[0].members)
-
-
-def characteristic_period(workspace: Workspace, smooth: Smooth) -> float:
-    """Period 2π rms(q̇)/rms(q̈) of the fastest coordinate, in seconds."""
-    _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
-    ratio = (qdot**2).mean(axis=(0, 1)) / np.maximum((qddot**2).mean(axis=(0, 1)), 1e-300)
-    return float(2.0 * np.pi * np.sqrt(ratio.min()))
-
-
-def propose_supports(workspace: Workspace, smooth: Smooth, progress: Progress) -> list[Proposal]:
+def propose_supports(
+    workspace: Workspace, smooth: Smooth, progress: Progress, seed: int = 0
+) -> list[Proposal]:
     """Proposals of several test-function widths, distinct, best first; stops when two widths agree."""
-    period = characteristic_period(workspace, smooth)
+    _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
+    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
+    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
+    widths = [factor * period for factor in _WIDTHS]
+    form = WeakForm(
+        workspace.grid, workspace.columns, workspace.known, workspace.forces, widths, np.sqrt(rates)
+    )
+    replicates = smooth.replicates(_REPLICATES, np.random.default_rng(seed))
     found: list[Proposal] = []
-    for width in (1.0, 2.0, 0.5):
-        proposal = _Proposer(workspace, smooth, width * period).propose()
+    for gram in form.grams(smooth.control_points, replicates):
+        proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram))
         progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
-        agreed = [p for p in found if p.members == proposal.members]
-        if agreed and agreed[0].evidence >= proposal.evidence:
+        if any(proposal.members == p.members for p in found):
             break
-        found = [p for p in found if p not in agreed] + [proposal]
-        if agreed:
-            break
+        found.append(proposal)
     return sorted(found, key=lambda p: -p.evidence)
+
+
+def _best_support(workspace: Workspace, smooth: Smooth, gram: WeakGram) -> tuple[tuple[int, ...], np.ndarray]:
+    """Best support of one width whose mass matrix is positive definite, and coefficients of all columns."""
+    free = workspace.free
+    n_rows = max(gram.n_rows / _OVERLAP, 4.0)
+    penalty = term_penalty(int(n_rows), free.size)
+    levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
+    ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows))
+    first = None
+    for support in ranked[:_TRIED]:
+        coefficients = np.where(np.isnan(workspace.known), 0.0, workspace.known)
+        coefficients[free] = solve_support(gram, support.members)
+        answer = tuple(int(free[m]) for m in support.members), coefficients
+        if workspace.regular(coefficients, smooth.control_points) > 0.9:
+            return answer
+        first = first or answer
+    assert first is not None
+    return first
+
+
+def _settle(workspace: Workspace, smooth: Smooth, members: tuple[int, ...], coefficients: np.ndarray) -> Proposal:
+    """Curve and weights for the proposed coefficients, held.
+
+    At small weights the scale of L is hardly determined; in a joint fit it would drift away.
+    """
+    start = workspace.start(members, smooth.control_points, coefficients, smooth.noise_std)
+    value = -np.inf
+    for _ in range(3):
+        start, value = workspace.fit_curve(members, start)
+        if not np.isfinite(value):
+            break
+    return Proposal(members, start, value)
 
 
 class _Refiner:
@@ -249,7 +207,7 @@ class _Refiner:
 
 
 def select_structure(
-    workspace: Workspace, smooth: Smooth, progress: Progress, relevance: float = 0.05
+    workspace: Workspace, smooth: Smooth, progress: Progress, relevance: float = 0.05, seed: int = 0
 ) -> Selection:
     """Run the search; the workspace ends with the knots of the result.
 
@@ -260,7 +218,7 @@ def select_structure(
     """
     refiner = _Refiner(workspace, progress)
     best: StructureFit | None = None
-    for proposal in propose_supports(workspace, smooth, progress):
+    for proposal in propose_supports(workspace, smooth, progress, seed):
         if best is not None and not np.isfinite(proposal.evidence):
             continue
         structure = refiner.refine(workspace.fit(proposal.members, proposal.start))

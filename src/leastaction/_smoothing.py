@@ -38,6 +38,20 @@ class Smooth:
     control_points: np.ndarray
     noise_std: np.ndarray
     penalty: np.ndarray
+    _designs: list[sp.csr_array]
+    _factors: list[np.ndarray]
+
+    def replicates(self, count: int, rng: np.random.Generator) -> list[np.ndarray]:
+        """Curves that the same smoothing gives for the smoothed curve measured again, with new noise."""
+        out = []
+        for _ in range(count):
+            points = np.empty_like(self.control_points)
+            for i, (design, factor) in enumerate(zip(self._designs, self._factors, strict=True)):
+                clean = design @ np.ascontiguousarray(self.control_points[:, i])
+                again = clean + self.noise_std[i] * rng.standard_normal(clean.size)
+                points[:, i] = cho_solve_banded((factor, True), design.T @ again, check_finite=False)
+            out.append(points)
+        return out
 
 
 def _to_banded(matrix: sp.sparray, bandwidth: int) -> np.ndarray:
@@ -92,13 +106,13 @@ def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) 
     design = grid.design(times)
     stacked = np.concatenate(values)
     n_dof = stacked.shape[1]
-    control = np.empty((grid.n_ctrl, n_dof))
-    noise, chosen = np.empty(n_dof), np.empty(n_dof)
+    results, designs = [], []
     for i in range(n_dof):
         valid = np.isfinite(stacked[:, i])
-        result = _smooth_one(design[valid], stacked[valid, i], penalty, grid)
-        control[:, i], noise[i], chosen[i] = result
-    return Smooth(control, noise, chosen)
+        designs.append(design if valid.all() else design[valid])
+        results.append(_smooth_one(designs[i], stacked[valid, i], penalty, grid))
+    control, noise, chosen, factors = zip(*results, strict=True)
+    return Smooth(np.stack(control, axis=1), np.array(noise), np.array(chosen), designs, list(factors))
 
 
 def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid):
@@ -122,7 +136,7 @@ def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: 
         sigma2 = (misfit + kappa * max(rough, 0.0)) / freedom
         logdet = 2.0 * np.log(factor[0]).sum()
         score = freedom * np.log(sigma2 + 1e-300) + logdet - (grid.n_ctrl - n_null) * np.log(kappa)
-        return score, coefficients, sigma2, kappa
+        return score, coefficients, sigma2, kappa, factor
 
     def objective(log_kappa: float) -> float:
         try:
@@ -136,5 +150,5 @@ def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: 
     found = minimize_scalar(
         objective, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.05}
     )
-    _, coefficients, sigma2, kappa = solve(found.x if found.fun <= min(scores) else best)
-    return coefficients, float(np.sqrt(sigma2)), kappa
+    _, coefficients, sigma2, kappa, factor = solve(found.x if found.fun <= min(scores) else best)
+    return coefficients, float(np.sqrt(sigma2)), kappa, factor

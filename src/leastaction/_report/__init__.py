@@ -73,11 +73,13 @@ def write_report(
         raise InputError(f"model is {quoted(model)}; expected a LagrangianModel, as discover() returns it")
     if model.diagnostics is None:
         raise InputError(
-            "the model has no diagnostics: a model file keeps the result, not the fitted curve and the selection "
-            "path. Run discover() again on the data and write the report from its result"
+            "the model has no diagnostics: a model file keeps the result, but not the fitted curve and the "
+            "selection path. Run discover() again on the data and write the report from its result"
         )
     if validation is not None and not isinstance(validation, ForecastResult):
-        raise InputError(f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)")
+        raise InputError(
+            f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)"
+        )
     if validation is not None and validation.coordinates != model.coordinates:
         raise InputError(
             f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "

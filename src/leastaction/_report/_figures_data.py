@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction._report._mathml import Notation
-from leastaction._report._series import Series, sample_times, thin_line, thin_points
+from leastaction._report._series import Series, legible_samples, sample_times, thin_line, thin_points
 from leastaction._report._svg import COLOURS, dots, inline, label, panel
 
 __all__ = ["DataFigures"]
@@ -44,21 +44,14 @@ class DataFigures:
         axes = panel()
         t = sample_times(start, stop, 400)
         if derivative == 0:
-            dots(axes, *self._samples(i), "measured", 3.2)
+            inside = (trial.t >= start) & (trial.t <= stop)
+            noise = float(self.series.model.noise_std[i])
+            seen_t, seen, quiet = legible_samples(trial.t[inside], trial.q[inside, i], noise)
+            dots(axes, seen_t, seen, "measured", 4.5 if quiet else 3.2, above=quiet)
         axes.plot(t, self.series.curve(t, derivative)[:, i], color=COLOURS["fit"])
         label(axes, "t (s)", name, y_unit=self._unit(i, derivative))
         what = "samples as dots and the fitted curve" if derivative == 0 else "the fitted curve"
         return inline(axes, f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s: {what}")
-
-    def _samples(self, i: int) -> tuple[np.ndarray, np.ndarray]:
-        """Samples of the zoom; fewer where noise is so small that they would hide the curve."""
-        trial = self.series.shown
-        start, stop = self.series.zoom
-        inside = (trial.t >= start) & (trial.t <= stop) & np.isfinite(trial.q[:, i])
-        t, q = trial.t[inside], trial.q[inside, i]
-        quiet = t.size > 1 and self.series.model.noise_std[i] < 0.015 * np.ptp(q)
-        step = -(-t.size // 50) if quiet else 1
-        return t[::step], q[::step]
 
     def residuals(self, i: int) -> Markup:
         """Residuals of the shown trial over time, with the band that should hold 95 % of them."""
@@ -85,7 +78,9 @@ class DataFigures:
         axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=COLOURS["fit"])
         axes.set_ylim(bottom=0)
         label(axes, "residual / σ", f"density, {self._name(i)}")
-        alt = f"Histogram of the residuals of {self._name(i)} in units of the noise, beside the normal density"
+        alt = (
+            f"Histogram of the residuals of {self._name(i)} in units of the noise, beside the normal density"
+        )
         return inline(axes, f"histogram{i}", alt)
 
     def correlation(self, i: int) -> Markup:

@@ -10,7 +10,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from leastaction._diagnostics import PathPoint
 from leastaction._forecast import ForecastTrace
-from leastaction._report._series import Energy, thin_line
+from leastaction._report._series import Energy, legible_samples, thin_line
 from leastaction._report._svg import COLOURS, dots, inline, label, panel
 
 __all__ = ["energy_of_trial", "energy_of_trials", "forecast_panel", "path_figure"]
@@ -35,7 +35,7 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     axes.plot(sizes, bic, color=COLOURS["fit"], lw=1.5)
     dots(axes, sizes, bic, "fit", 7.0)
     dots(axes, np.array([p.n_terms for p in rest]), _fold(np.array([p.bic for p in rest])), "fit", 4.0, 0.55)
-    dots(axes, np.array([chosen.n_terms]), np.zeros(1), "forecast", 13.0)
+    dots(axes, np.array([chosen.n_terms]), np.zeros(1), "forecast", 12.0, above=True)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axes.set_xlim(sizes[0] - 0.5, sizes[-1] + 0.5)
     low, high = float(min(cost.min(), bic.min())), float(max(cost.max(), bic.max()))
@@ -45,19 +45,25 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: _unfolded(round(v))))
     axes.set_ylim(low - 0.3, high + 0.3)
     label(axes, "number of free terms", "difference from the chosen structure")
-    return inline(axes, "path", "BIC and likelihood of the best structure of each size; the chosen one is marked")
+    return inline(
+        axes, "path", "BIC and likelihood of the best structure of each size; the chosen one is marked"
+    )
 
 
 def _fold(value: np.ndarray) -> np.ndarray:
     """±1 for ±10, ±2 for ±100, …; linear in between."""
     size = np.abs(value)
-    return np.sign(value) * np.where(size <= _LINEAR, size / _LINEAR, 1.0 + np.log10(np.maximum(size, _LINEAR) / _LINEAR))
+    return np.sign(value) * np.where(
+        size <= _LINEAR, size / _LINEAR, 1.0 + np.log10(np.maximum(size, _LINEAR) / _LINEAR)
+    )
 
 
 def _unfolded(level: int) -> str:
     if abs(level) <= 3:
         return f"{'−' if level < 0 else ''}{10 ** abs(level) if level else 0}"
-    return f"{'−' if level < 0 else ''}10{str(abs(level)).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    return (
+        f"{'−' if level < 0 else ''}10{str(abs(level)).translate(str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    )
 
 
 def energy_of_trial(energy: Energy, balance: bool) -> Markup:
@@ -84,17 +90,19 @@ def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
     floor = min(float(e.potential.min()) for e in energies)
     for k, energy in enumerate(energies[:_MOST_TRIALS]):
         t, total = thin_line(energy.t - energy.t[0], energy.total - floor, 400)
-        axes.plot(t, total, color=COLOURS["fit"], lw=2.2 if k == shown else 1.1, alpha=1.0 if k == shown else 0.5)
-    low, high = axes.get_ylim()
-    axes.set_ylim(min(0.0, low), high if high > 0 else 0.0)
+        axes.plot(
+            t, total, color=COLOURS["fit"], lw=2.2 if k == shown else 1.1, alpha=1.0 if k == shown else 0.5
+        )
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     label(axes, "time from the start of the trial (s)", "total energy (units of L)")
     return inline(axes, "energies", "Total energy along the fitted curves of all trials")
 
 
-def forecast_panel(trace: ForecastTrace, i: int, name: str, unit: str, key: str) -> Markup:
+def forecast_panel(trace: ForecastTrace, i: int, noise_std: float, name: str, unit: str, key: str) -> Markup:
     """Measured samples and the free run of one coordinate."""
     axes = panel()
-    dots(axes, trace.t, trace.measured[:, i], "measured", 3.2)
+    t_seen, some, quiet = legible_samples(trace.t, trace.measured[:, i], noise_std)
+    dots(axes, t_seen, some, "measured", 4.5 if quiet else 3.2, above=quiet)
     run = trace.forecast[:, i]
     there = np.isfinite(run)
     seen = trace.measured[np.isfinite(trace.measured[:, i]), i]

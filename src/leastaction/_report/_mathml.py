@@ -17,19 +17,7 @@ from leastaction._notation import rounded
 
 __all__ = ["Notation", "number_parts"]
 
-_GREEK = dict(
-    zip(
-        "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau upsilon phi chi "
-        "psi omega".split(),
-        "αβγδεζηθικλμνξπρστυφχψω",
-        strict=True,
-    )
-)
-_GREEK |= {
-    name.capitalize(): _GREEK[name].upper() for name in "gamma delta theta lambda xi pi sigma phi psi omega".split()
-}
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_MARKS = {0: "", 1: "\N{COMBINING DOT ABOVE}", 2: "\N{COMBINING DIAERESIS}"}
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
@@ -49,26 +37,33 @@ class Notation:
         self.coordinates = tuple(coordinates)
         parts = [_split(c) for c in self.coordinates]
         self._parts = {
-            c: part if parts.count(part) == 1 else (c, "") for c, part in zip(self.coordinates, parts, strict=True)
+            c: part if parts.count(part) == 1 else (c, "")
+            for c, part in zip(self.coordinates, parts, strict=True)
         }
 
     def text(self, coordinate: str, derivative: int = 0) -> str:
-        """Name of a coordinate, or its rate, as plain text for figures.
+        """Name of a coordinate, or of its derivative, as plain text for figures.
+
+        Combining dots are of no use there: many fonts put them into the letter.
 
         Examples
         --------
-        >>> notation = Notation(["theta1", "cart"])
-        >>> notation.text("theta1", 1) == "θ̇₁", notation.text("cart", 1)
-        (True, 'd cart/dt')
+        >>> notation = Notation(["theta1", "x_cart"])
+        >>> notation.text("theta1"), notation.text("theta1", 1), notation.text("x_cart", 2)
+        ('θ₁', 'dθ₁/dt', 'd²x_cart/dt²')
         """
         head, subscript = self._parts[coordinate]
-        tail = subscript.translate(_SUBSCRIPTS) if subscript.isdecimal() else f"_{subscript}" if subscript else ""
-        if derivative == 0 or len(head) == 1:
-            return f"{head}{_MARKS[derivative]}{tail}"
-        return f"d {head}{tail}/dt" if derivative == 1 else f"d² {head}{tail}/dt²"
+        tail = (
+            subscript.translate(_SUBSCRIPTS)
+            if subscript.isdecimal()
+            else f"_{subscript}"
+            if subscript
+            else ""
+        )
+        return (f"{head}{tail}", f"d{head}{tail}/dt", f"d²{head}{tail}/dt²")[derivative]
 
     def symbol(self, coordinate: str, derivative: int = 0) -> Markup:
-        """The same as one ``<math>`` element."""
+        """Name of a coordinate, or of its derivative with dots, as one ``<math>`` element."""
         return _math(self._symbol(coordinate, derivative))
 
     def term(self, text: str) -> Markup:
@@ -86,17 +81,20 @@ class Notation:
         if exponent:
             number += f"<mo>×</mo><msup><mn>10</mn><mn>{exponent}</mn></msup>"
         lead = f'<mo form="infix">{sign}</mo>' if sign and not first else f"<mo>{sign}</mo>" if sign else ""
-        return _math(f"{lead}{number}{_THIN}{self._expression(text, _PRODUCT)}")
+        between = "<mo>·</mo>" if re.match(r"[\d.]+(?!\d*/)", text) else _THIN
+        return _math(f"{lead}{number}{between}{self._expression(text, _PRODUCT)}")
 
     def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
         head, subscript = self._parts[coordinate]
-        # A combining dot in the letter: without a mathematical font, an accent in <mover> strikes through it.
-        # The style sheet makes the letter italic; MathML by itself would take it from another font.
-        if len(head) == 1:
-            base = f'<mi class="q" mathvariant="normal">{escape(head + _MARKS[derivative])}</mi>'
-        else:
-            base = f"<mi>{escape(head)}</mi>"
-            base = f"<mover>{base}<mo>{'.' * derivative}</mo></mover>" if derivative else base
+        # Single letters are made italic by the style sheet: MathML itself takes them from another font where
+        # there is no mathematical one. A full stop above a strut is the one dot that no browser puts into
+        # the letter, and an exponent belongs beside the letter, not above the dot.
+        tag = 'mi class="q" mathvariant="normal"' if len(head) == 1 else "mi"
+        base = f"<{tag}>{escape(head)}</mi>"
+        if derivative:
+            dots = f'<mrow class="dot"><mspace depth="0.05em"/><mo>{"." * derivative}</mo></mrow>'
+            base = f"<mover>{base}{dots}</mover>"
+            base = f'<mpadded height="0.8em">{base}</mpadded>' if power else base
         if subscript:
             tag = "mn" if subscript.isdecimal() else "mtext"
             low = f"<{tag}>{escape(subscript)}</{tag}>"
@@ -116,7 +114,9 @@ class Notation:
 
     def _node(self, node: ast.expr) -> tuple[str, int]:
         if isinstance(node, ast.Constant):
-            return _number(f"{node.value:.12g}" if isinstance(node.value, float) else str(node.value)), _POWER + 1
+            return _number(
+                f"{node.value:.12g}" if isinstance(node.value, float) else str(node.value)
+            ), _POWER + 1
         if isinstance(node, ast.Name):
             return self._name(node.id), _POWER + 1
         if isinstance(node, ast.UnaryOp):
@@ -138,8 +138,7 @@ class Notation:
     def _call(self, name: str, argument: ast.expr, power: str = "") -> str:
         inner = self._at(0, argument)
         if name in ("sqrt", "abs"):
-            bar = '<mo stretchy="true">|</mo>'
-            body = f"<msqrt>{inner}</msqrt>" if name == "sqrt" else f"<mrow>{bar}{inner}{bar}</mrow>"
+            body = f"<msqrt>{inner}</msqrt>" if name == "sqrt" else _fenced("|", inner, "|")
             return f"<msup>{body}{power}</msup>" if power else body
         function = f"<mi>{escape(name)}</mi>"
         function = f"<msup>{function}{power}</msup>" if power else function
@@ -191,7 +190,20 @@ def number_parts(value: float, standard_error: float) -> tuple[str, str, str]:
 def _split(name: str) -> tuple[str, str]:
     """Head and subscript of a name: theta_arm2 -> θ and arm,2."""
     head, *rest = re.findall(r"\d+|[^\W\d_]+", name) or [name]
-    return _GREEK.get(head, unicodedata.normalize("NFC", head)), ",".join(_GREEK.get(r, r) for r in rest)
+    return _letter(head), ",".join(_letter(part) for part in rest)
+
+
+def _letter(word: str) -> str:
+    """The Greek letter of this name, or the word itself."""
+    size = {word.lower(): "SMALL", word.capitalize(): "CAPITAL"}.get(word)
+    if size is None or len(word) == 1:
+        return word
+    try:
+        return unicodedata.lookup(
+            f"GREEK {size} LETTER {'LAMDA' if word.lower() == 'lambda' else word.upper()}"
+        )
+    except KeyError:
+        return word
 
 
 def _math(body: str) -> Markup:
@@ -202,11 +214,17 @@ def _number(text: str) -> str:
     mantissa, _, exponent = text.partition("e")
     if not exponent:
         return f"<mn>{escape(mantissa)}</mn>"
-    return f"<mrow><mn>{escape(mantissa)}</mn><mo>×</mo><msup><mn>10</mn><mn>{int(exponent)}</mn></msup></mrow>"
+    return (
+        f"<mrow><mn>{escape(mantissa)}</mn><mo>×</mo><msup><mn>10</mn><mn>{str(int(exponent)).replace('-', '−')}</mn></msup></mrow>"
+    )
 
 
 def _parentheses(body: str) -> str:
-    return f'<mrow><mo stretchy="true">(</mo>{body}<mo stretchy="true">)</mo></mrow>'
+    return _fenced("(", body, ")")
+
+
+def _fenced(left: str, body: str, right: str) -> str:
+    return f'<mrow><mo form="prefix">{left}</mo>{body}<mo form="postfix">{right}</mo></mrow>'
 
 
 def _starts_with_number(node: ast.expr) -> bool:

@@ -41,7 +41,9 @@ def render(model: LagrangianModel, validation: ForecastResult | None, command: s
         return template.render(style=style, **_context(model, validation, command))
 
 
-def _context(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> dict[str, Any]:
+def _context(
+    model: LagrangianModel, validation: ForecastResult | None, command: str | None
+) -> dict[str, Any]:
     diagnostics = model.diagnostics
     assert diagnostics is not None
     notation, series = Notation(model.coordinates), Series(model)
@@ -71,6 +73,7 @@ def _context(model: LagrangianModel, validation: ForecastResult | None, command:
         "notes": diagnostics.notes,
         "plain": tables.plain,
         "has_units": "units" in units,
+        "has_angles": "rad" in units,
         "command": command or _call(options),
         "given_command": command is not None,
         "options": tables.option_rows(options),
@@ -87,7 +90,9 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
         {
             "name": name,
             "addends": [
-                notation.addend(t.expression, t.coefficient, t.standard_error, "known" if t.known else "", k == 0)
+                notation.addend(
+                    t.expression, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
+                )
                 for k, t in enumerate(terms)
             ],
         }
@@ -98,6 +103,7 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
 
 def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     path = model.diagnostics.path if model.diagnostics else ()
+    path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
     if not any(point.chosen for point in path):
         return {"path": [], "path_figure": None, "runner_up": None}
     rivals = [point for point in path if not point.chosen]
@@ -107,7 +113,9 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
         "path": rows,
         "n_hidden": len(path) - len(rows),
         "path_figure": figures.path_figure(path),
-        "runner_up": None if best is None else {"bic": best.bic, "text": f"{best.bic:.1f}", "n_terms": best.n_terms},
+        "runner_up": None
+        if best is None
+        else {"bic": best.bic, "text": tables.plain(best.bic), "n_terms": best.n_terms},
     }
 
 
@@ -117,7 +125,7 @@ def _energy(series: Series) -> dict[str, Any]:
     if series.trial >= len(everything):
         everything[-1] = Energy.of(series, series.trial)
     shown = everything[min(series.trial, len(everything) - 1)]
-    if not all(np.isfinite([*e.total, *e.expected]).all() for e in everything):
+    if not all(energy.finite for energy in everything):
         return {"energy": None}
     balance = bool(model.dissipation) or data.driven
     floor = float(shown.potential.min())
@@ -150,7 +158,14 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
             "status": trace.status,
             "reason": trace.reason,
             "figures": [
-                figures.forecast_panel(trace, i, notation.text(result.coordinates[i]), units[i], f"forecast{k}-{i}")
+                figures.forecast_panel(
+                    trace,
+                    i,
+                    result.noise_std[i],
+                    notation.text(result.coordinates[i]),
+                    units[i],
+                    f"forecast{k}-{i}",
+                )
                 for i in range(n_drawn)
             ],
         }
@@ -180,14 +195,16 @@ def _typical_starts(result: ForecastResult) -> list[tuple[str, ForecastTrace]]:
     ranked = sorted(result.traces, key=size)
     picks = {0: "smallest error", len(ranked) - 1: "largest error", len(ranked) // 2: "median error"}
     if len(ranked) < 3:
-        picks = {k: "forecast" for k in range(len(ranked))}
+        picks = dict.fromkeys(range(len(ranked)), "forecast")
     return [(picks[k], ranked[k]) for k in sorted(picks)]
 
 
 def _call(options: Mapping[str, Any]) -> str:
     """The call of discover() that the options describe."""
-    arguments = [f"{name}={value!r}" for name, value in options.items() if value not in ({}, [], ())]
-    return f"leastaction.discover({', '.join(['trajectories', 'library', *arguments])})"
+    given = [f"{name}={value!r}" for name, value in options.items() if value not in ({}, [], ())]
+    return (
+        "leastaction.discover(\n" + "".join(f"    {a},\n" for a in ["trajectories", "library", *given]) + ")"
+    )
 
 
 def _versions() -> str:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import sympy as sp
 
+from leastaction._diagnostics import Diagnostics
 from leastaction._mechanics import state_symbols
 from leastaction._model import LagrangianModel
-from leastaction._trajectory import Trajectory
+from leastaction._trajectory import Trajectories, Trajectory
 
-__all__ = ["Energy", "Series", "thin_line", "thin_points"]
+__all__ = ["Energy", "Series", "legible_samples", "sample_times", "thin_line", "thin_points"]
 
 _ZOOM_SAMPLES = (100, 260)  # fewest and most sampling intervals of the zoom
 _LINE_POINTS = 900
@@ -33,7 +34,7 @@ class Series:
         return int(np.argmax([t.n_samples for t in self.trajectories]))
 
     @property
-    def trajectories(self):
+    def trajectories(self) -> Trajectories:
         return _diagnostics(self.model).trajectories
 
     @property
@@ -104,6 +105,10 @@ class Energy:
         return self.total - self.potential
 
     @property
+    def finite(self) -> bool:
+        return bool(np.isfinite([self.total, self.potential, self.expected]).all())
+
+    @property
     def imbalance(self) -> float:
         """Root mean square of total − expected, in units of the mean kinetic energy."""
         scale = float(np.abs(self.kinetic).mean())
@@ -145,7 +150,7 @@ def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tup
         return t, y
     edges = np.linspace(0, t.size, n_points // 2 + 1).astype(int)
     keep = {0, t.size - 1}
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
+    for a, b in pairwise(edges):
         part = y[a:b]
         if np.isfinite(part).any():
             keep |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
@@ -164,9 +169,15 @@ def thin_points(t: np.ndarray, y: np.ndarray, n_points: int = _DOTS) -> tuple[np
     return t[index], y[index]
 
 
-def _diagnostics(model: LagrangianModel):
-    assert model.diagnostics is not None  # write_report has checked it
-    return model.diagnostics
+def legible_samples(t: np.ndarray, y: np.ndarray, noise_std: float) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Samples to draw with a line, and whether above it: where noise cannot be seen, a few of them above."""
+    there = np.isfinite(y)
+    t, y = t[there], y[there]
+    quiet = bool(t.size > 1 and noise_std < 0.015 * np.ptp(y))
+    if not quiet:
+        return *thin_points(t, y), False
+    step = -(-t.size // 40)
+    return t[::step], y[::step], True
 
 
 def sample_times(start: float, stop: float, n_times: int) -> np.ndarray:
@@ -174,6 +185,6 @@ def sample_times(start: float, stop: float, n_times: int) -> np.ndarray:
     return np.linspace(start, stop, int(min(max(n_times, 2), 20_000)))
 
 
-def coordinate_scale(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Standard deviation of each coordinate over all trials."""
-    return np.nanstd(np.concatenate(values), axis=0)
+def _diagnostics(model: LagrangianModel) -> Diagnostics:
+    assert model.diagnostics is not None  # write_report has checked it
+    return model.diagnostics

@@ -1,7 +1,7 @@
-"""Matplotlib axes as small inline SVG: colours from the page's style sheet, text as text, no identifiers left over.
+"""Matplotlib axes as small inline SVG: colours from the page's style sheet, text as text.
 
-Colours are drawn as stand-ins and replaced by CSS variables afterwards, so that one figure serves light, dark and
-paper.
+Colours are drawn as stand-ins and replaced by CSS variables afterwards, so that one figure serves light,
+dark and paper.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from html import escape
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib
@@ -34,7 +35,7 @@ _COLOUR = re.compile("|".join(_VARIABLES))
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _TICK, _LABEL = 11.0, 12.0  # px
 _TOP, _RIGHT, _BOTTOM, _LEFT = 26.0, 10.0, 36.0, 40.0
-_STYLE = {
+_STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "leastaction",
     "text.parse_math": False,
@@ -84,7 +85,15 @@ def panel(width: float = 340, height: float = 210) -> Axes:
     return axes
 
 
-def dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, size: float = 2.4, alpha: float = 1.0) -> None:
+def dots(
+    axes: Axes,
+    x: np.ndarray,
+    y: np.ndarray,
+    colour: str,
+    size: float,
+    alpha: float = 1.0,
+    above: bool = False,
+) -> None:
     """Scatter as one path of round caps: a tenth of the markup of markers."""
     there = np.isfinite(x) & np.isfinite(y)
     points = np.column_stack([x[there], y[there]])
@@ -92,7 +101,13 @@ def dots(axes: Axes, x: np.ndarray, y: np.ndarray, colour: str, size: float = 2.
         return
     path = Path(np.repeat(points, 2, axis=0), np.tile([Path.MOVETO, Path.LINETO], len(points)))
     path.should_simplify = False
-    style = {"edgecolor": COLOURS[colour], "lw": size, "alpha": alpha, "capstyle": "round", "zorder": 2}
+    style = {
+        "edgecolor": COLOURS[colour],
+        "lw": size,
+        "alpha": alpha,
+        "capstyle": "round",
+        "zorder": 3 if above else 1.9,
+    }
     axes.add_patch(PathPatch(path, fill=False, snap=False, **style))
     axes.update_datalim(points)
     axes.autoscale_view()
@@ -102,8 +117,8 @@ def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> Non
     """Write the quantity above the upright axis and below the other, a common power of ten with the unit."""
     y_power = _power_of_ten(axes.yaxis)
     x_power = _power_of_ten(axes.xaxis)
-    figure = axes.get_figure()
-    assert figure is not None
+    figure = axes.figure
+    assert isinstance(figure, Figure)
     width, height = figure.get_size_inches() * 72
     low, high = sorted(axes.get_ylim())
     formatter = axes.yaxis.get_major_formatter()
@@ -146,10 +161,12 @@ def inline(axes: Axes, name: str, alt: str) -> Markup:
     alt : str
         What the figure shows, for those who cannot see it.
     """
-    figure = axes.get_figure()
-    assert figure is not None
+    figure = axes.figure
+    assert isinstance(figure, Figure)
     stream = io.BytesIO()
-    figure.savefig(stream, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    figure.savefig(
+        stream, format="svg", transparent=True, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    )
     root = ElementTree.fromstring(stream.getvalue())
     _tidy(root, {}, name)
     box = root.get("viewBox", "")
@@ -185,7 +202,9 @@ def _attribute(tag: str, key: str, value: str, names: dict[str, str]) -> str:
     if key == "clip-path":
         return f"url(#{names[value[5:-1]]})"
     if key == "style":
-        value = re.sub(r"font-family: [^;]*;? ?|stroke-linejoin: miter;? ?|stroke-linecap: square;? ?", "", value)
+        value = re.sub(
+            r"font-family: [^;]*;? ?|stroke-linejoin: miter;? ?|stroke-linecap: square;? ?", "", value
+        )
         return _COLOUR.sub(lambda m: _VARIABLES[m[0]], value).replace("; ", ";").replace(": ", ":")
     if key == "transform" and value.startswith("rotate(-0 "):
         return ""

@@ -67,7 +67,11 @@ def coefficient_rows(model: LagrangianModel, notation: Notation) -> list[dict[st
         for term in terms:
             error = term.standard_error
             value, spread, exponent = number_parts(term.coefficient, error)
-            power = f" × 10{exponent.translate(str.maketrans('−', '-')).translate(_SUPERSCRIPTS)}" if exponent else ""
+            power = (
+                f" × 10{exponent.translate(str.maketrans('−', '-')).translate(_SUPERSCRIPTS)}"
+                if exponent
+                else ""
+            )
             ends = [_typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
             rows.append(
                 {
@@ -77,11 +81,17 @@ def coefficient_rows(model: LagrangianModel, notation: Notation) -> list[dict[st
                     "value": value + power,
                     "error": spread + power if spread else "",
                     "interval": " … ".join(ends),
-                    "z": "" if math.isnan(term.z) else _typeset(f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.6g}"),
+                    "z": _z_text(term.z),
                     "known": term.known,
                 }
             )
     return rows
+
+
+def _z_text(z: float) -> str:
+    if math.isnan(z):
+        return ""
+    return _typeset(f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}")
 
 
 def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
@@ -137,7 +147,7 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
 def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 14) -> list[dict[str, Any]]:
     """Structures of the path and what differs from the chosen one; sizes far from it are left out."""
     chosen = next(point for point in path if point.chosen)
-    near = sorted(path, key=lambda p: (abs(p.n_terms - chosen.n_terms), p.bic))[:limit]
+    near = sorted(path, key=lambda p: (not p.chosen, abs(p.n_terms - chosen.n_terms), p.bic))[:limit]
     return [
         {
             "n_terms": point.n_terms,
@@ -169,7 +179,10 @@ def trial_rows(series: Series) -> list[dict[str, Any]]:
         key = (trial.n_times, plain(trial.duration, 4), sampling, trial.q.size - trial.n_samples, forces)
         rows.setdefault(key, []).append(name)
     return [
-        {**dict(zip(("times", "duration", "step", "missing", "forces"), key, strict=True)), "names": _listed(names)}
+        {
+            **dict(zip(("times", "duration", "step", "missing", "forces"), key, strict=True)),
+            "names": _listed(names),
+        }
         for key, names in rows.items()
     ]
 
@@ -226,7 +239,9 @@ def option_rows(options: Mapping[str, Any]) -> list[tuple[str, str]]:
     rows = []
     for name, value in options.items():
         if isinstance(value, Mapping):
-            text = ", ".join(f"{k} = {v:g}" if isinstance(v, float) else f"{k} = {v}" for k, v in value.items())
+            text = ", ".join(
+                f"{k} = {v:g}" if isinstance(v, float) else f"{k} = {v}" for k, v in value.items()
+            )
         elif isinstance(value, (list, tuple)):
             text = ", ".join(map(str, value))
         else:

@@ -63,10 +63,12 @@ def demo(ctx: click.Context, system: str, output: str) -> None:
     library = leastaction.Library(
         chosen.candidates, chosen.coordinates, angles=chosen.coordinates, dissipation=chosen.dissipation
     )
-    with live_progress("preparing") as progress:
+    with live_progress("prepare") as progress:
         model = leastaction.discover(fitted, library, known=chosen.known, progress=progress)
+        progress("forecast", {})
         published = published_model(chosen, model)
         forecasts = {"found": model.validate(held_out), "published": published.validate(held_out)}
+        progress("report", {})
         write_outputs(folder, model, forecasts["found"], command_line(ctx))
     say()
     _show_coefficients(chosen, model)
@@ -108,11 +110,11 @@ def published_model(chosen: Demo, like: LagrangianModel) -> LagrangianModel:
 def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
     """Print the coefficients, found and published; "-" where a term is not in a model."""
     rows = [("term", "found", "published", "difference", "z")]
-    sections = []
+    headings = {}
     kinds = ((model.terms, chosen.published), (model.dissipation, chosen.published_dissipation))
     for terms, published in kinds:
         if terms is model.dissipation:
-            sections.append(len(rows))
+            headings[len(rows)] = "friction, psi:"
         for term in terms:
             there = published.get(term.expression)
             z = "" if term.known else f"{term.z:.0f}"
@@ -125,8 +127,7 @@ def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
         rows += [
             (text, "-", f"{value:.5g}", "", "") for text, value in published.items() if text not in found
         ]
-    show_table(rows, sections)
-    say("Below the rule: friction. z is coefficient over standard error.")
+    show_table(rows, headings)
 
 
 def _show_forecasts(forecasts: dict[str, ForecastResult]) -> None:

@@ -91,9 +91,9 @@ def discover(
     options = DataOptions.of(data, coordinates, time, trial, forces, angles)
     with blame("--known"):
         given = known_coefficients(known)
+    fitted, held_out = _split(options.read(), hold_out)
     candidates = _library(library, options, dissipation)
     _check_known(candidates, given)
-    fitted, held_out = _split(options.read(), hold_out)
     if not given and not fitted.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
@@ -101,9 +101,11 @@ def discover(
         )
     import leastaction
 
-    with live_progress("preparing") as progress:
+    with live_progress("prepare") as progress:
         model = leastaction.discover(fitted, candidates, known=given, method=method, progress=progress)
+        progress("forecast", {})
         forecast = _forecast(model, held_out)
+        progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
     show_model(model)
     if forecast is not None:
@@ -149,7 +151,7 @@ def _library(source: str, options: DataOptions, dissipation: str | None) -> Libr
 
 
 def _check_known(library: Library, known: dict[str, float]) -> None:
-    """Refuse a known term that is not in the library before the data are read."""
+    """Refuse a known term that is not in the library, and name the option."""
     for expression in known:
         try:
             library.index(expression)

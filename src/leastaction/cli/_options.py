@@ -181,8 +181,13 @@ class DataOptions:
 
 
 def _by_name(text: str) -> dict[str, str]:
-    given = column_map(text)
-    return given if isinstance(given, dict) else {name: name for name in name_list(text)}
+    """Return coordinate -> column; a coordinate without ``=column`` has the name of its column."""
+    parts = [tuple(side.strip() for side in part.split("=", 1)) for part in text.split(",")]
+    names = name_list(",".join(part[0] for part in parts))
+    for part in parts:
+        if not part[-1]:
+            raise InputError(f"the column of {quoted(part[0])} is missing; write name=column")
+    return {name: part[-1] for name, part in zip(names, parts, strict=True)}
 
 
 def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +28,8 @@ _STAGES = {
     "select": "choosing terms",
     "knots": "refining knots",
     "verify": "verifying",
+    "forecast": "forecasting",
+    "report": "writing the report",
 }
 
 _DETAILS = {
@@ -48,17 +50,17 @@ def warn(text: str) -> None:
 
 
 @contextmanager
-def live_progress(what: str) -> Iterator[Callable[[str, dict], None] | None]:
-    """Show stage and numbers of a running discovery in one line of the terminal; None where there is none."""
+def live_progress(stage: str) -> Iterator[Callable[[str, dict], None]]:
+    """Give a function that shows the stage and its numbers in one line of the terminal, if there is one."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda stage, details: None
         return
     from rich.console import Console
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(what)
+        task = progress.add_task(describe(stage, {}))
         yield lambda stage, details: progress.update(task, description=describe(stage, details))
 
 
@@ -78,11 +80,11 @@ def describe(stage: str, details: dict[str, Any]) -> str:
     return _STAGES.get(stage, stage) + (": " + ", ".join(parts) if parts else "")
 
 
-def show_table(rows: Rows, sections: Sequence[int] = ()) -> None:
+def show_table(rows: Rows, headings: Mapping[int, str] | None = None) -> None:
     """Print a table whose first row is the header.
 
     In a terminal that is wide enough for its numbers it is laid out to fit; elsewhere every row is one line
-    of plain text. A rule stands before each of the rows in `sections`.
+    of plain text. `headings` maps the number of a row to a line before it.
     """
     if sys.stdout.isatty():
         from rich.console import Console
@@ -91,16 +93,16 @@ def show_table(rows: Rows, sections: Sequence[int] = ()) -> None:
         # Beside the first column, which folds, nothing may be cut: a number without its end is wrong.
         numbers = sum(max(len(row[i]) for row in rows) + 2 for i in range(1, len(rows[0])))
         if console.width >= numbers + 16:
-            console.print(_rich_table(rows, sections))
+            console.print(_rich_table(rows, headings or {}))
             return
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for k, row in enumerate(rows):
-        if k in sections:
-            say("-" * (sum(widths) + 2 * len(widths) - 2))
+        if headings and k in headings:
+            say(headings[k])
         say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
-def _rich_table(rows: Rows, sections: Sequence[int]):
+def _rich_table(rows: Rows, headings: Mapping[int, str]):
     from rich import box
     from rich.table import Table
     from rich.text import Text
@@ -109,7 +111,9 @@ def _rich_table(rows: Rows, sections: Sequence[int]):
     for i, name in enumerate(rows[0]):
         table.add_column(Text(name), no_wrap=i > 0, overflow="fold")
     for k, row in enumerate(rows[1:], start=1):
-        table.add_row(*(Text(cell) for cell in row), end_section=k + 1 in sections)
+        if k in headings:
+            table.add_row(Text(headings[k], style="italic"))
+        table.add_row(*(Text(cell) for cell in row))
     return table
 
 
@@ -140,9 +144,7 @@ def show_model(model: LagrangianModel) -> None:
             ends = " … ".join(rounded(end, term.standard_error) for end in (term.lower, term.upper))
             z = f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}"
         rows.append((term.expression, with_error(term), ends, z))
-    show_table(rows, [len(model.terms) + 1] if model.dissipation else [])
-    if model.dissipation:
-        say("Below the rule: friction, the terms of psi.")
+    show_table(rows, {len(model.terms) + 1: "friction, psi:"} if model.dissipation else None)
     say()
     show_fit(model)
 

@@ -145,7 +145,7 @@ def validate(
     found = leastaction.load(model)
     options = DataOptions.of(data, coordinates, time, trial, forces, angles, default=found.coordinates)
     trajectories = options.in_order_of(found.coordinates).read()
-    with live_progress("forecasting"):
+    with live_progress("forecast"):
         result = found.validate(trajectories, length)
     if found.fit.status != "ok":
         warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")

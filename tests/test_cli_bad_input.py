@@ -1,0 +1,503 @@
+"""The command line on bad input: the right exit code, one readable line, and nothing written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import leastaction
+from leastaction import systems
+from leastaction.cli import program
+
+LINES = [f"{k / 50!r},{np.cos(k / 9):.6f},{np.sin(k / 20):.6f}" for k in range(100)]
+SPRING = {
+    "schema": 1,
+    "coordinates": ["x"],
+    "terms": [
+        {"expression": "x_dot**2", "coefficient": 0.5, "standard_error": 0.0, "known": True},
+        {"expression": "x**2", "coefficient": -2.0, "standard_error": 0.1, "known": False},
+    ],
+    "dissipation": [],
+    "noise_std": [0.01],
+    "fit": {"status": "ok", "chi2_per_sample": 1.0, "physics_weight": [1.0], "warnings": []},
+    "provenance": {},
+}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    """Work in an empty directory that holds good data, a library and a model."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("LEASTACTION_DEBUG", raising=False)
+    table(LINES)
+    (tmp_path / "lib.txt").write_text("x_dot**2\nx**2\n", encoding="utf-8")
+    (tmp_path / "model.json").write_text(json.dumps(SPRING), encoding="utf-8")
+    return tmp_path
+
+
+def table(lines, name="run.csv", header="t,x,tau"):
+    with open(name, "w", encoding="utf-8") as file:
+        file.write("\n".join([header, *lines]) + "\n")
+    return name
+
+
+def snapshot(folder):
+    return {p: p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
+
+
+def fails(code, *args, says=()):
+    """Run a command that must fail, and return its message."""
+    folder = os.getcwd()
+    before = snapshot(Path(folder))
+    result = CliRunner().invoke(program, [str(a) for a in args])
+    assert result.exit_code == code, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("error: ")
+    assert result.stderr.count("\n") == 1
+    assert len(result.stderr) < 600
+    assert result.stderr[:-1].isprintable()
+    for text in (says,) if isinstance(says, str) else says:
+        assert text in result.stderr
+    assert snapshot(Path(folder)) == before
+    return result.stderr
+
+
+def discover(code, *more, data="run.csv", coordinates="x", says=()):
+    """Run a discovery that must fail; later options replace earlier ones."""
+    options = [
+        "--coordinates",
+        coordinates,
+        "--known",
+        "x_dot**2=0.5",
+        "--library",
+        "lib.txt",
+        "--output",
+        "out",
+    ]
+    return fails(code, "discover", data, *options, *more, says=says)
+
+
+def test_the_good_input_is_good():
+    args = [
+        "run.csv",
+        "--coordinates",
+        "x",
+        "--library",
+        "lib.txt",
+        "--known",
+        "x_dot**2=0.5",
+        "--output",
+        "out",
+    ]
+    result = CliRunner().invoke(program, ["discover", *args])
+    assert result.exit_code == 0, result.output
+
+
+def test_file_is_missing():
+    discover(2, data="none.csv", says=("none.csv", "no such file"))
+    discover(2, data=".", says="directory")
+    discover(2, data="model.json", says=("model.json", "suffix"))
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "more", "says"),
+    [
+        ("theta", (), ("run.csv", "'theta'", "x")),
+        ("x", ("--time", "time"), ("run.csv", "'time'")),
+        ("x", ("--trial", "nr"), ("run.csv", "'nr'")),
+        ("x", ("--forces", "tau2"), ("run.csv", "'tau2'", "'tau'")),
+        ("x=X", (), ("run.csv", "'X'")),
+    ],
+)
+def test_column_is_missing(coordinates, more, says):
+    discover(2, *more, coordinates=coordinates, says=says)
+
+
+def test_text_in_a_number():
+    discover(2, data=table([*LINES[:7], "0.14,abc,0", *LINES[8:]]), says=("run.csv", "line 9", "'x'", "abc"))
+
+
+def test_empty_file_and_header_only():
+    Path("empty.csv").touch()
+    discover(2, data="empty.csv", says=("empty.csv", "empty"))
+    discover(2, data=table([], "header.csv"), says=("header.csv", "no data"))
+
+
+def test_times():
+    discover(2, data=table([*LINES[:5], LINES[7], LINES[6]]), says=("line 8", "'t'", "backwards", "--trial"))
+    discover(2, data=table([*LINES[:5], LINES[4]]), says=("line 7", "'t'", "repeats"))
+
+
+def test_infinity():
+    discover(2, data=table([*LINES[:5], "0.1,inf,0", *LINES[6:]]), says=("line 7", "'x'", "infinite"))
+    discover(2, data=table([*LINES[:5], "nan,1,0", *LINES[6:]]), says=("line 7", "'t'", "missing"))
+
+
+def test_data_that_support_no_model():
+    discover(1, data=table([f"{k},1.5,0" for k in range(50)]), says=("'x'", "constant"))
+    discover(1, data=table(LINES[:4]), says=("run.csv", "4 sample"))
+    discover(1, data=table(LINES[:12]), says="at least 20")
+
+
+def test_undefined_candidate_is_the_fault_of_the_data():
+    Path("root.txt").write_text("x_dot**2\nx**2\nsqrt(x - 5)", encoding="utf-8")
+    discover(1, "--library", "root.txt", says="sqrt(x-5)")
+
+
+def test_numerical_failure(monkeypatch):
+    def singular(*args, **options):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(leastaction, "discover", singular, raising=False)
+    discover(1, says=("LinAlgError", "Singular matrix"))
+
+    def greedy(*args, **options):
+        raise MemoryError
+
+    monkeypatch.setattr(leastaction, "discover", greedy, raising=False)
+    discover(1, says="memory")
+
+
+def test_lengths_of_arrays_differ():
+    np.savez("run.npz", t=np.arange(50.0), x=np.ones(49))
+    discover(2, data="run.npz", says=("run.npz", "49", "50"))
+
+
+def test_same_file_twice():
+    fails(2, "discover", "run.csv", "run.csv", "--coordinates", "x", "--library", "lib.txt",
+          "--known", "x**2=1", "--output", "out", says="twice")  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("sinh(x)", "sinh"),
+        ("y**2", "'y'"),
+        ("x +", "cannot read"),
+        ("x = 1", "not an equation"),
+        ("x.__class__", "column 2"),
+        ("__import__('os').system('touch hacked')", "cannot read"),
+        ("(lambda: x)()", "cannot read"),
+        ("x[0]", "cannot read"),
+        ("cos(x, x)", "one argument"),
+        ("x**1000000000", "cannot read"),
+        ("9**9**9**9**9", "cannot read"),
+        ("x**(2**40)", "cannot read"),
+        ("(" * 5000 + "x" + ")" * 5000, "at most 2000"),
+        ("-" * 1500 + "x", "cannot read"),
+        ("cos(" * 200 + "x" + ")" * 200, "cannot read"),
+        ("x\x00y", "cannot read"),
+    ],
+)
+def test_hostile_library(line, says):
+    Path("bad.txt").write_text(f"x_dot**2\n# comment\n{line}\n", encoding="utf-8")
+    message = discover(2, "--library", "bad.txt", says="--library: bad.txt:3: ")
+    assert says in message
+    if len(line) < 1000:
+        discover(2, "--known", f"{line}=1", says="--known: ")
+
+
+def test_library_file():
+    discover(2, "--library", "none.txt", says=("--library", "none.txt", "check the path"))
+    Path("empty.txt").write_text("# nothing\n", encoding="utf-8")
+    discover(2, "--library", "empty.txt", says=("empty.txt", "no expressions"))
+    Path("bytes.txt").write_bytes(b"x_dot**2\n\xff\xfe\n")
+    discover(2, "--library", "bytes.txt", says=("bytes.txt:2", "UTF-8"))
+    discover(2, "--library", ".", says="--library")
+
+
+def test_library_of_null_terms():
+    Path("null.txt").write_text("3\nx*x_dot\nx_dot\n", encoding="utf-8")
+    options = ["--coordinates", "x", "--forces", "tau", "--library", "null.txt", "--output", "out"]
+    fails(2, "discover", "run.csv", *options, says="no term of the library has an effect")
+    discover(2, "--library", "null.txt", "--known", "x_dot=1", says="--known")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "__class__",
+        "a;b",
+        "x y",
+        "sin",
+        "pi",
+        "x_dot",
+        "lambda",
+        "1x",
+        "x" * 100,
+        "x\x1b[31m",
+        "x\u0301",
+        "",
+        "x,",
+        ",x",
+    ],
+)
+def test_hostile_names_of_coordinates(name):
+    discover(2, coordinates=name, says="--coordinates: ")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--known", "x**3=1"), ("--known: 'x**3' is not among", "near matches", "x**2")),
+        (("--known", "x**2"), ("--known", "EXPR=VALUE")),
+        (("--known", "x**2="), ("--known", "EXPR=VALUE")),
+        (("--known", "x**2=abc"), ("--known", "'abc'")),
+        (("--known", "x**2=inf"), ("--known", "'inf'")),
+        (("--known", "x**2=1e999"), ("--known", "'1e999'")),
+        (("--known", "x**2=1_0"), ("--known", "'1_0'")),
+        (("--known", "x_dot**2=1"), ("--known", "twice")),
+        (("--dissipation", "x_dot**2/2,"), ("--dissipation", "empty")),
+        (("--dissipation", "evil(x)"), ("--dissipation", "evil")),
+        (("--forces", "tau,tau"), ("--forces", "2 columns")),
+        (("--forces", "y=tau"), ("--forces", "'y'")),
+        (("--forces", "x="), ("--forces", "incomplete")),
+        (("--angles", "y"), ("--angles", "'y'")),
+        (("--coordinates", "x,x"), ("--coordinates", "twice")),
+        (("--coordinates", "x=a,x=b"), ("--coordinates", "twice")),
+        (("--coordinates", "x="), ("--coordinates", "missing")),
+        (("--forces", "x=tau,tau"), ("--forces", "mixes")),
+        (("--method", "magic"), ("'magic'", "gauss-newton")),
+        (("--seed", "-1"), ("--seed", "discover --help")),
+        (("--seed", "one"), ("--seed", "discover --help")),
+        (("--hold-out", "0"), ("--hold-out", "at least 1")),
+        (("--hold-out", "1"), ("--hold-out", "at least 1")),
+        (("--hold-out", "99999999999999999999"), "--hold-out"),
+        (("--hold-out", "second"), ("--hold-out", "'second'")),
+        (("--hold-out", "run"), ("--hold-out", "all trials")),
+        (("--frobnicate",), ("--frobnicate", "discover --help")),
+    ],
+)
+def test_options_of_discover(options, says):
+    discover(2, *options, says=says)
+
+
+def test_passive_system_needs_a_known_term():
+    args = ["run.csv", "--coordinates", "x", "--library", "lib.txt", "--output", "out"]
+    fails(2, "discover", *args, says=("no force acts", '--known "x_dot**2=1"', "--forces"))
+
+
+def test_options_that_are_missing():
+    fails(2, "discover", "--output", "out", "--coordinates", "x", says=("DATA", "--help"))
+    fails(2, "discover", "run.csv", "--output", "out", says="--coordinates")
+    fails(2, "discover", "run.csv", "--coordinates", "x", says="--output")
+    fails(2, "discovr", says=("discovr", "leastaction --help"))
+    fails(2, "simulate", "model.json", says="--initial")
+
+
+def test_output_is_a_file_or_below_one():
+    discover(2, "--output", "lib.txt", says=("lib.txt is a file", "directory"))
+    discover(2, "--output", "lib.txt/out", says=("lib.txt/out", "is a file"))
+    discover(2, "--output", "", says="output path is empty")
+    Path("there/report.html").mkdir(parents=True)
+    discover(2, "--output", "there", says=("report.html", "is a directory"))
+    for args in (
+        ("generate", "single_pendulum", "--duration", 1),
+        ("simulate", "model.json", "--initial", "x=1", "--duration", 1, "--rate", 10),
+        ("export", "model.json", "--format", "c"),
+    ):
+        fails(2, *args, "--output", "there", says=("there", "is a directory"))
+        fails(2, *args, "--output", "lib.txt/file", says="lib.txt")
+    fails(2, "validate", "model.json", "run.csv", "--json", "there", says="is a directory")
+
+
+def test_output_without_the_right_to_write(monkeypatch):
+    if os.name != "nt" and os.geteuid() != 0:
+        Path("locked").mkdir(mode=0o500)
+    else:  # an administrator may write anywhere
+        Path("locked").mkdir()
+        allowed = os.access
+        monkeypatch.setattr(
+            os, "access", lambda path, mode: "locked" not in str(path) and allowed(path, mode)
+        )
+    discover(2, "--output", "locked", says=("locked", "no right to write", "choose another"))
+    fails(
+        2, "generate", "single_pendulum", "--duration", 1, "-o", "locked/a.csv", says=("locked", "no right")
+    )
+
+
+def test_disk_is_full_at_the_end(monkeypatch):
+    def full(*args):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    discover(2, "--forces", "tau", "--output", "new/out", says=("cannot be written", "No space left"))
+
+
+def test_other_errors_of_the_system(monkeypatch):
+    def refuse(*args, **options):
+        raise PermissionError(errno.EACCES, "Permission denied", "secret.csv")
+
+    monkeypatch.setattr(systems, "generate", refuse)
+    fails(2, "generate", "single_pendulum", "-o", "a.csv", says="secret.csv: Permission denied")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"schema": 2}, ("schema", "newer version")),
+        ({"schema": "1"}, "schema"),
+        ({"coordinates": ["__class__"]}, "__class__"),
+        ({"coordinates": "x"}, "coordinates"),
+        ({"terms": []}, "terms is empty"),
+        (
+            {"terms": [{**SPRING["terms"][0], "expression": "__import__('os').system('touch hacked')"}]},
+            "terms[0]",
+        ),
+        ({"terms": [{**SPRING["terms"][0], "expression": "x**99999999"}]}, "terms[0]"),
+        ({"terms": [{**SPRING["terms"][0], "expression": "(" * 1900 + "x" + ")" * 1900}]}, "terms[0]"),
+        ({"terms": [{**SPRING["terms"][0], "coefficient": "0.5"}]}, "terms[0].coefficient"),
+        ({"terms": [{**SPRING["terms"][0], "coefficient": 10**400}]}, "terms[0].coefficient"),
+        ({"noise_std": [[0.1]]}, "noise_std"),
+        ({"fit": None}, "fit"),
+        ({"extra": 1}, "extra"),
+    ],
+)
+def test_hostile_model(change, says):
+    Path("model.json").write_text(json.dumps({**SPRING, **change}), encoding="utf-8")
+    fails(
+        2,
+        "export",
+        "model.json",
+        "--format",
+        "c",
+        "-o",
+        "m.c",
+        says=("model.json", *((says,) if isinstance(says, str) else says)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (json.dumps(SPRING)[:200], "cut short"),
+        ("", "empty"),
+        ("[1, 2]", "no leastaction model"),
+        ("[" * 100_000, "nested"),
+        ('{"schema": NaN}', "NaN"),
+        ("\xff", ""),
+        (json.dumps({k: v for k, v in SPRING.items() if k != "fit"}), "'fit'"),
+    ],
+)
+def test_model_that_is_no_model(content, says):
+    Path("model.json").write_bytes(content.encode("latin-1"))
+    for args in (
+        ("simulate", "model.json", "--initial", "x=1", "--duration", 1, "--rate", 10, "-o", "r.csv"),
+        ("validate", "model.json", "run.csv"),
+        ("export", "model.json", "--format", "c", "-o", "m.c"),
+    ):
+        fails(2, *args, says=("model.json", says))
+    fails(2, "export", "none.json", "--format", "c", "-o", "m.c", says=("none.json", "no such file"))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--initial", "x"), "name=number"),
+        (("--initial", "x=1,,"), "name=number"),
+        (("--initial", ""), "name=number"),
+        (("--initial", "x=1,x=2"), "twice"),
+        (("--initial", "y=1"), ("'y'", "x, x_dot")),
+        (("--initial", "x=1 2"), "'1 2'"),
+        (("--initial", "x=1e400"), "finite"),
+        (("--initial", "x=__import__('os')"), "not a finite number"),
+        (("--duration", "ten"), ("--duration", "'ten'")),
+        (("--duration", "-1"), ("--duration", "positive")),
+        (("--duration", "0.001"), "second sample"),
+        (("--rate", "0"), ("--rate", "positive")),
+        (("--rate", "1e300"), "samples"),
+    ],
+)
+def test_options_of_simulate(options, says):
+    given = {"--initial": "x=1", "--duration": "1", "--rate": "10", **dict([options])}
+    fails(2, "simulate", "model.json", *(w for pair in given.items() for w in pair), "-o", "r.csv", says=says)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--horizon", "-1"), "--horizon"),
+        (("--horizon", "soon"), "--horizon"),
+        (("--horizon", "1000"), "horizon"),
+        (("--coordinates", "tau"), ("--coordinates", "the model has x")),
+        (("--coordinates", "x,tau"), ("--coordinates", "the model has x")),
+    ],
+)
+def test_options_of_validate(options, says):
+    fails(2, "validate", "model.json", "run.csv", *options, says=says)
+
+
+def test_model_of_other_columns():
+    fails(2, "validate", "model.json", table(LINES, "other.csv", "t,y,tau"), says=("other.csv", "'x'"))
+
+
+def test_unknown_format_and_system():
+    fails(2, "export", "model.json", "--format", "fortran", "-o", "m.f", says=("'fortran'", "latex"))
+    fails(2, "generate", "triple_pendulum", "-o", "a.csv", says=("'triple_pendulum'", "double_pendulum"))
+    fails(2, "demo", "--system", "triple", says=("triple", "double"))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--noise", "loud"), ("--noise", "-1"), ("--noise-convention", "odd"), ("--trials", "0"),
+        ("--trials", "1e3"), ("--duration", "0"), ("--duration", "1e12"), ("--rate", "-5"),
+        ("--missing", "1"), ("--missing", "nan"), ("--seed", "-1"),
+    ],
+)  # fmt: skip
+def test_options_of_generate(options):
+    message = fails(2, "generate", "magnetic_pendulum", *options, "-o", "a.csv")
+    assert options[0].strip("-").replace("-convention", "") in message
+
+
+def test_hostile_file_name_is_shown_without_control_characters():
+    discover(2, data="evil\x1b[2J\n.csv", says="no such file")
+
+
+def test_unexpected_exception(monkeypatch):
+    def burst(*args, **options):
+        raise RuntimeError("boom\nsecond line")
+
+    monkeypatch.setattr(systems, "generate", burst)
+    message = fails(70, "generate", "single_pendulum", "-o", "a.csv", says="RuntimeError: boom second line")
+    assert "report" in message
+    monkeypatch.setenv("LEASTACTION_DEBUG", "1")
+    result = CliRunner().invoke(program, ["generate", "single_pendulum", "-o", "a.csv"])
+    assert result.exit_code == 70
+    assert "Traceback" in result.stderr
+
+
+def test_interrupt(monkeypatch):
+    def interrupt(*args, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(leastaction, "discover", interrupt, raising=False)
+    options = ["--coordinates", "x", "--known", "x_dot**2=1", "--library", "lib.txt", "--output", "out"]
+    result = CliRunner().invoke(program, ["discover", "run.csv", *options])
+    assert (result.exit_code, result.stdout) == (130, "")
+    assert result.stderr == "interrupted: nothing was written\n"
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "code"),
+    [
+        (["discover", "none.csv", "--coordinates", "x", "--known", "x=1", "--output", "out"], 2),
+        (["--frob"], 2),
+    ],
+)
+def test_through_the_shell(args, code):
+    done = subprocess.run(
+        [sys.executable, "-m", "leastaction", *args], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout) == (code, "")
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
