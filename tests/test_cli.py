@@ -136,8 +136,9 @@ def test_discover_replaces_an_earlier_result_and_keeps_other_files(work, tmp_pat
 
 def test_discover_shows_a_doubtful_model(work, tmp_path):
     result = run(
-        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force", "--angles", "theta",
-        "--library", work / "library.txt", "--known", "cos(theta)=1", "--output", tmp_path / "out",
+        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force",
+        "--library", work / "library.txt", "--known", "cos(theta)=1", "--angles", "theta",
+        "--output", tmp_path / "out",
     )  # fmt: skip
     # The known coefficient is too small by a factor of ten, so no inertia fits the known force.
     assert la.load(tmp_path / "out" / "model.json").fit.status == "doubtful"
@@ -443,12 +444,12 @@ def test_describe_knows_the_stages_of_discover():
     said = [
         _show.describe(stage, details)
         for stage, details in (
-            ("prepare", {}), ("search", {"terms": 3, "evidence": 1.0}), ("knots", {"knots_per_second": 16.2}),
+            ("prepare", {}), ("search", {"terms": 1, "evidence": 1.0}), ("knots", {"knots_per_second": 16.2}),
             ("verify", {}), ("other", {"loss": "0.1"}),
         )
     ]  # fmt: skip
     assert said == [
-        "preparing", "searching the weak form: 3 terms, evidence 1.0", "refining knots: 16 knots per second",
+        "preparing", "searching the weak form: 1 term, evidence 1.0", "refining knots: 16 knots per second",
         "verifying", "other: loss 0.1",
     ]  # fmt: skip
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._errors import DataError, InputError
-from leastaction._euler_lagrange import EulerLagrange
+from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library
 from leastaction._model import LagrangianModel
@@ -36,6 +36,7 @@ def discover(
     angles: Iterable[str] | None = None,
     degree: int = 5,
     relevance: float = 0.05,
+    seed: int = 0,
     progress: Progress | None = None,
 ) -> LagrangianModel:
     r"""Find a sparse Lagrangian, and friction, from measured coordinates.
@@ -70,6 +71,8 @@ def discover(
         Share of the equation error's variance that a term must remove to stay. It matters on real hardware
         only, where the library is never exact and every candidate would become significant with enough
         data; 0 asks for significance alone.
+    seed : int
+        Of the simulated noise that the search weighs supports with.
     progress : callable, optional
         Called as ``progress(stage, details)``.
 
@@ -112,8 +115,8 @@ def discover(
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     clock.start("search")
     _check_columns(workspace, prepared)
-    selection = select_structure(workspace, prepared.smooth, clock.report, relevance)
-    if not np.isfinite(selection.structure.evidence):
+    selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)
+    if selection.structure.fit.status == "not finite":
         raise DataError(
             "no combination of these candidates gives finite equations along the data; check the library for "
             "functions that are undefined there, such as log or sqrt of a coordinate that changes sign"
@@ -125,6 +128,7 @@ def discover(
         "method": method,
         "degree": degree,
         "relevance": float(relevance),
+        "seed": int(seed),
         "known": {str(k): float(v) for k, v in (known or {}).items()},
         "dissipation": [t.text for t in prepared.library.dissipation],
         "angles": list(prepared.library.angles if angles is None else angles),
@@ -162,8 +166,6 @@ class _Clock:
 
 def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
     """Refuse candidates that are undefined along the data, by name."""
-    from leastaction._euler_lagrange import Points
-
     states = workspace.grid.at_quadrature(prepared.smooth.control_points)
     values = workspace.columns.strong(Points(*(s[:, 0] for s in states)))
     bad = [t.text for t, v in zip(prepared.columns, values, strict=True) if not np.isfinite(v).all()]

@@ -2,12 +2,13 @@
 
 A support S is judged by
 
-    ρ(S) = min over λ of λᵀ R λ / λᵀ N λ,
+    ρ(S) = min over λ of λᵀ R λ / λᵀ (N + ε S) λ,
 
 the smallest generalised eigenvalue of two small matrices: R is the sum of squared row residuals, N what the
-measurement noise makes of that sum on average.  For the true support ρ is about one, whatever the units and the
-noise; λ is the total-least-squares estimate, free of the bias that noisy columns give to plain least squares. The ratio
-cannot be made small by letting candidates cancel a known term: their noise remains.
+measurement noise makes of that sum on average, and ε the squared relative size of the equation error.  For the
+true support ρ is about one, whatever the units and the noise; λ is the total-least-squares estimate, free of the
+bias that noisy columns give to plain least squares.  The ratio cannot be made small by letting candidates
+cancel a known term: their noise remains.
 """
 
 from __future__ import annotations
@@ -39,11 +40,12 @@ class Support:
 class _Scaled:
     """Both matrices with unit diagonal of the reference, so that a ridge means the same for every column."""
 
-    def __init__(self, gram: WeakGram) -> None:
-        scale = 1.0 / np.sqrt(np.clip(np.diag(gram.reference), 1e-300, None))
+    def __init__(self, gram: WeakGram, error: float) -> None:
+        reference = gram.noise + error * gram.size
+        scale = 1.0 / np.sqrt(np.clip(np.diag(reference), 1e-300, None))
         self.scale = scale
         self.residual = gram.residual * np.outer(scale, scale)
-        self.reference = gram.reference * np.outer(scale, scale)
+        self.reference = reference * np.outer(scale, scale)
         self.known = self.residual.shape[0] - 1
 
     def extended(self, supports: np.ndarray) -> np.ndarray:
@@ -84,14 +86,19 @@ def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np
 
 
 def beam_search(
-    gram: WeakGram, penalty: float, n_rows: float, max_size: int, width: int = 8
+    gram: WeakGram, error: float, penalty: float, n_rows: float, max_size: int, width: int = 8
 ) -> list[list[Support]]:
     """The best supports of each size 1, 2, …, best first.
 
     Grows every kept support by one candidate, then swaps single members while that helps.  Ends when four
     more terms have not improved :func:`support_score`.
+
+    Parameters
+    ----------
+    error : float
+        ε, the squared size of the equation error relative to the rows.
     """
-    scaled = _Scaled(gram)
+    scaled = _Scaled(gram, error)
     kept: list[Support] = [Support((), np.inf)]
     levels: list[list[Support]] = []
     best, since = np.inf, 0
@@ -135,12 +142,12 @@ def _best_extensions(scaled: _Scaled, supports: set[tuple[int, ...]], width: int
     return list(found.values())
 
 
-def solve_support(gram: WeakGram, members: tuple[int, ...]) -> np.ndarray:
+def solve_support(gram: WeakGram, error: float, members: tuple[int, ...]) -> np.ndarray:
     """Coefficients of the free columns for a support, scaled so that the known column has weight one.
 
     Falls back to least squares on the weak form when the smallest eigenvector leaves the known column out.
     """
-    scaled = _Scaled(gram)
+    scaled = _Scaled(gram, error)
     index = np.array([*members, scaled.known])
     parts = scaled.reference[np.ix_(index, index)] + _RIDGE * np.eye(index.size)
     root = np.linalg.inv(np.linalg.cholesky(parts))

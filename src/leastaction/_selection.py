@@ -26,6 +26,8 @@ Progress = Callable[[str, dict], None]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
+_EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
+_EXPLAINED = 3.0
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
 _TRIED = 60  # supports whose mass matrix is looked at
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
@@ -88,12 +90,15 @@ def _best_support(workspace: Workspace, smooth: Smooth, gram: WeakGram) -> tuple
     free = workspace.free
     n_rows = max(gram.n_rows / _OVERLAP, 4.0)
     penalty = term_penalty(int(n_rows), free.size)
-    levels = beam_search(gram, penalty, n_rows, min(free.size, _MAX_SIZE))
-    ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows))
     first = None
+    for error in _EQUATION_ERRORS:  # the smallest that lets some support explain the rows
+        levels = beam_search(gram, error, penalty, n_rows, min(free.size, _MAX_SIZE))
+        ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows))
+        if ranked[0].ratio < _EXPLAINED:
+            break
     for support in ranked[:_TRIED]:
         coefficients = np.where(np.isnan(workspace.known), 0.0, workspace.known)
-        coefficients[free] = solve_support(gram, support.members)
+        coefficients[free] = solve_support(gram, error, support.members)
         answer = tuple(int(free[m]) for m in support.members), coefficients
         if workspace.regular(coefficients, smooth.control_points) > 0.9:
             return answer
@@ -247,14 +252,16 @@ def refine_knots(
     """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %."""
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
     for _ in range(max_rounds):
-        if not structure.fit.converged or workspace.knots_per_second > 3.0 * rate:
+        before = workspace.knots_per_second
+        if not structure.fit.converged or before > 3.0 * rate:
             return structure, False
         start = workspace.refine_knots(factor, structure)
         progress("knots", {"knots_per_second": workspace.knots_per_second})
         finer = workspace.fit(structure.members, start)
-        if not finer.fit.converged:
-            return finer, False
-        spread = np.maximum(structure.standard_errors, 1e-300)
+        if not finer.fit.converged or not np.isfinite(finer.evidence):
+            workspace.set_knots(before)
+            return structure, False
+        spread = np.maximum(structure.standard_errors, 1e-150)
         moved = np.abs(finer.estimates - structure.estimates) / spread
         shrunk = finer.standard_errors / spread
         structure = finer

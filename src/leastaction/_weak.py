@@ -27,7 +27,6 @@ __all__ = ["WeakForm", "WeakGram"]
 
 _BLOCK = 16384  # quadrature points handled at once
 _HOPS = 6  # test functions a width
-_RESOLUTION = 1e-7  # of the squared size of a row: what splines and quadrature can resolve
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +37,16 @@ class WeakGram:
     ----------
     residual : (n, n) array
         λᵀ residual λ = Σ (row residual)², λ over the free columns and the known one.
-    reference : (n, n) array
-        λᵀ reference λ: what noise makes of that sum on average if λ is the truth.
+    noise : (n, n) array
+        λᵀ noise λ: what noise makes of that sum on average if λ is the truth.
+    size : (n, n) array
+        λᵀ size λ = ½ Σ (I² + V²): the scale of the rows themselves.
     n_rows : int
     """
 
     residual: np.ndarray
-    reference: np.ndarray
+    noise: np.ndarray
+    size: np.ndarray
     n_rows: int
 
 
@@ -98,8 +100,7 @@ class WeakForm:
             mean = total / count
             spread = (square - count * (mean.T @ mean)) / (count - 1)
             corrected = 2.0 * row - mean  # less the bias, mean − row
-            reference = spread * (1.0 + 1.0 / count) + _RESOLUTION * size
-            out.append(WeakGram(corrected.T @ corrected, reference, row.shape[0]))
+            out.append(WeakGram(corrected.T @ corrected, spread * (1.0 + 1.0 / count), size, row.shape[0]))
         return out
 
     def _rows(self, control_points: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:

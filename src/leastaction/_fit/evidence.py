@@ -25,6 +25,7 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 _LOG_STEP = 0.05
 _REGULAR = 0.9
+_MOST_STEPS = 100  # a structure that needs more is not worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +119,9 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
+    steps = best.n_steps
     for _ in range(max_rounds):
-        if not best.converged:
+        if not best.converged or steps > _MOST_STEPS:
             break
         weights = _accelerate(best.weights, update_weights(observations, best))
         fit = fit_joint(
@@ -130,6 +132,7 @@ def fit_weights(
             best.coefficients,
             linearisation=best.linearisation,
         )
+        steps += fit.n_steps
         value = evidence(observations, fit)
         if not np.isfinite(value) or value < best_evidence - 0.5:
             break

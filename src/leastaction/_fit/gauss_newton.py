@@ -123,9 +123,10 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
 
     Directions that the data cannot see get a huge, finite variance.
     """
-    scale = np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    values = np.clip(values, 1e-13 * max(values[-1], 1e-300), None) if values.size else values
+    values = np.clip(values, 1e-13 * max(1.0, *values), None) if values.size else values
     return (vectors / values) @ vectors.T / np.outer(scale, scale)
 
 

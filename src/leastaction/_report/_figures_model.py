@@ -77,7 +77,7 @@ def energy_of_trial(energy: Energy, balance: bool) -> Markup:
     ):
         axes.plot(*thin_line(energy.t, values), color=COLOURS[colour], lw=width)
     if balance:
-        axes.plot(*thin_line(energy.t, energy.expected - floor), color=COLOURS["ink"], lw=1.1, dashes=(3, 3))
+        axes.plot(*thin_line(energy.t, energy.expected - floor), color=COLOURS["ink"], lw=1.4, dashes=(2, 4))
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     label(axes, "t (s)", "energy (units of L)")
     alt = "Kinetic, potential and total energy along the fitted curve of one trial"

@@ -94,7 +94,7 @@ class Notation:
         if derivative:
             dots = f'<mrow class="dot"><mspace depth="0.05em"/><mo>{"." * derivative}</mo></mrow>'
             base = f"<mover>{base}{dots}</mover>"
-            base = f'<mpadded height="0.8em">{base}</mpadded>' if power else base
+            base = f'<mpadded height="0.9em">{base}</mpadded>' if power else base
         if subscript:
             tag = "mn" if subscript.isdecimal() else "mtext"
             low = f"<{tag}>{escape(subscript)}</{tag}>"
@@ -212,11 +212,11 @@ def _math(body: str) -> Markup:
 
 def _number(text: str) -> str:
     mantissa, _, exponent = text.partition("e")
+    number = f"<mn>{escape(mantissa)}</mn>"
     if not exponent:
-        return f"<mn>{escape(mantissa)}</mn>"
-    return (
-        f"<mrow><mn>{escape(mantissa)}</mn><mo>×</mo><msup><mn>10</mn><mn>{str(int(exponent)).replace('-', '−')}</mn></msup></mrow>"
-    )
+        return number
+    power = str(int(exponent)).replace("-", "−")
+    return f"<mrow>{number}<mo>×</mo><msup><mn>10</mn><mn>{power}</mn></msup></mrow>"
 
 
 def _parentheses(body: str) -> str:

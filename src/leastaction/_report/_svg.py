@@ -7,10 +7,13 @@ dark and paper.
 from __future__ import annotations
 
 import io
+import math
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from html import escape
+from itertools import pairwise
 from typing import Any
 from xml.etree import ElementTree
 
@@ -22,7 +25,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
-from matplotlib.ticker import MaxNLocator, ScalarFormatter
+from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, ScalarFormatter
 
 __all__ = ["COLOURS", "dots", "drawing", "inline", "label", "panel"]
 
@@ -48,8 +51,6 @@ _STYLE: Any = {
     "axes.spines.left": False,
     "axes.grid": True,
     "axes.axisbelow": True,
-    "axes.formatter.useoffset": False,
-    "axes.unicode_minus": True,
     "grid.color": COLOURS["grid"],
     "grid.linewidth": 0.8,
     "xtick.color": COLOURS["muted"],
@@ -66,7 +67,9 @@ _STYLE: Any = {
 @contextmanager
 def drawing() -> Iterator[None]:
     """Draw with our own settings, whatever the user's are; they come back afterwards."""
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
+        # The browser chooses the font; Matplotlib's own need not have every letter.
+        warnings.filterwarnings("ignore", "Glyph .* missing")
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
         yield
@@ -120,10 +123,8 @@ def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> Non
     figure = axes.figure
     assert isinstance(figure, Figure)
     width, height = figure.get_size_inches() * 72
-    low, high = sorted(axes.get_ylim())
-    formatter = axes.yaxis.get_major_formatter()
-    ticks = [v for v in axes.get_yticks() if low <= v <= high]
-    longest = max((len(text) for text in formatter.format_ticks(ticks)), default=0)
+    ticks = axes.yaxis.get_major_formatter().format_ticks(list(axes.get_yticks()))
+    longest = max(map(len, ticks), default=0)
     left = max(_LEFT, 6.6 * longest + 12)
     axes.set_position(
         (left / width, _BOTTOM / height, (width - left - _RIGHT) / width, (height - _TOP - _BOTTOM) / height)
@@ -134,13 +135,21 @@ def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> Non
 
 
 def _power_of_ten(axis) -> int:
-    formatter = axis.get_major_formatter()
-    if not isinstance(formatter, ScalarFormatter):
+    """Write the ticks of an axis with a common power of ten where numbers would be long, and return it."""
+    if not isinstance(axis.get_major_formatter(), ScalarFormatter):
         return 0
-    formatter.set_powerlimits((-3, 5))
-    formatter.set_locs(axis.get_majorticklocs())
-    axis.get_offset_text().set_visible(False)
-    return int(formatter.orderOfMagnitude)
+    low, high = sorted(axis.get_view_interval())
+    slack = 1e-9 * (high - low)
+    ticks = [float(v) for v in axis.get_majorticklocs() if low - slack <= v <= high + slack]
+    largest = max((abs(v) for v in ticks), default=0.0)
+    power = math.floor(math.log10(largest) + 1e-9) if largest > 0 else 0
+    power = 0 if -3 <= power < 5 else power
+    scaled = [v / 10.0**power for v in ticks]
+    step = min((b - a for a, b in pairwise(scaled)), default=1.0)
+    decimals = next((d for d in range(10) if abs(round(step, d) - step) <= 1e-3 * step), 10)
+    axis.set_major_locator(FixedLocator(ticks))
+    axis.set_major_formatter(FixedFormatter([f"{v + 0.0:.{decimals}f}".replace("-", "−") for v in scaled]))
+    return power
 
 
 def _with_unit(quantity: str, power: int, unit: str) -> str:

@@ -32,10 +32,10 @@ _STAGES = {
     "report": "writing the report",
 }
 
-_DETAILS = {
-    "terms": "{:d} terms",
-    "evidence": "evidence {:.1f}",
-    "knots_per_second": "{:.0f} knots per second",
+_DETAILS: dict[str, Callable[[Any], str]] = {
+    "terms": lambda value: counted(int(value), "term"),
+    "evidence": "evidence {:.1f}".format,
+    "knots_per_second": "{:.0f} knots per second".format,
 }
 
 
@@ -73,7 +73,7 @@ def describe(stage: str, details: dict[str, Any]) -> str:
     'choosing terms: 5 terms, evidence 1234.6'
     """
     parts = [
-        _DETAILS.get(name, f"{name} {{}}").format(value)
+        _DETAILS.get(name, f"{name} {{}}".format)(value)
         for name, value in details.items()
         if not isinstance(value, float) or math.isfinite(value)
     ]
