@@ -99,12 +99,14 @@ def table(records: list[dict]) -> str:
     for record in records:
         cases.setdefault((record["config"]["system"], record["config"]["noise"]), []).append(record["result"])
     for (name, noise), results in cases.items():
+        n = len(results)
         ratios = [r["crb_ratio"] for r in results if r["crb_ratio"] is not None]
         rows.append(
-            f"| {name.replace('_', ' ')} | {100 * noise:g} % | {sum(r['exact'] for r in results)}/{len(results)} "
-            f"| {np.median([r['l2'] for r in results]):.2e} | {f'{np.median(ratios):.2f}' if ratios else '–'} "
+            f"| {name.replace('_', ' ')} | {100 * noise:g} % | {sum(r['exact'] for r in results)}/{n} "
+            f"| {np.median([r['l2'] for r in results]):.2e} "
+            f"| {f'{np.median(ratios):.2f}' if ratios else '–'} "
             f"| {sum(r['covered'] for r in results)}/{sum(r['intervals'] for r in results)} "
-            f"| {sum(r['status'] == 'ok' for r in results)}/{len(results)} "
+            f"| {sum(r['status'] == 'ok' for r in results)}/{n} "
             f"| {np.median([r['wall_s'] for r in results]):.1f} |"
         )
     return "\n".join(rows)

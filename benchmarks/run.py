@@ -118,8 +118,9 @@ def command_line() -> dict:
 def row(record: dict) -> str:
     config, r = record["config"], record["result"]
     return (
-        f"{config['rows']:>9} rows {r['candidates']:>3} candidates: cold {r['cold_s']:.2f} s, warm {r['warm_s']:.2f} s "
-        f"({r['warm_s'] / r['peer_s']:.0f} × a smoothing spline), {r['peak_mb']:.0f} MB, {r['terms']} terms, "
+        f"{config['rows']:>9} rows {r['candidates']:>3} candidates: cold {r['cold_s']:.2f} s, "
+        f"warm {r['warm_s']:.2f} s ({r['warm_s'] / r['peer_s']:.0f} × a smoothing spline), "
+        f"{r['peak_mb']:.0f} MB, {r['terms']} terms, "
         f"{r['status']}, {r['stages_s']}"
     )
 

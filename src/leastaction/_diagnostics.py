@@ -1,4 +1,4 @@
-"""What a discovery leaves behind besides the model: the curve, the path, what was dropped, where time went."""
+"""What a discovery leaves behind besides the model: curve, path, what was dropped, where time went."""
 
 from __future__ import annotations
 

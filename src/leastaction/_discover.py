@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 import numpy as np
 
@@ -171,8 +170,8 @@ def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
     bad = [t.text for t, v in zip(prepared.columns, values, strict=True) if not np.isfinite(v).all()]
     if bad:
         raise DataError(
-            f"the candidate {bad[0]} is undefined somewhere along the data (log, sqrt or division outside its "
-            "domain); leave it out or shift the coordinate"
+            f"the candidate {bad[0]} is undefined somewhere along the data (log, sqrt or division outside "
+            "its domain); leave it out or shift the coordinate"
         )
 
 
@@ -203,8 +202,8 @@ def _model(
     )
     return LagrangianModel(
         prepared.library.coordinates,
-        parts["lagrangian"],
-        parts["dissipation"],
+        tuple(parts["lagrangian"]),
+        tuple(parts["dissipation"]),
         structure.fit.covariance,
         weights.noise_std,
         FitSummary(verdict.status, verdict.chi2_per_sample, weights.physics.tolist(), verdict.warnings),

@@ -193,7 +193,7 @@ class EulerLagrange:
         return len(self.terms)
 
     def weak(self, points: Points) -> np.ndarray:
-        """(2, n_terms, n_dof, n_points): ∂φ/∂q̇ (what χ̇ multiplies) and ∂φ/∂q or −∂ψ/∂q̇ (what χ multiplies)."""
+        """(2, n_terms, n_dof, n_points): what χ̇ multiplies, ∂φ/∂q̇, and what χ does, ∂φ/∂q or −∂ψ/∂q̇."""
         out = np.zeros((2, len(self), self.n_dof, points.n_points))
         for k, column in enumerate(self._columns):
             for (part, i), value in column.get("weak")(points):

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import sympy as sp
 
 from leastaction._errors import DataError, InputError
 from leastaction._fit.workspace import Workspace
@@ -53,7 +54,7 @@ class Prepared:
 
 def prepare(
     trajectories,
-    library: Library,
+    library: Library | Iterable[str],
     known: Mapping[str, float] | None,
     dissipation: Iterable[str],
     angles: Iterable[str] | None,
@@ -80,8 +81,8 @@ def prepare(
     known_terms = _resolve_known(library, dict(known or {}))
     if not known_terms and not trajectories.driven:
         raise InputError(
-            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the coefficient "
-            "of at least one term, e.g. known={'"
+            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
+            "coefficient of at least one term, e.g. known={'"
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
@@ -97,8 +98,9 @@ def prepare(
             zip((*library.terms, *library.dissipation), (*softened.terms, *softened.dissipation), strict=True)
         )
         known_terms = {swap[term]: value for term, value in known_terms.items()}
+        changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in swap)}
         notes.append(
-            "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in smoothing.items())
+            "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in changed.items())
         )
     reduced = softened.reduced(keep=list(known_terms))
     columns = (*reduced.terms, *reduced.dissipation)
@@ -106,14 +108,18 @@ def prepare(
     missing = [term.text for term in known_terms if term not in columns]
     if missing:
         raise InputError(
-            f"the known term {missing[0]!r} has no effect on the equations of motion (or repeats another known "
-            "term); give the coefficient of a term that has"
+            f"the known term {missing[0]!r} has no effect on the equations of motion (or repeats another "
+            "known term); give the coefficient of a term that has"
         )
     if not np.isnan(coefficients).any():
         raise InputError(
             "nothing is left to find: every candidate is known, or is a constant or total time derivative"
         )
     return Prepared(trajectories, reduced, columns, coefficients, smoothed, knots_per_second, tuple(notes))
+
+
+def _is_smoothed(term: Term, velocity: str) -> bool:
+    return any(velocity in {s.name for s in part.free_symbols} for part in term.expr.atoms(sp.Abs))
 
 
 def _check_data(trajectories: Trajectories) -> None:
@@ -135,7 +141,7 @@ def _check_data(trajectories: Trajectories) -> None:
 def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, float]:
     out: dict[Term, float] = {}
     for text, value in known.items():
-        if isinstance(value, bool) or not np.isscalar(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]
+        if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):  # type: ignore[arg-type]
             raise InputError(f"the known coefficient of {text!r} is {value!r}; expected a finite number")
         kind = "lagrangian"
         if library.dissipation:
@@ -147,7 +153,7 @@ def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, f
             position = library.index(text, kind)
         except InputError:
             position, kind = library.index(text), "lagrangian"  # its message speaks of the Lagrangian
-        out[(library.terms if kind == "lagrangian" else library.dissipation)[position]] = float(value)
+        out[(library.terms if kind == "lagrangian" else library.dissipation)[position]] = float(value)  # type: ignore[arg-type]
     if out and all(value == 0.0 for value in out.values()):
         raise InputError("all known coefficients are zero; at least one must set the scale of L")
     return out

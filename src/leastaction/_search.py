@@ -5,10 +5,10 @@ A support S is judged by
     ρ(S) = min over λ of λᵀ R λ / λᵀ (N + ε S) λ,
 
 the smallest generalised eigenvalue of two small matrices: R is the sum of squared row residuals, N what the
-measurement noise makes of that sum on average, and ε the squared relative size of the equation error.  For the
-true support ρ is about one, whatever the units and the noise; λ is the total-least-squares estimate, free of the
-bias that noisy columns give to plain least squares.  The ratio cannot be made small by letting candidates
-cancel a known term: their noise remains.
+measurement noise makes of that sum on average, and ε the squared relative size of the equation error.
+For the true support ρ is about one, whatever the units and the noise; λ is the total-least-squares
+estimate, free of the bias that noisy columns give to plain least squares.  The ratio cannot be made small
+by letting candidates cancel a known term: their noise remains.
 """
 
 from __future__ import annotations

@@ -93,7 +93,9 @@ def _best_support(workspace: Workspace, smooth: Smooth, gram: WeakGram) -> tuple
     first = None
     for error in _EQUATION_ERRORS:  # the smallest that lets some support explain the rows
         levels = beam_search(gram, error, penalty, n_rows, min(free.size, _MAX_SIZE))
-        ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows))
+        ranked = sorted(
+            (s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows)
+        )
         if ranked[0].ratio < _EXPLAINED:
             break
     for support in ranked[:_TRIED]:
@@ -107,7 +109,9 @@ def _best_support(workspace: Workspace, smooth: Smooth, gram: WeakGram) -> tuple
     return first
 
 
-def _settle(workspace: Workspace, smooth: Smooth, members: tuple[int, ...], coefficients: np.ndarray) -> Proposal:
+def _settle(
+    workspace: Workspace, smooth: Smooth, members: tuple[int, ...], coefficients: np.ndarray
+) -> Proposal:
     """Curve and weights for the proposed coefficients, held.
 
     At small weights the scale of L is hardly determined; in a joint fit it would drift away.

@@ -84,7 +84,7 @@ def _penalty_matrix(grid: SplineGrid) -> sp.csr_array:
 
 
 def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) -> Smooth:
-    """Smooth every coordinate of every trajectory; NaN samples are left out.
+    r"""Smooth every coordinate of every trajectory; NaN samples are left out.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) 
     -----
     With H(κ) = NᵀN + κD, n samples and M = 3 unpenalised directions a trajectory, κ minimises
 
-    .. math:: (n - M) \\log \\hat\\sigma^2(\\kappa) + \\log|H(\\kappa)| - (n_{ctrl} - M) \\log\\kappa .
+    .. math:: (n - M) \log \hat\sigma^2(\kappa) + \log|H(\kappa)| - (n_{ctrl} - M) \log\kappa .
     """
     penalty = _to_banded(_penalty_matrix(grid), grid.degree)
     design = grid.design(times)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,7 +20,7 @@ __all__ = ["SplineGrid", "SplineSpace", "uniform_space"]
 
 @dataclass(frozen=True, eq=False)
 class SplineSpace:
-    """Clamped B-splines of one trajectory.
+    r"""Clamped B-splines of one trajectory.
 
     Parameters
     ----------
@@ -33,8 +34,8 @@ class SplineSpace:
     The basis obeys the Cox–de Boor recursion and its derivative the recursion (de Boor 2001, ch. X;
     appendix of Zhang & Sun 2026)
 
-    .. math:: N'_{i,p}(t) = \\frac{p}{t_{i+p}-t_i} N_{i,p-1}(t)
-                          - \\frac{p}{t_{i+p+1}-t_{i+1}} N_{i+1,p-1}(t).
+    .. math:: N'_{i,p}(t) = \frac{p}{t_{i+p}-t_i} N_{i,p-1}(t)
+                          - \frac{p}{t_{i+p+1}-t_{i+1}} N_{i+1,p-1}(t).
 
     Examples
     --------
@@ -51,9 +52,7 @@ class SplineSpace:
     def __post_init__(self) -> None:
         points = np.ascontiguousarray(self.breakpoints, dtype=float)
         if self.degree < 3:
-            raise ValueError(
-                f"degree {self.degree} is too low: the equations need a continuous second derivative, use 3 or more"
-            )
+            raise ValueError(f"degree {self.degree} is too low: q̈ must be continuous; use 3 or more")
         if points.ndim != 1 or points.size < 2 or not np.all(np.diff(points) > 0):
             raise ValueError("breakpoints must be a strictly increasing 1-D array of at least two times")
         object.__setattr__(self, "breakpoints", points)
@@ -218,9 +217,7 @@ class SplineGrid:
         """Parts of a chunk within one trajectory, each with the number of its first control point."""
         owner = self.owner[chunk]
         cuts = [0, *(np.flatnonzero(np.diff(owner)) + 1), owner.size]
-        return [
-            (slice(a, b), int(self.first[chunk.start + a])) for a, b in zip(cuts[:-1], cuts[1:], strict=True)
-        ]
+        return [(slice(a, b), int(self.first[chunk.start + a])) for a, b in pairwise(cuts)]
 
     def add_gram(self, banded: np.ndarray, local: np.ndarray, chunk: slice, n_dof: int) -> None:
         """Add Σ LᵀL of the knot intervals to lower banded storage.
@@ -240,7 +237,7 @@ class SplineGrid:
     def add_products(
         self, rows: np.ndarray, local: np.ndarray, values: np.ndarray, chunk: slice, n_dof: int
     ) -> None:
-        """Add Σ Lᵀv of the knot intervals, v (n_columns, n_quadrature, n_intervals), to (size, n_columns) rows."""
+        """Add Σ Lᵀv of the intervals, v (n_columns, n_quadrature, n_intervals), to (size, n_columns) rows."""
         for run, first in self._runs(chunk):
             start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
             part, value = local[:, :, run], values[:, :, run]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+import sympy as sp
 
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import Workspace
@@ -17,13 +19,14 @@ _EQUATION_ERROR = 0.05  # of the generalised forces
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
 _LAG_ONE = 0.1
+_SMALL_OFFSET = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """Status, what is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
 
-    status: str
+    status: Literal["ok", "doubtful"]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     chi2_per_sample: float
@@ -45,13 +48,14 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
     for i, name in enumerate(names):
         if share[i] > _EQUATION_ERROR or chi2[i] > _NOISE_RATIO**2:
             doubts.append(
-                f"the library cannot explain {name}: the equation is off by {100 * share[i]:.1f} % of its forces and the "
-                f"residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or friction may be missing"
+                f"the library cannot explain {name}: the equation is off by {100 * share[i]:.1f} % of its "
+                f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or "
+                "friction may be missing"
             )
     doubts += _identifiability(workspace, selection)
     doubts += _mass_matrix(workspace, structure)
     doubts += _friction(workspace, structure)
-    notes = _whiteness(workspace, structure, floor)
+    notes = _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     status = "doubtful" if doubts else "ok"
@@ -86,8 +90,8 @@ def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
     if not loose:
         return []
     return [
-        f"these data hardly determine {', '.join(loose)}: record larger or different motions, or fix one of the "
-        "coefficients with known"
+        f"these data hardly determine {', '.join(loose)}: record larger or different motions, or fix one of "
+        "the coefficients with known"
     ]
 
 
@@ -105,8 +109,8 @@ def _mass_matrix(workspace: Workspace, structure) -> list[str]:
     if bad == 0.0:
         return []
     return [
-        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is missing "
-        "or the sign of a known coefficient is wrong"
+        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is "
+        "missing or the sign of a known coefficient is wrong"
     ]
 
 
@@ -118,10 +122,27 @@ def _friction(workspace: Workspace, structure) -> list[str]:
         term = workspace.columns.terms[m]
         if term.kind == "dissipation" and value < -3.0 * error:
             out.append(
-                f"the dissipation term {term.text} has a negative coefficient and would feed energy in: check the "
-                "sign of forces and known coefficients, or a missing term"
+                f"the dissipation term {term.text} has a negative coefficient and would feed energy in: "
+                "check the sign of forces and known coefficients, or a missing term"
             )
     return out
+
+
+def _zero_offsets(workspace: Workspace, structure) -> list[str]:
+    """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
+    notes = []
+    present = [*structure.members, *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
+    terms = {workspace.columns.terms[k].expr: float(structure.coefficients[k]) for k in present}
+    for expression, coefficient in terms.items():
+        for cosine in expression.atoms(sp.cos):
+            beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
+            if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
+                shift = 1e3 * beside / coefficient
+                notes.append(
+                    f"{expression} with its sine reads as a zero offset: "
+                    f"{cosine.args[0]} is too large by {shift:.2g} mrad"
+                )
+    return notes
 
 
 def _whiteness(workspace: Workspace, structure, floor: np.ndarray) -> list[str]:
@@ -133,7 +154,7 @@ def _whiteness(workspace: Workspace, structure, floor: np.ndarray) -> list[str]:
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
         if abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least:
             notes.append(
-                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, encoder steps "
-                "or filtered data; intervals may be too narrow or too wide"
+                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, "
+                "encoder steps or filtered data; intervals may be too narrow or too wide"
             )
     return notes

@@ -5,11 +5,11 @@ For a test function χ that vanishes with its derivative at both ends,
     ∫ (χ̇ ∂L/∂q̇_i + χ ∂L/∂q_i − χ ∂ψ/∂q̇_i + χ f_i) dt = 0,
 
 which is linear in the coefficients and needs no q̈.  One row is one test function and one coordinate, one
-column one candidate; the last column is everything known: known terms with their coefficients, and the forces.
+column one candidate; the last column is everything known: known terms with their coefficients, and forces.
 
 The noise of the measurements reaches the rows through the smoothed curve.  How, is found by measuring the
-smoothed curve again: replicates of it, with new noise, smoothed alike, give the covariance of the rows' errors, as
-a quadratic form in the coefficients, and their bias, which is taken off.
+smoothed curve again: replicates of it, with new noise, smoothed alike, give the covariance of the rows'
+errors, as a quadratic form in the coefficients, and their bias, which is taken off.
 """
 
 from __future__ import annotations
@@ -158,7 +158,9 @@ class _TestFunctions:
 
     def apply(self, values: np.ndarray, forces: np.ndarray | None, here: slice, block: int, form: WeakForm):
         """Both parts of the rows of the windows that begin in the block."""
-        mine = np.flatnonzero((self.low >= here.start) & (self.low < here.start + block) & (self.high <= here.stop))
+        mine = np.flatnonzero(
+            (self.low >= here.start) & (self.low < here.start + block) & (self.high <= here.stop)
+        )
         chi, chi_dot = self.chi[mine][:, here], self.chi_dot[mine][:, here]
         push = None if forces is None else np.asarray(chi @ forces)
         return form.join_known(_integrals(chi_dot, values[0]), _integrals(chi, values[1]), push)

@@ -146,7 +146,7 @@ def fit_weights(
 
 
 def _accelerate(old: Weights, new: Weights) -> Weights:
-    """Square the growth of w while it is large: the plain fixed point needs many rounds to grow a thousandfold."""
+    """Square the growth of w while it is large: the plain fixed point needs many rounds for that."""
     ratio = new.physics / old.physics
     return Weights(
         new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack

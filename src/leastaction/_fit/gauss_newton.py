@@ -157,10 +157,12 @@ def fit_joint(
         Never raises for numerical failure: see ``status``.
     """
     here = linearisation or linearise(observations, physics, control_points, coefficients)
-    cost, damping, status, step = here.cost(weights), 0.0, "step limit", 0
+    cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
         return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
-    for step in range(1, max_steps + 1):
+    step = 0
+    while step < max_steps:
+        step += 1
         try:
             quadratic = condense(observations, here, weights, damping)
         except np.linalg.LinAlgError:

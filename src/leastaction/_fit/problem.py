@@ -180,7 +180,7 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     size, n_local = grid.n_ctrl * n, (grid.degree + 1) * n
-    columns = physics.columns.subset(np.flatnonzero(physics.free)) if border is None else border
+    columns = physics.columns.subset(np.flatnonzero(physics.free).tolist()) if border is None else border
     k = len(columns)
     gradient, squares = observations.gradient(control_points)
     out = Linearisation(
@@ -255,7 +255,7 @@ def _add_volume(out, grid, columns, states, coefficients, border) -> None:
 
 def positive_definite(matrices: np.ndarray) -> np.ndarray:
     """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
-    out = np.isfinite(matrices).all(axis=(1, 2))
+    out = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
     safe = np.where(out[:, None, None], matrices, 0.0)
     for k in range(1, matrices.shape[1] + 1):
         out &= np.linalg.det(safe[:, :k, :k]) > 0.0
@@ -263,7 +263,7 @@ def positive_definite(matrices: np.ndarray) -> np.ndarray:
 
 
 def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:
-    """∂(scaled residual)/∂(local control points): (n_dof, (degree + 1) · n_dof, n_quadrature, n_intervals)."""
+    """∂(scaled residual)/∂(local control points): (n_dof, (degree + 1) n_dof, n_quadrature, n_intervals)."""
     basis = [np.ascontiguousarray(grid.quadrature_basis(chunk, nu).transpose(2, 1, 0)) for nu in range(3)]
     n_basis, n_quad, m = basis[0].shape
     local = np.zeros((n, n_basis, n, n_quad, m))

@@ -56,7 +56,7 @@ class Points:
 
     def with_digits(self, digits: int) -> Points:
         """Return the same points as numbers of so many digits."""
-        return Points(*(_lift(values, digits) for values in (self.q, self.qdot, self.qddot)), digits)
+        return Points(*(_lift(values, digits) for values in (self.q, self.qdot, self.qddot)), digits)  # type: ignore[call-arg]
 
 
 class _Arithmetic:

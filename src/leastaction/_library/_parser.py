@@ -222,7 +222,7 @@ class _Converter:
 
     def _call(self, node: ast.Call, depth: int) -> sympy.Expr:
         argument = self._convert(node.args[0], depth + 1)
-        name = node.func.id
+        name = node.func.id  # type: ignore[attr-defined]
         if name == "exp" and _explodes(argument):
             raise self._error(node.args[0], "the argument of exp is out of range; expected |number| < 70")
         if name == "abs":
@@ -304,7 +304,8 @@ def _unsupported(expr: sympy.Expr) -> str:
             return f"it contains {type(part).__name__}, which is not in the grammar"
         if part.is_Number and part != 0 and not MIN_NUMBER <= abs(Fraction(str(part))) <= MAX_NUMBER:
             return "a number in it is out of range; expected 1e-30 <= |number| <= 1e12"
-        if part.is_Pow and (part.exp.free_symbols or not abs(_value(part.exp)) <= MAX_EXPONENT):
+        exponent = part.args[1] if part.is_Pow else None
+        if exponent is not None and (exponent.free_symbols or not abs(_value(exponent)) <= MAX_EXPONENT):
             return f"a power in it is out of range; expected a number with |exponent| <= {MAX_EXPONENT}"
     return ""
 

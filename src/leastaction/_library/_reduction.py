@@ -197,7 +197,7 @@ class _Search:
         involved = [k, *coefficients]
         inside = self.finite[involved].all(axis=0)
         parts = [self.effects[k], *(-float(c) * self.effects[a] for a, c in coefficients.items())]
-        scale = sum(np.abs(part[:, inside]) for part in parts)
+        scale = np.sum([np.abs(part[:, inside]) for part in parts], axis=0)
         return bool(np.all(np.abs(sum(part[:, inside] for part in parts)) <= 1e-6 * (scale + scale.mean())))
 
     def _note(self, k: int, coefficients: dict[int, Any]) -> None:
@@ -249,7 +249,8 @@ class _ExactColumns:
         jets = self._at(rows)
         parts = [jets.jet(self.terms[k].expr)[0]]
         parts += [-c * jets.jet(self.terms[a].expr)[0] for a, c in coefficients.items()]
-        return max(abs(sum(parts))) <= _CONFIRM * max(max(abs(part)) for part in parts)
+        total = sum(parts[1:], parts[0])
+        return max(np.abs(total)) <= _CONFIRM * max(max(abs(part)) for part in parts)
 
     def coefficients_of_few(self, k: int, support: list[int], rows: np.ndarray) -> dict[int, Any] | None:
         """Return c with column_k = Σ c_a column_a over a small support, or None where there is no such c."""

@@ -129,7 +129,7 @@ class _Scanner:
             elif kind in ("number", "name") or token == "(":
                 if not operand_next:
                     raise self._missing_operator(position, token)
-                operand_next = token == "(" or self._operand(kind, token, position)
+                operand_next = token == "(" or self._operand(str(kind), token, position)
                 unary_run = 0
                 if token == "(":
                     self.brackets.append(position)

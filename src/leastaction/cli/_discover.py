@@ -55,7 +55,7 @@ Example:
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="For methods that draw random numbers; the default method draws none.",
+    help="Of the simulated noise that the search weighs supports with.",
 )
 @click.option(
     "--hold-out",
@@ -86,7 +86,6 @@ def discover(
     DATA are CSV, Parquet, NPZ or MAT files. Writes DIR/model.json and DIR/report.html and prints the table
     of terms. A model that does not hold is written too, marked as doubtful.
     """
-    del seed  # no method draws random numbers yet
     folder = check_folder(output, OUTPUTS)
     options = DataOptions.of(data, coordinates, time, trial, forces, angles)
     with blame("--known"):
@@ -102,7 +101,9 @@ def discover(
     import leastaction
 
     with live_progress("prepare") as progress:
-        model = leastaction.discover(fitted, candidates, known=given, method=method, progress=progress)
+        model = leastaction.discover(
+            fitted, candidates, known=given, method=method, seed=seed, progress=progress
+        )
         progress("forecast", {})
         forecast = _forecast(model, held_out)
         progress("report", {})
