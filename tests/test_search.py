@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 import pytest
 import scipy.linalg
 
-from leastaction._search import beam_search, solve_support
+from leastaction._search import beam_search, solve_support, support_score
 from leastaction._subsets import QuadraticModel, search_subsets, term_penalty
 from leastaction._weak import WeakGram
 
@@ -29,22 +30,40 @@ def weak_problem(seed: int, members=(), noise: float = 0.0, n: int = N, correlat
         truth[list(members)] = rng.choice([-1.0, 1.0], len(members)) * rng.uniform(0.5, 2.0, len(members))
         potential[:, -1] = -inertial[:, -1] - (inertial + potential)[:, :-1] @ truth
         potential[:, -1] += noise * rng.standard_normal(n_rows)
-    total = (inertial + potential).T @ (inertial + potential)
-    return WeakGram(total, 0.5 * (inertial.T @ inertial + potential.T @ potential), n_rows), truth
+    return gram_of(inertial, potential), truth
 
 
-def levels_of(gram: WeakGram, max_size: int = N, width: int = 8):
-    """All levels: with free terms the search has no reason to stop early."""
-    return beam_search(gram, 0.0, 1.0, max_size, width)
+def gram_of(inertial, potential) -> WeakGram:
+    rows = inertial + potential
+    nothing = np.zeros((rows.shape[1], rows.shape[1]))
+    parts = 0.5 * (inertial.T @ inertial + potential.T @ potential)
+    return WeakGram(rows.T @ rows, nothing, parts, len(rows))
 
 
-def ratio_oracle(gram: WeakGram, members) -> float:
+def changed(gram: WeakGram, function) -> WeakGram:
+    """All matrices put through a function."""
+    return replace(
+        gram, residual=function(gram.residual), noise=function(gram.noise), size=function(gram.size)
+    )
+
+
+def levels_of(gram: WeakGram, max_size: int = N, width: int = 8, error: float = 1.0):
+    """All levels: with a very low price of terms the search has no reason to stop early."""
+    return beam_search(gram, error, -1e6, 1.0, max_size, width)
+
+
+def solve(gram: WeakGram, members, error: float = 1.0) -> np.ndarray:
+    return solve_support(gram, error, members)
+
+
+def ratio_oracle(gram: WeakGram, members, error: float = 1.0) -> float:
     index = np.ix_([*members, -1], [*members, -1])
-    return float(scipy.linalg.eigh(gram.total[index], gram.parts[index], eigvals_only=True)[0])
+    reference = gram.noise + error * gram.size
+    return float(scipy.linalg.eigh(gram.residual[index], reference[index], eigvals_only=True)[0])
 
 
 def brute_force(gram: WeakGram, size: int):
-    return min((ratio_oracle(gram, s), s) for s in combinations(range(gram.total.shape[0] - 1), size))
+    return min((ratio_oracle(gram, s), s) for s in combinations(range(gram.residual.shape[0] - 1), size))
 
 
 # ------------------------------------------------------------------------------- weak search
@@ -79,34 +98,49 @@ def test_default_width_finds_the_planted_support(seed):
     assert falls[3] > 5.0 * falls[4:].max()
 
 
+def with_noise_level(gram: WeakGram, members, truth) -> WeakGram:
+    """The same with a noise matrix that makes ρ of the truth equal to one."""
+    vector = np.append(truth, 1.0)
+    level = vector @ gram.residual @ vector / (vector @ gram.size @ vector)
+    return replace(gram, noise=level * gram.size)
+
+
 def test_price_of_a_term_ends_the_search():
-    gram, _ = weak_problem(1, (2, 5), noise=0.05, n=20)
-    levels = beam_search(gram, term_penalty(120, 20), 120.0, 20)
-    scores = [
-        120.0 * np.log(level[0].ratio) + term_penalty(120, 20) * (k + 1) for k, level in enumerate(levels)
-    ]
-    assert levels[int(np.argmin(scores))][0].members == (2, 5)
+    gram, truth = weak_problem(1, (2, 5), noise=0.05, n=20)
+    gram = with_noise_level(gram, (2, 5), truth)
+    penalty = term_penalty(120, 20)
+    levels = beam_search(gram, 0.0, penalty, 120.0, 20)
+    best = min((s for level in levels for s in level), key=lambda s: support_score(s, penalty, 120.0))
+    assert best.members == (2, 5)
     assert len(levels) < 20
+
+
+def test_better_than_noise_is_not_better():
+    gram, truth = weak_problem(1, (2, 5), noise=0.05, n=20)
+    gram = with_noise_level(gram, (2, 5), truth)
+    price = 3.0
+    scores = [support_score(level[0], price, 120.0) for level in beam_search(gram, 0.0, price, 120.0, 20)]
+    np.testing.assert_allclose(np.diff(scores[2:]), price)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_coefficients_of_a_planted_support(seed):
     members = (1, 2, 6)
     gram, truth = weak_problem(seed, members)
-    np.testing.assert_allclose(solve_support(gram, members), truth, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(solve(gram, members), truth, rtol=1e-5, atol=1e-7)
     gram, truth = weak_problem(seed, members, noise=0.01)
-    np.testing.assert_allclose(solve_support(gram, members), truth, rtol=0.05, atol=1e-2)
+    np.testing.assert_allclose(solve(gram, members), truth, rtol=0.05, atol=1e-2)
 
 
 def test_units_of_columns_do_not_matter():
     gram, _ = weak_problem(2, (0, 4, 7), noise=0.05)
     units = 10.0 ** np.random.default_rng(3).uniform(-4, 4, N + 1)
     outer = np.outer(units, units)
-    scaled = WeakGram(gram.total * outer, gram.parts * outer, gram.n_rows)
+    scaled = changed(gram, lambda m: m * outer)
     for a, b in zip(levels_of(gram), levels_of(scaled), strict=True):
         assert [s.members for s in a] == [s.members for s in b]
         np.testing.assert_allclose([s.ratio for s in a], [s.ratio for s in b], rtol=1e-6, atol=1e-11)
-    plain, other = solve_support(gram, (0, 4, 7)), solve_support(scaled, (0, 4, 7))
+    plain, other = solve(gram, (0, 4, 7)), solve(scaled, (0, 4, 7))
     np.testing.assert_allclose(other * units[:-1] / units[-1], plain, rtol=1e-6, atol=1e-12)
 
 
@@ -114,7 +148,7 @@ def test_sequence_of_candidates_does_not_matter():
     gram, _ = weak_problem(3, (1, 3), noise=0.1)
     order = np.random.default_rng(4).permutation(N)
     index = np.ix_([*order, N], [*order, N])
-    turned = WeakGram(gram.total[index], gram.parts[index], gram.n_rows)
+    turned = changed(gram, lambda m: m[index])
     for a, b in zip(levels_of(gram), levels_of(turned), strict=True):
         back = [tuple(sorted(int(order[m]) for m in s.members)) for s in b]
         assert back[0] == a[0].members
@@ -129,8 +163,7 @@ def test_cancelling_the_known_term_does_not_pay():
     spring = -known + 0.02 * rng.standard_normal(200)  # what truly balances it, in the potential part
     zero = np.zeros(200)
     inertial, potential = np.column_stack([copy, zero, known]), np.column_stack([zero, spring, zero])
-    total = (inertial + potential).T @ (inertial + potential)
-    gram = WeakGram(total, 0.5 * (inertial.T @ inertial + potential.T @ potential), 200)
+    gram = gram_of(inertial, potential)
     residuals = [np.linalg.lstsq((inertial + potential)[:, [k]], known, rcond=None)[1][0] for k in (0, 1)]
     assert residuals[0] < residuals[1]  # least squares would take the copy
     assert levels_of(gram, 1)[0][0].members == (1,)
@@ -139,7 +172,7 @@ def test_cancelling_the_known_term_does_not_pay():
 def test_duplicate_columns_do_no_harm():
     gram, _ = weak_problem(6, (0, 2), noise=0.02, n=5)
     index = np.ix_([0, 1, 2, 3, 4, 2, 5], [0, 1, 2, 3, 4, 2, 5])
-    doubled = WeakGram(gram.total[index], gram.parts[index], gram.n_rows)
+    doubled = changed(gram, lambda m: m[index])
     levels = levels_of(doubled, 6)
     assert levels[1][0].members in ((0, 2), (0, 5))
     assert all(np.isfinite(s.ratio) for level in levels for s in level)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
+from scipy.interpolate import CubicSpline
 
 from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction import _weak
 from leastaction._euler_lagrange import Points
+from leastaction._simulate import rk4
+from leastaction._smoothing import smooth
 from leastaction._spline import SplineGrid, SplineSpace
-from leastaction._weak import weak_gram
+from leastaction._weak import WeakForm
 
 TWO = ["x", "theta"]
 LAGRANGIAN = [
@@ -32,11 +35,15 @@ def curve(t: np.ndarray) -> np.ndarray:
     return np.column_stack([np.sin(1.3 * t) + 0.4 * np.cos(2.9 * t), 0.8 * np.cos(1.7 * t) - 0.1 * t])
 
 
-def gram_of(grid, control, columns, known=None, forces=None, width=1.5, scale=None):
-    """The only place that knows the call."""
+def gram_of(grid, control, columns, known=None, forces=None, width=1.5, scale=None, replicates=None):
+    """Gram matrices of one width: ``residual`` of I + V, ``size`` of the parts, ``noise``.
+
+    This is the only place that knows the call.  Without replicates the curve is taken as exact.
+    """
     known = np.full(len(columns), np.nan) if known is None else np.asarray(known, dtype=float)
     scale = np.ones(columns.n_dof) if scale is None else np.asarray(scale, dtype=float)
-    return weak_gram(grid, control, columns, known, forces, width, scale)
+    form = WeakForm(grid, columns, known, forces, [width], scale)
+    return form.grams(control, [control, control] if replicates is None else replicates)[0]
 
 
 def strong_at_quadrature(grid, control, columns) -> np.ndarray:
@@ -49,7 +56,7 @@ def strong_at_quadrature(grid, control, columns) -> np.ndarray:
 def ratio(gram, coefficients) -> float:
     """‖(I + V) λ‖² over ½ (‖I λ‖² + ‖V λ‖²)."""
     c = np.asarray(coefficients, dtype=float)
-    return float(c @ gram.total @ c / (c @ gram.parts @ c))
+    return float(c @ gram.residual @ c / (c @ gram.size @ c))
 
 
 @pytest.mark.parametrize("which", range(len(LAGRANGIAN) + len(DISSIPATION)))
@@ -60,9 +67,11 @@ def test_integration_by_parts(which):
     control = interpolate(grid, [curve, lambda t: curve(t + 2.0)])
     forces = strong_at_quadrature(grid, control, columns)[0]
     gram = gram_of(grid, control, columns, forces=forces)
-    size = np.trace(gram.parts)
-    assert np.ones(2) @ gram.total @ np.ones(2) < 1e-13 * size
-    assert np.array([1.0, 0.5]) @ gram.total @ np.array([1.0, 0.5]) > 1e-3 * size  # the wrong force does not
+    size = np.trace(gram.size)
+    assert np.ones(2) @ gram.residual @ np.ones(2) < 1e-13 * size
+    assert (
+        np.array([1.0, 0.5]) @ gram.residual @ np.array([1.0, 0.5]) > 1e-3 * size
+    )  # the wrong force does not
 
 
 def test_forced_motion_is_solved_by_the_true_coefficients_only():
@@ -73,7 +82,7 @@ def test_forced_motion_is_solved_by_the_true_coefficients_only():
     control = interpolate(grid, [lambda t, k=k: curve(t + 5.0 * k) * (1.0 + 0.3 * k) for k in range(3)])
     forces = np.tensordot(truth, strong_at_quadrature(grid, control, columns), 1)
     gram = gram_of(grid, control, columns, forces=forces)
-    values, vectors = scipy.linalg.eigh(gram.total, gram.parts)
+    values, vectors = scipy.linalg.eigh(gram.residual, gram.size)
     assert values[0] < 1e-12
     assert values[1] > 1e5 * abs(values[0])
     np.testing.assert_allclose(vectors[:-1, 0] / vectors[-1, 0], truth, rtol=1e-4)
@@ -114,7 +123,7 @@ def test_null_terms_give_zero():
     grid = uniform_grid([6.0], 25.0, 5)
     control = interpolate(grid, [curve])
     gram = gram_of(grid, control, columns)
-    total, parts = np.diag(gram.total), np.diag(gram.parts)
+    total, parts = np.diag(gram.residual), np.diag(gram.size)
     typical = parts[6]
     assert np.all(parts[: len(null)] > 1e-3 * typical)
     assert np.all(total[:5] < 1e-12 * typical)
@@ -127,19 +136,19 @@ def test_known_terms_and_forces_share_the_last_column():
     grid = uniform_grid([5.0], 20.0, 4)
     control = interpolate(grid, [curve])
     everything = gram_of(grid, control, columns)
-    np.testing.assert_array_equal(everything.total[-1], 0.0)  # nothing is known, no force acts
+    np.testing.assert_array_equal(everything.residual[-1], 0.0)  # nothing is known, no force acts
     known = np.array([np.nan, 2.0, np.nan, np.nan, -3.0, 0.7])
     gram = gram_of(grid, control, columns, known)
     mixing = np.zeros((6, 4))
     mixing[[0, 2, 3], [0, 1, 2]] = 1.0
     mixing[:, 3] = np.nan_to_num(known)
-    for name in ("total", "parts"):
+    for name in ("residual", "size"):
         free = getattr(everything, name)[:-1, :-1]
         np.testing.assert_allclose(getattr(gram, name), mixing.T @ free @ mixing, rtol=1e-10, atol=1e-10)
     # a force enters with weight one, in the potential part: here the known columns' own residual, negated
     forces = np.tensordot(np.nan_to_num(known), strong_at_quadrature(grid, control, columns), 1)
     balanced = gram_of(grid, control, columns, known, forces=forces)
-    assert balanced.total[-1, -1] < 1e-12 * gram.total[-1, -1]
+    assert balanced.residual[-1, -1] < 1e-12 * gram.residual[-1, -1]
 
 
 def test_gram_matrices_add_over_trajectories_and_bound_each_other():
@@ -151,26 +160,27 @@ def test_gram_matrices_add_over_trajectories_and_bound_each_other():
         gram_of(uniform_grid([d], 20.0, 5), c, columns)
         for d, c in zip((6.0, 3.0), both.split(control), strict=True)
     ]
-    for name in ("total", "parts"):
+    for name in ("residual", "size"):
         matrix = getattr(together, name)
         np.testing.assert_allclose(matrix, sum(getattr(p, name) for p in parts), rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(matrix, matrix.T, rtol=1e-12, atol=1e-12)
         assert np.linalg.eigvalsh(matrix)[0] > -1e-12 * np.linalg.eigvalsh(matrix)[-1]
     assert together.n_rows == sum(p.n_rows for p in parts)
     # ‖I + V‖² ≤ 2‖I‖² + 2‖V‖²
-    assert np.linalg.eigvalsh(4.0 * together.parts - together.total)[0] > -1e-9 * np.trace(together.parts)
+    assert np.linalg.eigvalsh(4.0 * together.size - together.residual)[0] > -1e-9 * np.trace(together.size)
 
 
-def test_long_recordings_are_worked_off_in_blocks(monkeypatch):
-    columns = euler_lagrange(LAGRANGIAN, TWO)
+@pytest.mark.parametrize("block", [1, 7, 100, 130, 331, 539, 540, 541])
+def test_long_recordings_are_worked_off_in_blocks(monkeypatch, block):
+    columns = euler_lagrange(LAGRANGIAN[:4], TWO)
     grid = uniform_grid([9.0, 2.0], 20.0, 5)
     control = interpolate(grid, [curve, curve])
     forces = np.random.default_rng(2).standard_normal((grid.n_intervals, 3, 2))
     at_once = gram_of(grid, control, columns, forces=forces)
-    monkeypatch.setattr(_weak, "_BLOCK", 130)
+    monkeypatch.setattr(_weak, "_BLOCK", block)
     in_blocks = gram_of(grid, control, columns, forces=forces)
-    np.testing.assert_allclose(in_blocks.total, at_once.total, rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(in_blocks.parts, at_once.parts, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(in_blocks.residual, at_once.residual, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(in_blocks.size, at_once.size, rtol=1e-10, atol=1e-10)
     assert in_blocks.n_rows == at_once.n_rows
 
 
@@ -190,9 +200,9 @@ def test_units_of_time_and_length_only_rescale_columns(unit):
 
 
 def generalised_eigenvalues(gram) -> np.ndarray:
-    scale = 1.0 / np.sqrt(np.diag(gram.parts))
+    scale = 1.0 / np.sqrt(np.diag(gram.size))
     outer = np.outer(scale, scale)
-    return scipy.linalg.eigh(gram.total * outer, gram.parts * outer, eigvals_only=True)
+    return scipy.linalg.eigh(gram.residual * outer, gram.size * outer, eigvals_only=True)
 
 
 def test_scale_weighs_the_equations():
@@ -201,10 +211,12 @@ def test_scale_weighs_the_equations():
     control = interpolate(grid, [curve])
     first, second = (gram_of(grid, control, columns, scale=s) for s in ([1.0, 0.0], [0.0, 1.0]))
     mixed = gram_of(grid, control, columns, scale=[2.0, 3.0])
-    np.testing.assert_allclose(mixed.total, 4.0 * first.total + 9.0 * second.total, rtol=1e-10, atol=1e-10)
+    np.testing.assert_allclose(
+        mixed.residual, 4.0 * first.residual + 9.0 * second.residual, rtol=1e-10, atol=1e-10
+    )
     # cos θ does not enter the equation of x, nor x² that of θ
     k, m = LAGRANGIAN.index("cos(theta)"), LAGRANGIAN.index("x**2")
-    assert first.total[k, k] == second.total[m, m] == 0.0
+    assert first.residual[k, k] == second.residual[m, m] == 0.0
 
 
 def test_recording_shorter_than_the_test_function():
@@ -217,3 +229,48 @@ def test_recording_shorter_than_the_test_function():
     )
     assert gram.n_rows >= 1
     assert ratio(gram, [-25.0, 1.0]) < 1e-10
+
+
+def test_several_widths_at_once_equal_one_by_one():
+    columns = euler_lagrange(LAGRANGIAN, TWO)
+    grid = uniform_grid([9.0, 2.0], 20.0, 5)
+    control = interpolate(grid, [curve, curve])
+    widths = [1.5, 0.6, 3.0]
+    form = WeakForm(grid, columns, np.full(len(columns), np.nan), None, widths, np.ones(2))
+    for width, gram in zip(widths, form.grams(control, [control, control]), strict=True):
+        alone = gram_of(grid, control, columns, width=width)
+        np.testing.assert_allclose(gram.residual, alone.residual, rtol=1e-10, atol=1e-12)
+        assert gram.n_rows == alone.n_rows
+
+
+# --------------------------------------------------------------------------------------- noise
+def pendulum_curve() -> CubicSpline:
+    """θ̈ = −9.81 sin θ, finely sampled."""
+    t = np.linspace(0.0, 8.0, 4001)
+    q, _ = rk4(lambda q, v, f: -9.81 * np.sin(q), [1.2], [0.5], t)
+    return CubicSpline(t, q)
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.03])
+def test_noise_explains_the_residual_of_the_truth(noise):
+    """Σ r² is on average what the replicates say: ρ of the true coefficients is about one."""
+    exact, truth = pendulum_curve(), np.array([9.81, 0.0, 1.0])
+    columns = euler_lagrange(["theta_dot**2/2", "cos(theta)", "theta**2"], ["theta"])
+    grid = uniform_grid([8.0], 8.0, 5)
+    t = np.linspace(0.0, 8.0, 401)
+    ratios, wrong = [], []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        smoothed = smooth(grid, [t], [exact(t) + noise * rng.standard_normal((t.size, 1))])
+        replicates = smoothed.replicates(8, rng)
+        gram = gram_of(grid, smoothed.control_points, columns, [1.0, np.nan, np.nan], replicates=replicates)
+        ratios.append(truth @ gram.residual @ truth / (truth @ gram.noise @ truth))
+        other = np.array([8.5, 0.0, 1.0])
+        wrong.append(other @ gram.residual @ other / (other @ gram.noise @ other))
+    assert 0.6 < np.mean(ratios) < 1.5, np.mean(ratios)
+    assert np.mean(wrong) > 5.0 * np.mean(ratios)
+
+
+def test_exact_curve_has_no_noise():
+    gram = oscillator_gram(5.0, 5)
+    np.testing.assert_allclose(gram.noise, 0.0, rtol=0, atol=1e-12 * np.abs(gram.size).max())

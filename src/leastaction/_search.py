@@ -60,7 +60,7 @@ class _Scaled:
         """
         index = np.column_stack([supports, np.full(len(supports), self.known)]).astype(int)
         pick = (index[:, :, None], index[:, None, :])
-        root = np.linalg.inv(np.linalg.cholesky(self.reference[pick] + _RIDGE * np.eye(index.shape[1])))
+        root = _inverse_root(self.reference[pick])
         mu, vectors = np.linalg.eigh(root @ self.residual[pick] @ root.transpose(0, 2, 1))
         mu = np.maximum(mu, _SMALLEST)  # rounding may leave it below zero
         basis = vectors.transpose(0, 2, 1) @ root
@@ -71,6 +71,18 @@ class _Scaled:
         ratios = _smallest_root(alpha / rest, squares, mu)
         np.put_along_axis(ratios, index, np.inf, axis=1)
         return ratios[:, : self.known]
+
+
+def _inverse_root(matrices: np.ndarray) -> np.ndarray:
+    """R with R G Rᵀ = 1 for symmetric matrices G of unit diagonal, which rounding may leave indefinite."""
+    ridge = _RIDGE
+    while True:
+        try:
+            return np.linalg.inv(np.linalg.cholesky(matrices + ridge * np.eye(matrices.shape[-1])))
+        except np.linalg.LinAlgError:
+            if ridge > 1.0:
+                raise
+            ridge *= 100.0
 
 
 def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
@@ -149,8 +161,7 @@ def solve_support(gram: WeakGram, error: float, members: tuple[int, ...]) -> np.
     """
     scaled = _Scaled(gram, error)
     index = np.array([*members, scaled.known])
-    parts = scaled.reference[np.ix_(index, index)] + _RIDGE * np.eye(index.size)
-    root = np.linalg.inv(np.linalg.cholesky(parts))
+    root = _inverse_root(scaled.reference[np.ix_(index, index)])
     _, vectors = np.linalg.eigh(root @ scaled.residual[np.ix_(index, index)] @ root.T)
     vector = root.T @ vectors[:, 0] * scaled.scale[index]
     weight = vector[-1] / scaled.scale[scaled.known]

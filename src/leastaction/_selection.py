@@ -17,7 +17,7 @@ from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._search import beam_search, solve_support, support_score
 from leastaction._smoothing import Smooth
-from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty
+from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
 __all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
@@ -29,6 +29,7 @@ _REPLICATES = 8
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _EXPLAINED = 3.0
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
+_LOST = 5.0
 _TRIED = 60  # supports whose mass matrix is looked at
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
@@ -74,7 +75,8 @@ def propose_supports(
     form = WeakForm(
         workspace.grid, workspace.columns, workspace.known, workspace.forces, widths, np.sqrt(rates)
     )
-    replicates = smooth.replicates(_REPLICATES, np.random.default_rng(seed))
+    floor = workspace.observations.noise_floor
+    replicates = smooth.replicates(_REPLICATES, np.random.default_rng(seed), floor)
     found: list[Proposal] = []
     for gram in form.grams(smooth.control_points, replicates):
         proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram))
@@ -132,11 +134,13 @@ class _Refiner:
         self.workspace = workspace
         self.progress = progress
         self.penalty = term_penalty(int(workspace.observations.counts.sum()), workspace.free.size)
-        self.levels: dict[int, list[Choice]] = {}
 
     def value(self, structure: StructureFit) -> float:
-        """Evidence less the price of the terms; −inf for a fit that failed."""
+        """Evidence less the price of the terms; −inf for a fit that failed or has lost its scale."""
         if not structure.fit.converged or not np.isfinite(structure.evidence):
+            return -np.inf
+        # candidates that imitate the known term let the scale of L run away from it
+        if np.all(np.abs(structure.estimates) < _LOST * structure.standard_errors):
             return -np.inf
         return structure.evidence - 0.5 * self.penalty * len(structure.members)
 
@@ -181,13 +185,20 @@ class _Refiner:
             self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
         return structure
 
+    def levels(self, structure: StructureFit) -> dict[int, list[Choice]]:
+        """Supports of every size about a structure, by the quadratic model there."""
+        if not structure.fit.converged:
+            return {}
+        model, current = self._model(structure)
+        return {
+            size: [Choice(self._columns(c.members), c.cost) for c in level]
+            for size, level in trade_off(model, current).items()
+        }
+
     def _propose(self, structure: StructureFit) -> tuple[tuple[int, ...], Start] | None:
         """A better support by the quadratic model, with its start; None when there is none."""
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
-        self.levels = {
-            n: [Choice(self._columns(c.members), c.cost) for c in level] for n, level in levels.items()
-        }
         best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
         if best.members == current:
             return None
@@ -241,9 +252,8 @@ def select_structure(
     again = refiner.refine(structure, rounds=4)
     if again.members != structure.members:
         again, settled = refine_knots(workspace, again, progress)
-        refiner.refine(again, rounds=1)
     pruned = refiner.prune(again, relevance)
-    return Selection(pruned, refiner.levels, refiner.penalty, settled)
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled)
 
 
 def refine_knots(

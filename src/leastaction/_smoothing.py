@@ -41,14 +41,18 @@ class Smooth:
     _designs: list[sp.csr_array]
     _factors: list[np.ndarray]
 
-    def replicates(self, count: int, rng: np.random.Generator) -> list[np.ndarray]:
-        """Curves that the same smoothing gives for the smoothed curve measured again, with new noise."""
+    def replicates(self, count: int, rng: np.random.Generator, floor: np.ndarray) -> list[np.ndarray]:
+        """Curves that the same smoothing gives for the smoothed curve measured again, with new noise.
+
+        The noise is at least ``floor``, (n_dof,).
+        """
+        noise_std = np.maximum(self.noise_std, floor)
         out = []
         for _ in range(count):
             points = np.empty_like(self.control_points)
             for i, (design, factor) in enumerate(zip(self._designs, self._factors, strict=True)):
                 clean = design @ np.ascontiguousarray(self.control_points[:, i])
-                again = clean + self.noise_std[i] * rng.standard_normal(clean.size)
+                again = clean + noise_std[i] * rng.standard_normal(clean.size)
                 points[:, i] = cho_solve_banded((factor, True), design.T @ again, check_finite=False)
             out.append(points)
         return out

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Choice", "QuadraticModel", "search_subsets", "term_penalty"]
+__all__ = ["Choice", "QuadraticModel", "search_subsets", "term_penalty", "trade_off"]
 
 _RIDGE = 1e-11
 
@@ -105,6 +105,22 @@ def search_subsets(
             value = found[0].criterion(penalty)
             worse = 0 if value < best else worse + 1
             best = min(best, value)
+    return levels
+
+
+def trade_off(
+    model: QuadraticModel, chosen: tuple[int, ...], above: int = 6, width: int = 6
+) -> dict[int, list[Choice]]:
+    """The best supports of every size from one to ``above`` more than the chosen one, best first."""
+    levels = {len(chosen): _swap_until_best(model, model.best({chosen}, width), width)}
+    if all(c.members != chosen for c in levels[len(chosen)]):
+        levels[len(chosen)] += model.best({chosen}, 1)
+    for step, last in ((-1, 1), (1, min(len(chosen) + above, model.n))):
+        size = len(chosen)
+        while size != last:
+            moved = {m for c in levels[size] for m in _neighbours(c.members, model.n, step)}
+            size += step
+            levels[size] = _swap_until_best(model, model.best(moved, width), width)
     return levels
 
 

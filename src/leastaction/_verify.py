@@ -139,8 +139,8 @@ def _zero_offsets(workspace: Workspace, structure) -> list[str]:
             if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
                 shift = 1e3 * beside / coefficient
                 notes.append(
-                    f"{expression} with its sine reads as a zero offset: "
-                    f"{cosine.args[0]} is too large by {shift:.2g} mrad"
+                    f"{expression} with its sine reads as a zero offset: {cosine.args[0]} is too "
+                    f"{'large' if shift > 0 else 'small'} by {abs(shift):.2g} mrad"
                 )
     return notes
 

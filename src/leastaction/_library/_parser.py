@@ -304,7 +304,7 @@ def _unsupported(expr: sympy.Expr) -> str:
             return f"it contains {type(part).__name__}, which is not in the grammar"
         if part.is_Number and part != 0 and not MIN_NUMBER <= abs(Fraction(str(part))) <= MAX_NUMBER:
             return "a number in it is out of range; expected 1e-30 <= |number| <= 1e12"
-        exponent = part.args[1] if part.is_Pow else None
+        exponent = part.args[1] if isinstance(part, sympy.Pow) else None  # type: ignore
         if exponent is not None and (exponent.free_symbols or not abs(_value(exponent)) <= MAX_EXPONENT):
             return f"a power in it is out of range; expected a number with |exponent| <= {MAX_EXPONENT}"
     return ""
