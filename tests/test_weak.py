@@ -262,7 +262,7 @@ def test_noise_explains_the_residual_of_the_truth(noise):
     for seed in range(30):
         rng = np.random.default_rng(seed)
         smoothed = smooth(grid, [t], [exact(t) + noise * rng.standard_normal((t.size, 1))])
-        replicates = smoothed.replicates(8, rng)
+        replicates = smoothed.replicates(8, rng, np.zeros(1))
         gram = gram_of(grid, smoothed.control_points, columns, [1.0, np.nan, np.nan], replicates=replicates)
         ratios.append(truth @ gram.residual @ truth / (truth @ gram.noise @ truth))
         other = np.array([8.5, 0.0, 1.0])

@@ -37,6 +37,7 @@ class Prepared:
         Known coefficients, NaN where free.
     smooth : Smooth
     knots_per_second : float
+    degree : int
     notes : tuple of str
     """
 
@@ -46,10 +47,11 @@ class Prepared:
     known: np.ndarray
     smooth: Smooth
     knots_per_second: float
+    degree: int
     notes: tuple[str, ...]
 
     def workspace(self, columns) -> Workspace:
-        return Workspace(self.trajectories, columns, self.known, self.knots_per_second)
+        return Workspace(self.trajectories, columns, self.known, self.knots_per_second, self.degree)
 
 
 def prepare(
@@ -115,7 +117,9 @@ def prepare(
         raise InputError(
             "nothing is left to find: every candidate is known, or is a constant or total time derivative"
         )
-    return Prepared(trajectories, reduced, columns, coefficients, smoothed, knots_per_second, tuple(notes))
+    return Prepared(
+        trajectories, reduced, columns, coefficients, smoothed, knots_per_second, degree, tuple(notes)
+    )
 
 
 def _is_smoothed(term: Term, velocity: str) -> bool:

@@ -69,6 +69,8 @@ class _Scaled:
         alpha = np.diag(self.residual) - 2.0 * (a * b).sum(axis=1) + (mu[:, :, None] * b**2).sum(axis=1)
         squares = (a - mu[:, :, None] * b) ** 2 / rest[:, None, :]
         ratios = _smallest_root(alpha / rest, squares, mu)
+        # a column that depends on the support adds nothing but rounding errors
+        ratios = np.where(rest > _DEPENDENT, ratios, mu[:, :1])
         np.put_along_axis(ratios, index, np.inf, axis=1)
         return ratios[:, : self.known]
 

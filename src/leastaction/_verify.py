@@ -15,9 +15,12 @@ from leastaction._smoothing import Smooth
 
 __all__ = ["Verdict", "verify"]
 
-_EQUATION_ERROR = 0.05  # of the generalised forces
+_EQUATION_ERROR = 0.01  # of the generalised forces: exact libraries leave 0.0002 at most
+_WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
+_VISIBLE = 0.3
+_AS_LIKELY = 5.0  # −2 log likelihood
 _LAG_ONE = 0.1
 _SMALL_OFFSET = 0.05
 
@@ -43,6 +46,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
     chi2 = fit.linearisation.squares / workspace.observations.counts / noise**2
     share, rms = _equation_error(workspace, structure)
     doubts: list[str] = []
+    notes: list[str] = []
     if not fit.converged:
         doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
     for i, name in enumerate(names):
@@ -52,10 +56,16 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
                 f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or "
                 "friction may be missing"
             )
-    doubts += _identifiability(workspace, selection)
+        elif share[i] > _WORTH_KNOWING:
+            notes.append(
+                f"the equation of {name} leaves {100 * share[i]:.2g} % of its forces unexplained: on hardware "
+                "that is little, in a simulation a small term or friction is missing"
+            )
+    doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
+    doubts += _indistinct_structures(workspace, selection)
     doubts += _mass_matrix(workspace, structure)
     doubts += _friction(workspace, structure)
-    notes = _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
+    notes += _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     status = "doubtful" if doubts else "ok"
@@ -77,6 +87,39 @@ def _equation_error(workspace: Workspace, structure) -> tuple[np.ndarray, np.nda
     duration = workspace.grid.weights.sum()
     rms = np.sqrt(structure.fit.linearisation.equation / duration)
     return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
+
+
+def _signal(workspace: Workspace, structure) -> list[str]:
+    """A curve that hardly moves fits any noise, and any equations hold along it."""
+    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
+    return [
+        f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
+        for name, size, noise in zip(
+            workspace.trajectories.coordinates, spread, structure.fit.weights.noise_std, strict=True
+        )
+        if size < _VISIBLE * noise
+    ]
+
+
+def _indistinct_structures(workspace: Workspace, selection: Selection) -> list[str]:
+    """Structures of the chosen size that these data support as well."""
+    chosen = tuple(sorted(selection.structure.members))
+    level = selection.levels.get(len(chosen), [])
+    cost = next((c.cost for c in level if c.members == chosen), None)
+    if cost is None:
+        return []
+    texts = [term.text for term in workspace.columns.terms]
+    out = []
+    for other in level:
+        if other.members != chosen and other.cost - cost < _AS_LIKELY:
+            mine = ", ".join(texts[m] for m in chosen if m not in other.members)
+            theirs = ", ".join(texts[m] for m in other.members if m not in chosen)
+            out.append(
+                f"these data cannot tell {mine} from {theirs}: record motions in which they differ, "
+                "or leave one of them out"
+            )
+    return out
 
 
 def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
