@@ -72,7 +72,7 @@ def measure(library: str, rows: int, warm: int) -> dict:
     return {
         "import_s": systems_ready - begun,
         "cold_s": seconds[0],
-        "warm_s": float(np.median(seconds[1:])),
+        "warm_s": float(np.median(seconds[1:] or seconds)),
         "peer_s": smoothing_spline(data),
         "stages_s": {k: round(v, 3) for k, v in stages.items()},
         "terms": len(model.terms),

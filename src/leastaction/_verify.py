@@ -58,8 +58,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
             )
         elif share[i] > _WORTH_KNOWING:
             notes.append(
-                f"the equation of {name} leaves {100 * share[i]:.2g} % of its forces unexplained: on hardware "
-                "that is little, in a simulation a small term or friction is missing"
+                f"the equation of {name} leaves {100 * share[i]:.2g} % of its forces unexplained: little on "
+                "hardware; in a simulation a small term or friction is missing"
             )
     doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
     doubts += _indistinct_structures(workspace, selection)
