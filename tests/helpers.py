@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.interpolate import make_lsq_spline
 
 from leastaction._euler_lagrange import EulerLagrange
@@ -148,3 +150,110 @@ def assert_finds(model, truth: dict[str, float], *, z: float = 4.5, relative: fl
         assert error <= allowed, (term.expression, term.coefficient, term.standard_error)
         if relative is not None:
             assert error <= relative * abs(truth[term.expression]), (term.expression, term.coefficient)
+
+
+# ------------------------------------------------------- systems for discover(), none of the seven
+DUFFING_LIBRARY = ["x_dot**2", "x**2", "x**4", "x", "x**3", "x**2*x_dot**2", "x**6", "x_dot**4"]
+DUFFING_TRUTH = {"x_dot**2": 0.5, "x**2": -0.5, "x**4": -0.2}
+KINETIC = {"x_dot**2": 0.5}
+
+PENDULUM_LIBRARY = [
+    "theta_dot**2",
+    "cos(theta)",
+    "sin(theta)",
+    "cos(2*theta)",
+    "theta_dot**2*cos(theta)",
+    "theta_dot**4",
+]
+FRICTION = ["theta_dot**2/2", "theta_dot**4"]
+
+CART_LIBRARY = [
+    "x_dot**2",
+    "theta_dot**2",
+    "x_dot*theta_dot*cos(theta)",
+    "cos(theta)",
+    "x**2",
+    "x",
+    "theta**2",
+    "x_dot*theta_dot",
+    "theta_dot**2*cos(theta)",
+    "x_dot**2*cos(theta)",
+    "sin(theta)",
+    "x*theta",
+]
+CART_TRUTH = {
+    "x_dot**2": 1.5,
+    "theta_dot**2": 0.5,
+    "x_dot*theta_dot*cos(theta)": 1.0,
+    "cos(theta)": 9.81,
+    "x**2": -5.0,
+}
+
+
+def duffing(noise=0.01, seed=0, **options) -> Trajectories:
+    """ẍ = −x − 0.8 x³."""
+    starts = [([1.8], [0.0]), ([0.4], [2.5])]
+    return record(
+        lambda q, v, f: -q - 0.8 * q**3, starts, ["x"], duration=8.0, noise=noise, seed=seed, **options
+    )
+
+
+def pendulum(viscous=0.15, coulomb=0.0, speed=2.0, noise=0.01, driven=True, trials=2) -> Trajectories:
+    """θ̈ = −9.81 sin θ − c θ̇ − μ sign θ̇ + τ, the sign rounded off below a millimetre a second."""
+
+    def acceleration(q, v, f):
+        push = 0.0 if f is None else f
+        return -9.81 * np.sin(q) - viscous * v - coulomb * v / np.sqrt(v**2 + 1e-6) + push
+
+    def torque(k, t):
+        return (2.0 * np.sin(1.7 * t + k) + 1.5 * np.sin(4.1 * t + 2 * k))[:, None]
+
+    starts = [([1.2], [speed]), ([-0.5], [2.0]), ([0.3], [-2.0])][:trials]
+    forcing = torque if driven else None
+    return record(acceleration, starts, ["theta"], duration=8.0, rate=60.0, noise=noise, forcing=forcing)
+
+
+def cart(driven=True) -> Trajectories:
+    """Cart (2 kg) on a spring with a pendulum (1 kg, 1 m); the force acts on the cart only."""
+
+    def acceleration(q, v, f):
+        s, c = np.sin(q[1]), np.cos(q[1])
+        mass = np.array([[3.0, c], [c, 1.0]])
+        push = np.array([s * v[1] ** 2 - 10.0 * q[0], -9.81 * s])
+        return np.linalg.solve(mass, push if f is None else push + f)
+
+    def force(k, t):
+        return np.column_stack([4.0 * np.sin(2.1 * t + k) + 3.0 * np.cos(3.7 * t - k), 0.0 * t])
+
+    starts = [([0.3, 0.8], [0.0, 0.0]), ([-0.2, -0.5], [0.5, 1.0])]
+    options = dict(duration=8.0, rate=60.0, noise=[0.005, 0.01], forcing=force if driven else None)
+    return record(acceleration, starts, ["x", "theta"], **options)
+
+
+def changed(data: Trajectories, **functions) -> Trajectories:
+    """The recordings with t, q or forces put through functions."""
+    return Trajectories(
+        [
+            replace(
+                d,
+                **{
+                    name: None if getattr(d, name) is None else f(getattr(d, name))
+                    for name, f in functions.items()
+                },
+            )
+            for d in data
+        ]
+    )
+
+
+def assert_same_model(a, b, factors=None, *, rtol=2e-3, of_error=0.05) -> None:
+    """Coefficients of b are those of a times the factors, to a small part of their standard errors."""
+    factors = factors or {}
+    assert set(coefficients_of(a)) == set(coefficients_of(b))
+    others = {t.expression: t for t in (*b.terms, *b.dissipation)}
+    for term in (*a.terms, *a.dissipation):
+        factor, other = factors.get(term.expression, 1.0), others[term.expression]
+        slack = of_error * abs(factor) * term.standard_error + 1e-9 * abs(factor * term.coefficient)
+        assert abs(other.coefficient - factor * term.coefficient) <= slack, term.expression
+        assert other.standard_error == pytest.approx(abs(factor) * term.standard_error, rel=0.02, abs=0.0)
+    assert a.fit.status == b.fit.status

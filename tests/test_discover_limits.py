@@ -1,0 +1,182 @@
+"""discover() on imperfect data, on data that cannot answer, and on wrong use."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from helpers import (
+    CART_LIBRARY,
+    CART_TRUTH,
+    DUFFING_LIBRARY,
+    DUFFING_TRUTH,
+    FRICTION,
+    KINETIC,
+    PENDULUM_LIBRARY,
+    assert_finds,
+    cart,
+    changed,
+    duffing,
+    pendulum,
+    record,
+)
+
+
+# ------------------------------------------------------------------------------ imperfect data
+def test_missing_samples_and_gaps():
+    def holes(q):
+        q = q.copy()
+        q[np.random.default_rng(1).random(q.shape) < 0.2] = np.nan
+        q[150:165] = np.nan
+        return q
+
+    model = la.discover(changed(duffing(), q=holes), DUFFING_LIBRARY, KINETIC)
+    assert_finds(model, DUFFING_TRUTH)
+    assert model.fit.status == "ok"
+
+
+def test_samples_missing_in_one_coordinate_only():
+    def holes(q):
+        q = q.copy()
+        q[::2, 1] = np.nan
+        q[100:110, 0] = np.nan
+        return q
+
+    model = la.discover(changed(cart(), q=holes), CART_LIBRARY)
+    assert_finds(model, CART_TRUTH)
+
+
+def test_irregular_times():
+    model = la.discover(duffing(irregular=True), DUFFING_LIBRARY, KINETIC)
+    assert_finds(model, DUFFING_TRUTH)
+
+
+def test_trajectories_of_different_length_and_rate():
+    a, b = duffing(), duffing(seed=5)
+    data = [
+        la.Trajectory(a[0].t[::2], a[0].q[::2], coordinates=["x"]),
+        la.Trajectory(b[1].t[:250] + 3.0, b[1].q[:250], coordinates=["x"]),
+    ]
+    assert_finds(la.discover(data, DUFFING_LIBRARY, KINETIC), DUFFING_TRUTH)
+
+
+def test_one_trajectory_is_enough_when_it_moves_enough():
+    """At one energy kinetic terms of degree four could not be told apart from the others."""
+    data = record(lambda q, v, f: -q - 0.8 * q**3, [([1.8], [0.0])], ["x"], duration=16.0, noise=0.005)
+    library = ["x_dot**2", "x**2", "x**4", "x", "x**3", "x**6"]
+    assert_finds(la.discover(data[0], library, KINETIC), DUFFING_TRUTH)
+
+
+# -------------------------------------------------------------------------- what cannot be found
+def test_missing_spring_term_is_doubtful():
+    model = la.discover(duffing(), ["x_dot**2", "x**2", "x"], KINETIC)
+    assert model.fit.status == "doubtful"
+    assert any("cannot explain x" in warning for warning in model.fit.warnings)
+
+
+def test_missing_friction_is_doubtful():
+    data = pendulum(viscous=0.1, coulomb=0.5, noise=0.005)
+    model = la.discover(data, PENDULUM_LIBRARY)
+    assert model.fit.status == "doubtful"
+    assert any("friction" in warning for warning in model.fit.warnings)
+
+
+def test_force_that_was_not_recorded_is_doubtful():
+    data = changed(pendulum(), forces=lambda f: None)
+    model = la.discover(data, PENDULUM_LIBRARY, {"theta_dot**2": 0.5}, FRICTION)
+    assert model.fit.status == "doubtful"
+
+
+def test_candidates_that_the_data_cannot_tell_apart_are_doubtful():
+    """On x > 0 the candidates x**2 and x abs(x) are the same function: either would do."""
+    data = changed(duffing(), q=lambda q: q + 5.0)
+    library = ["x_dot**2", "x**2", "x", "x*abs(x)", "x**3", "x**4"]
+    model = la.discover(data, library, KINETIC)
+    assert len(model.terms) == 5
+    assert model.fit.status == "doubtful"
+
+
+def test_small_motions_determine_the_frequency_only():
+    """A pendulum of 3°: nothing but a harmonic oscillator can be seen, in one free term."""
+    acceleration = lambda q, v, f: -9.81 * np.sin(q)  # noqa: E731
+    data = record(acceleration, [([0.05], [0.0]), ([0.0], [0.1])], ["theta"], duration=8.0, noise=5e-4)
+    model = la.discover(data, ["theta_dot**2", "cos(theta)", "theta**2", "theta**4"], {"theta_dot**2": 0.5})
+    (found,) = (t for t in model.terms if not t.known)
+    stiffness = {"cos(theta)": 1.0, "theta**2": -2.0}[found.expression] * found.coefficient
+    assert stiffness == pytest.approx(9.81, rel=5e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pure_noise_gives_no_confident_model(seed):
+    rng = np.random.default_rng(seed)
+    data = la.Trajectory(np.arange(400) / 50.0, rng.standard_normal((400, 1)), coordinates=["x"])
+    try:
+        model = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    except la.DataError:
+        return
+    assert model.fit.status == "doubtful"
+
+
+# ------------------------------------------------------------------------------ wrong use
+def test_passive_system_without_a_known_coefficient():
+    with pytest.raises(la.InputError, match=r"L = 0 solves every equation.*known="):
+        la.discover(duffing(), DUFFING_LIBRARY)
+    at_rest = changed(pendulum(), forces=np.zeros_like)
+    with pytest.raises(la.InputError, match="no force acts"):
+        la.discover(at_rest, PENDULUM_LIBRARY)
+
+
+def test_constant_coordinate():
+    with pytest.raises(la.DataError, match="'x' is constant"):
+        la.discover(changed(duffing(), q=lambda q: 0.0 * q + 2.0), DUFFING_LIBRARY, KINETIC)
+
+
+def test_too_few_samples():
+    data = la.Trajectory(np.arange(12.0), np.sin(np.arange(12.0))[:, None], coordinates=["x"])
+    with pytest.raises(la.DataError, match="12 samples"):
+        la.discover(data, DUFFING_LIBRARY, KINETIC)
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        ({"x_dot**2": np.nan}, "finite number"),
+        ({"x_dot**2": True}, "finite number"),
+        ({"x_dot**2": "0.5"}, "finite number"),
+        ({"x_dot**2": 0.0}, "zero"),
+        ({"cos(x)": 1.0}, "not among the 9"),
+        ({"x*x_dot": 1.0}, "no effect"),
+        (dict.fromkeys(DUFFING_LIBRARY, 1.0), "nothing is left to find"),
+    ],
+)
+def test_bad_known_coefficients(known, message):
+    with pytest.raises(la.InputError, match=message):
+        la.discover(duffing(), [*DUFFING_LIBRARY, "x*x_dot"], known)
+
+
+def test_other_wrong_arguments():
+    with pytest.raises(la.InputError, match="method 'magic'"):
+        la.discover(duffing(), DUFFING_LIBRARY, KINETIC, method="magic")
+    with pytest.raises(la.InputError, match="y, but the data have x"):
+        la.discover(duffing(), la.Library(["y_dot**2", "y**2"], ["y"]), {"y_dot**2": 1.0})
+    with pytest.raises(ValueError, match="degree 2"):
+        la.discover(duffing(), DUFFING_LIBRARY, KINETIC, degree=2)
+    with pytest.raises(la.InputError, match=r"__import__|unknown|expected"):
+        la.discover(duffing(), ["__import__('os')"], KINETIC)
+
+
+def test_candidate_that_is_undefined_along_the_data_is_named():
+    with pytest.raises(la.DataError, match=r"sqrt\(x\)"):
+        la.discover(duffing(), [*DUFFING_LIBRARY, "sqrt(x)"], KINETIC)
+
+
+def test_wrong_sign_of_the_known_kinetic_energy_is_explained():
+    """L and −L have the same motions, but a negative mass is worth a word, whatever comes out."""
+    try:
+        model = la.discover(duffing(), DUFFING_LIBRARY[:4], {"x_dot**2": -0.5})
+        reasons = "; ".join(model.fit.warnings)
+        assert model.fit.status == "doubtful"
+    except la.DataError as error:
+        reasons = str(error)
+    assert "mass matrix" in reasons or "sign" in reasons
