@@ -10,14 +10,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leastaction import _metrics as metrics
     from leastaction import io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
+    from leastaction._euler_lagrange import euler_lagrange
     from leastaction._export import export
     from leastaction._library import Library
     from leastaction._model import LagrangianModel, load
     from leastaction._report import write_report
     from leastaction._simulate import SimulationResult
+    from leastaction._smooth_motion import smooth
     from leastaction._trajectory import Trajectories, Trajectory
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
 
@@ -30,6 +33,7 @@ _HOMES = {
     "Trajectories": "_trajectory",
     "Trajectory": "_trajectory",
     "discover": "_discover",
+    "euler_lagrange": "_euler_lagrange",
     "export": "_export",
     "from_frame": "io",
     "load": "_model",
@@ -38,6 +42,7 @@ _HOMES = {
     "read_mat": "io",
     "read_npz": "io",
     "read_parquet": "io",
+    "smooth": "_smooth_motion",
     "write_csv": "io",
     "write_report": "_report",
 }
@@ -51,15 +56,18 @@ __all__ = [
     "Trajectories",
     "Trajectory",
     "discover",
+    "euler_lagrange",
     "export",
     "from_frame",
     "io",
     "load",
+    "metrics",
     "read",
     "read_csv",
     "read_mat",
     "read_npz",
     "read_parquet",
+    "smooth",
     "systems",
     "write_csv",
     "write_report",
@@ -67,6 +75,8 @@ __all__ = [
 
 
 def __getattr__(name: str):
+    if name == "metrics":
+        return import_module("leastaction._metrics")
     if name in ("io", "systems"):
         return import_module(f"leastaction.{name}")
     if name in _HOMES:

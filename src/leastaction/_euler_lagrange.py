@@ -19,9 +19,10 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
-from leastaction._library import Term
+from leastaction._errors import InputError
+from leastaction._library import Library, Term
 
-__all__ = ["EulerLagrange", "Points"]
+__all__ = ["EulerLagrange", "Points", "euler_lagrange"]
 
 
 class Points:
@@ -236,3 +237,42 @@ class EulerLagrange:
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Some of the columns, in the given sequence; compiled functions are shared."""
         return EulerLagrange([self.terms[k] for k in select], self.coordinates)
+
+
+def euler_lagrange(library: Library, q, qdot, qddot) -> np.ndarray:
+    """Put every candidate of a library through the Euler–Lagrange operator at given states.
+
+    Parameters
+    ----------
+    library : Library
+    q, qdot, qddot : array_like, shape (n_times, n_dof)
+        Coordinates, velocities (1/s) and accelerations (1/s²).
+
+    Returns
+    -------
+    (n_times, n_dof, n_terms) array
+        ``E_i[φ_k] = d/dt ∂φ_k/∂q̇_i − ∂φ_k/∂q_i`` for the terms of L, then ``∂ψ_k/∂q̇_i`` for those of the
+        dissipation function, so that the equations of motion read ``out @ coefficients = forces``.  NaN or
+        infinite where a candidate is undefined.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not match each other or the library.
+
+    Examples
+    --------
+    >>> import leastaction as la
+    >>> pendulum = la.Library(["theta_dot**2/2", "cos(theta)"], ["theta"])
+    >>> la.euler_lagrange(pendulum, q=[[0.5]], qdot=[[1.0]], qddot=[[2.0]])
+    array([[[2.        , 0.47942554]]])
+    """
+    states = [np.asarray(a, dtype=float) for a in (q, qdot, qddot)]
+    shapes = [a.shape for a in states]
+    if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != len(library.coordinates):
+        raise InputError(
+            f"q, qdot and qddot have the shapes {', '.join(map(str, shapes))}; expected one shape "
+            f"(n_times, {len(library.coordinates)}) for the coordinates {', '.join(library.coordinates)}"
+        )
+    columns = EulerLagrange((*library.terms, *library.dissipation), library.coordinates)
+    return columns.strong(Points(*states)).transpose(2, 1, 0)

@@ -1,0 +1,29 @@
+"""One file per method; each has TITLE, REFERENCE and ``solve(problem) -> Answer``."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
+__all__ = ["NAMES", "load"]
+
+# in the sequence of the tables' columns
+NAMES = (
+    "ours",
+    "adam",
+    "xlsindy_exact",
+    "xlsindy_positions",
+    "energy",
+    "sindy",
+    "sindy_pi",
+    "sindy_weak",
+    "rk4_sindy",
+    "operon",
+)
+
+
+def load(name: str) -> ModuleType:
+    """Import the file of a method; its packages are needed only then."""
+    if name not in NAMES:
+        raise ValueError(f"method {name!r} is unknown; choose one of {', '.join(NAMES)}")
+    return import_module(f"reproduction.methods.{name}")

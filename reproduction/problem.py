@@ -1,0 +1,144 @@
+"""What every method is given, and what it gives back: the protocol of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+import leastaction as la
+from leastaction import systems
+
+__all__ = ["Answer", "Case", "Problem", "pose"]
+
+DURATION, RATE = 20.0, 100.0  # seconds and samples a second
+
+Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run, named completely: the same case always poses the same problem.
+
+    Attributes
+    ----------
+    system : str
+        One of ``systems.names()``.
+    noise : float
+        Level: times the standard deviation of each coordinate, or in rad and m.
+    noise_convention : {"relative", "absolute"}
+    library : {"compact", "large"}
+    method : str
+        Name of a file in ``methods/``.
+    variant : str
+        What the method is asked to do differently, in the method's own words; "" as a rule.
+    trial : int
+        New initial conditions, forcing and noise each.
+    trajectories : int
+    missing : float
+        Share of the samples left out at random.
+    """
+
+    system: str
+    noise: float
+    method: str
+    trial: int = 0
+    noise_convention: str = "relative"
+    library: str = "compact"
+    variant: str = ""
+    trajectories: int = 5
+    missing: float = 0.0
+
+    @property
+    def seed(self) -> int:
+        """Of motions and noise: the same for all methods and noise levels."""
+        return 1000 + self.trial
+
+    @property
+    def key(self) -> str:
+        """Name of the run's file."""
+        parts = [self.method, self.variant, self.system, f"{self.noise:g}", self.noise_convention]
+        parts += [self.library, f"{self.trajectories}x", f"missing{self.missing:g}", f"trial{self.trial}"]
+        return "-".join(p for p in parts if p)
+
+    def as_dict(self) -> dict:
+        return {**asdict(self), "seed": self.seed}
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The data of a case.
+
+    Attributes
+    ----------
+    data : Trajectories
+        What a user has: times, noisy positions, known forces.
+    truth : tuple of TrueMotion
+        The exact motions.  Only for methods whose authors gave them velocities and accelerations
+        (exact ones plus noise), and for scoring.
+    noise_std : (n_dof,) array
+        Of the positions.
+    library : Library
+        The package's own reduction has not been applied.
+    known : dict
+        Term → coefficient that is given; empty for active systems.
+    true_coefficients : dict
+        Term → coefficient, the known ones included; for scoring only.
+    """
+
+    case: Case
+    system: systems.MechanicalSystem
+    data: la.Trajectories
+    truth: tuple[systems.TrueMotion, ...]
+    noise_std: np.ndarray
+    library: la.Library
+    known: Mapping[str, float]
+    true_coefficients: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method found.
+
+    Attributes
+    ----------
+    coefficients : dict or None
+        Term text of the library → coefficient of L, found terms only and without the known ones;
+        None when the method does not give a Lagrangian.
+    acceleration : callable or None
+        ``acceleration(q, qdot, forces)`` of (n, n_dof) arrays (forces None if passive) → (n, n_dof);
+        may return NaN where it fails.  Scored by equation error and forecast horizon.
+    status : str
+        "ok", or in one line what the method says of its own result.
+    settings : dict
+        Everything that was chosen, so that the run can be repeated; JSON values only.
+    errors : dict or None
+        Term → standard error, where the method gives one.
+    expression : str
+        The found law as the method prints it, when it is not a combination of the library's terms.
+    history : list of (seconds, dict of coefficients)
+        For methods that iterate: what had been found when, for time to a given error.
+    """
+
+    coefficients: Mapping[str, float] | None
+    acceleration: Acceleration | None
+    status: str = "ok"
+    settings: Mapping[str, object] = field(default_factory=dict)
+    errors: Mapping[str, float] | None = None
+    expression: str = ""
+    history: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)
+
+
+def pose(case: Case) -> Problem:
+    """Simulate the motions of a case and measure them."""
+    system = systems.get(case.system)
+    truth = systems.simulate_truth(system, case.trajectories, DURATION, RATE, case.seed)
+    sigma = systems.noise_std(system, truth, case.noise, case.noise_convention)
+    data = systems.measure(system, truth, sigma, case.seed, case.missing)
+    make = {"compact": systems.compact_library, "large": systems.large_library}[case.library]
+    library = make(system)
+    found = systems.truth_for(system, library)
+    coefficients = {library[k].text: float(value) for k, value in found.items()}
+    known = {library[library.index(text)].text: float(value) for text, value in system.known.items()}
+    return Problem(case, system, data, truth, sigma, library, known, coefficients)
