@@ -257,7 +257,7 @@ def test_refined_knots_reproduce_the_curve(factor, tolerance):
     fit = workspace.fit((1,), start, max_rounds=1)
     before = workspace.grid
     times = [np.linspace(0.0, 4.0, 301)] * 2
-    refined = workspace.refine_knots(factor, fit)
+    refined = workspace.refine_knots(factor, fit, np.ones(fit.fit.control_points.shape[1]))
     assert workspace.grid.n_intervals == pytest.approx(factor * before.n_intervals)
     for nu in range(3):
         old = np.concatenate(before.evaluate(fit.fit.control_points, times, nu))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from leastaction._errors import DataError, InputError
     from leastaction._euler_lagrange import euler_lagrange
     from leastaction._export import export
+    from leastaction._fit.adam_options import AdamOptions
     from leastaction._library import Library
     from leastaction._model import LagrangianModel, load
     from leastaction._report import write_report
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
 
 _HOMES = {
+    "AdamOptions": "_fit.adam_options",
     "DataError": "_errors",
     "InputError": "_errors",
     "LagrangianModel": "_model",
@@ -48,6 +50,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "AdamOptions",
     "DataError",
     "InputError",
     "LagrangianModel",

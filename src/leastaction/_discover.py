@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from leastaction._descent import select_by_descent
 from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._errors import DataError, InputError
 from leastaction._euler_lagrange import EulerLagrange, Points
+from leastaction._fit.adam_options import AdamOptions
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library
 from leastaction._model import LagrangianModel
@@ -22,7 +25,7 @@ from leastaction._verify import Verdict, verify
 
 __all__ = ["discover"]
 
-_METHODS = ("gauss-newton",)
+_DEGREES = {"gauss-newton": 5, "adam": 3}  # of the splines, by method
 
 
 def discover(
@@ -33,9 +36,10 @@ def discover(
     *,
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
-    degree: int = 5,
+    degree: int | None = None,
     relevance: float = 0.05,
     seed: int = 0,
+    options: AdamOptions | Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> LagrangianModel:
     r"""Find a sparse Lagrangian, and friction, from measured coordinates.
@@ -61,17 +65,21 @@ def discover(
     dissipation : iterable of str
         Candidates ψ of the dissipation function; force −∂ψ/∂q̇. ``abs(x_dot)`` (Coulomb friction) is
         smoothed near zero velocity.
-    method : {"gauss-newton"}
+    method : {"gauss-newton", "adam"}
+        ``"adam"`` is the paper's own method, gradient descent with thresholding, for comparison: slower,
+        less accurate, with thresholds that depend on units, and without standard errors (NaN).
     angles : iterable of str, optional
         Coordinates from which jumps of 2π are removed; default: those of the library.
     degree : int
-        Degree of the splines, at least 3.
+        Degree of the splines, at least 3; by default 5, and 3 for ``method="adam"`` as in the paper.
     relevance : float
         Share of the equation error's variance that a term must remove to stay. It matters on real hardware
         only, where the library is never exact and every candidate would become significant with enough
         data; 0 asks for significance alone.
     seed : int
-        Of the simulated noise that the search weighs supports with.
+        Of the simulated noise that the search weighs supports with; of the collocation times with adam.
+    options : AdamOptions or mapping, optional
+        Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
         Called as ``progress(stage, details)``.
 
@@ -103,8 +111,12 @@ def discover(
     >>> model.fit.status
     'ok'
     """
-    if method not in _METHODS:
-        raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _METHODS))}")
+    if method not in _DEGREES:
+        raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _DEGREES))}")
+    if options is not None and method != "adam":
+        raise InputError(f"method {method!r} has no options; options are for method='adam'")
+    settings = AdamOptions.of(options)
+    degree = _DEGREES[method] if degree is None else degree
     if not 0.0 <= relevance < 1.0:
         raise InputError(f"relevance is {relevance!r}; expected a share between 0 and 1, such as 0.05")
     clock = _Clock(progress)
@@ -112,18 +124,23 @@ def discover(
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
     prepared = prepare(trajectories, library, known, dissipation, angles, degree)
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
-    clock.start("search")
     _check_columns(workspace, prepared)
-    selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)
+    if method == "adam":
+        clock.start("descent")
+        selection, smoothed = select_by_descent(workspace, settings, clock.report, seed)
+    else:
+        clock.start("search")
+        selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)
+        smoothed = prepared.smooth
     if selection.structure.fit.status == "not finite":
         raise DataError(
             "no combination of these candidates gives finite equations along the data; check the library for "
             "functions that are undefined there, such as log or sqrt of a coordinate that changes sign"
         )
     clock.start("verify")
-    verdict = verify(workspace, selection, prepared.smooth)
+    verdict = verify(workspace, selection, smoothed)
     clock.stop()
-    options = {
+    given = {
         "method": method,
         "degree": degree,
         "relevance": float(relevance),
@@ -132,7 +149,9 @@ def discover(
         "dissipation": [t.text for t in prepared.library.dissipation],
         "angles": list(prepared.library.angles if angles is None else angles),
     }
-    return _model(prepared, workspace, selection, verdict, options, clock.timings)
+    if method == "adam":
+        given["adam"] = asdict(settings)
+    return _model(prepared, workspace, selection, verdict, given, clock.timings)
 
 
 class _Clock:
@@ -204,7 +223,7 @@ def _model(
         prepared.library.coordinates,
         tuple(parts["lagrangian"]),
         tuple(parts["dissipation"]),
-        structure.fit.covariance,
+        None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
         weights.noise_std,
         FitSummary(verdict.status, verdict.chi2_per_sample, weights.physics.tolist(), verdict.warnings),
         {

@@ -31,6 +31,9 @@ _EXPLAINED = 3.0
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
 _LOST = 5.0
 _TRIED = 60  # supports whose mass matrix is looked at
+_DIGITS = 1e-6
+_FASTEST_GROWTH = 10.0
+_SLACK_LEFT = 30.0
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
 
@@ -265,19 +268,26 @@ def refine_knots(
 ) -> tuple[StructureFit, bool]:
     """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %."""
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
+    growth = np.ones(workspace.observations.n_dof)
     for _ in range(max_rounds):
         before = workspace.knots_per_second
         if not structure.fit.converged or before > 3.0 * rate:
             return structure, False
-        start = workspace.refine_knots(factor, structure)
+        start = workspace.refine_knots(factor, structure, growth)
         progress("knots", {"knots_per_second": workspace.knots_per_second})
         finer = workspace.fit(structure.members, start)
         if not finer.fit.converged or not np.isfinite(finer.evidence):
             workspace.set_knots(before)
             return structure, False
-        spread = np.maximum(structure.standard_errors, 1e-150)
+        # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
+        least = _DIGITS * np.abs(finer.estimates)
+        spread = np.maximum(structure.standard_errors, np.maximum(least, 1e-150))
         moved = np.abs(finer.estimates - structure.estimates) / spread
-        shrunk = finer.standard_errors / spread
+        shrunk = np.maximum(finer.standard_errors, least) / spread
+        # finer splines leave a smaller equation error, by nearly the same factor in every round, until
+        # hardly any of it is left and its weight no longer matters
+        growth = np.clip(finer.fit.weights.physics / structure.fit.weights.physics, 1.0, _FASTEST_GROWTH)
+        growth[finer.fit.weights.slack < _SLACK_LEFT] = 1.0
         structure = finer
         if np.all(moved < 0.1) and np.all(shrunk > 0.97):
             return structure, True

@@ -25,6 +25,7 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 _LOG_STEP = 0.05
 _REGULAR = 0.9
+_HALVINGS = 4
 _MOST_STEPS = 100  # a structure that needs more is not worth it
 
 
@@ -124,17 +125,21 @@ def fit_weights(
         if not best.converged or steps > _MOST_STEPS:
             break
         weights = _accelerate(best.weights, update_weights(observations, best))
-        fit = fit_joint(
-            observations,
-            physics,
-            weights,
-            best.control_points,
-            best.coefficients,
-            linearisation=best.linearisation,
-        )
-        steps += fit.n_steps
-        value = evidence(observations, fit)
-        if not np.isfinite(value) or value < best_evidence - 0.5:
+        for _ in range(_HALVINGS):
+            fit = fit_joint(
+                observations,
+                physics,
+                weights,
+                best.control_points,
+                best.coefficients,
+                linearisation=best.linearisation,
+            )
+            steps += fit.n_steps
+            value = evidence(observations, fit)
+            if np.isfinite(value) and value >= best_evidence - 0.5:
+                break
+            weights = _halfway(best.weights, weights)
+        else:
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
@@ -143,6 +148,11 @@ def fit_weights(
         if settled:
             break
     return best
+
+
+def _halfway(old: Weights, new: Weights) -> Weights:
+    """Geometric mean: the fixed point may overshoot when the equations compete for the same error."""
+    return Weights(np.sqrt(old.noise_std * new.noise_std), np.sqrt(old.physics * new.physics), new.slack)
 
 
 def _accelerate(old: Weights, new: Weights) -> Weights:

@@ -21,6 +21,7 @@ from leastaction._fit.problem import Linearisation, Observations, Physics, Weigh
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates"]
 
 _LARGEST_DAMPING = 1e8
+_MOST_IDLE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +161,7 @@ def fit_joint(
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
         return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
-    step = 0
+    step = idle = 0
     while step < max_steps:
         step += 1
         try:
@@ -178,10 +179,14 @@ def fit_joint(
         there = linearise(observations, physics, new_points, new_coefficients)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
+            idle = idle + 1 if cost - new_cost < tolerance else 0
             control_points, coefficients, here, cost = new_points, new_coefficients, there, new_cost
             damping = damping / 10.0 if damping > 1e-6 else 0.0
             if predicted < tolerance and damping < 1e-3:
                 status = "converged"
+                break
+            if idle == _MOST_IDLE:  # what the step promises is rounding
+                status = "stalled"
                 break
         else:
             damping = max(10.0 * damping, 1e-4)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,7 +14,7 @@ from leastaction._fit.problem import Observations, Physics, positive_definite
 from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories
 
-__all__ = ["StructureFit", "Workspace"]
+__all__ = ["StructureFit", "Workspace", "greville_sites"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,20 +100,26 @@ class Workspace:
             points = [self.grid.points[self.grid.owner == k] for k in range(len(spaces))]
             self.forces = np.concatenate([f(p) for f, p in zip(self._force_curves, points, strict=True)])
 
-    def refine_knots(self, factor: float, fit: StructureFit) -> Start:
-        """Lay a finer grid and carry a fit over to it."""
+    def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:
+        """(n_times, n_dof) known forces on one trajectory; zero where none act."""
+        if self._force_curves is None:
+            return np.zeros((times.size, self.trajectories.n_dof))
+        return self._force_curves[trajectory](times)
+
+    def refine_knots(self, factor: float, fit: StructureFit, growth: np.ndarray) -> Start:
+        """Lay a finer grid and carry a fit over to it, equation weights raised by ``growth``, (n_dof,)."""
         old, control_points = self.grid, fit.fit.control_points
         before = self.knots_per_second
         self.set_knots(before * factor)
         moved = np.empty((self.grid.n_ctrl, control_points.shape[1]))
         for k, (space, part) in enumerate(zip(self.grid.spaces, old.split(control_points), strict=True)):
-            sites = _greville(space.knots, self.degree)
+            sites = greville_sites(space.knots, self.degree)
             values = old.spaces[k].evaluate(part, sites)
             matrix = space.basis(sites).tocsc()
             moved[self.grid.offsets[k] : self.grid.offsets[k + 1]] = _banded_solve(
                 matrix, values, self.degree
             )
-        weights = fit.fit.weights
+        weights = replace(fit.fit.weights, physics=growth * fit.fit.weights.physics)
         return Start(moved, fit.coefficients, weights)
 
     def physics(self, members: tuple[int, ...]) -> tuple[Physics, list[int]]:
@@ -165,7 +171,7 @@ def _force_curve(trajectory):
     return CubicSpline(trajectory.t, trajectory.forces)
 
 
-def _greville(knots: np.ndarray, degree: int) -> np.ndarray:
+def greville_sites(knots: np.ndarray, degree: int) -> np.ndarray:
     """Averages of ``degree`` successive knots: interpolation there is well conditioned."""
     sums = np.concatenate([[0.0], np.cumsum(knots)])
     sites = (sums[degree + 1 : -1] - sums[1 : -degree - 1]) / degree

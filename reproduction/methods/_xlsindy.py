@@ -1,0 +1,203 @@
+"""xL-SINDy: sparse Lagrangians by proximal gradient descent on the Euler–Lagrange equations.
+
+Reference: A. Purnomo, M. Hayashibe, "Sparse identification of Lagrangian for nonlinear dynamical systems via
+proximal gradient method", Scientific Reports 13, 7919 (2023).
+
+The residual Σ_k λ_k E_i[φ_k] − f_i (passive systems: unknown terms against known ones) is linear in λ,
+and the step on a batch is, with momentum m = (i − 1)/(i + 2),
+
+    v = λ + m (λ − λ_previous),    λ ← soft(v − η ∇(mean squared residual)(v), η · penalty).
+
+Taken from the paper: batches of 128, the momentum, an ℓ1 penalty that is weakened by ten after the first
+stage and is off in the end, hard thresholding at 0.01 and then at higher values between stages of 100
+epochs, no penalty on known terms (here: on the given one only; no method is told which others exist).
+
+Chosen in its favour, where the paper tunes by hand for each system:
+
+* Columns and right-hand side are divided by their root mean squares at all stages (there: ranges, and at
+  the first only), so that the thresholds mean shares of the known or external force, whatever the units.
+* The step is 1/L, L the largest Lipschitz constant of the batches (there 1e-6 … 5e-3).
+* The momentum runs on through the epochs of a stage (there it starts anew with each), from zero
+  coefficients.  Without this, nearly collinear columns need many times as many epochs.
+* A last stage with the gradient of all data ends in the least-squares values of the terms found, without
+  the scatter of the batches.
+* Of `PENALTIES` and `THRESHOLDS` (there 0.1) that pair is taken whose terms are worth their number on
+  held-out data: each has to lower the mean squared residual by `WORTH_ONE`, and together they may give away
+  `WORTH_ALL` of what the best pair explains.  Then everything is fitted again to all data.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+import leastaction as la
+from reproduction.methods._lagrangian import acceleration_of
+from reproduction.problem import Answer, Problem
+
+__all__ = ["States", "solve_from"]
+
+BATCH = 128
+EPOCHS = 100  # a stage
+PENALTIES = (0.0, 1e-4, 1e-3, 1e-2, 1e-1)
+THRESHOLDS = (0.05, 0.1, 0.2, 0.3, 0.5)
+# factor on the penalty; least and factor on the threshold after the stage; whether by batches
+STAGES = (
+    (1.0, 0.01, 0.0, True),
+    (0.1, 0.0, 0.5, True),
+    (0.1, 0.0, 1.0, True),
+    (0.0, 0.0, 1.0, True),
+    (0.0, 0.0, 0.0, False),
+)
+WORTH_ONE, WORTH_ALL = 0.15, 0.05  # see above
+EXACT = 1e-6  # relative mean squared residual that counts as none
+RECORD_EVERY = 20  # epochs
+
+# one (n_times, 3, n_dof) array of q, q̇, q̈ and the forces or None, for each trajectory
+States = list[tuple[np.ndarray, np.ndarray | None]]
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Euler–Lagrange equations in units of their root mean squares, ``columns @ x = target``.
+
+    Attributes
+    ----------
+    columns : (n_samples, n_dof, n_terms) array
+    target : (n_samples, n_dof) array
+    scale : (n_terms,) array
+        Coefficients are ``scale * x``.
+    """
+
+    columns: np.ndarray
+    target: np.ndarray
+    scale: np.ndarray
+
+    def part(self, rows: np.ndarray) -> Equations:
+        return Equations(self.columns[rows], self.target[rows], self.scale)
+
+    def misfit(self, x: np.ndarray) -> np.ndarray:
+        """Mean squared residual of each column of x."""
+        return np.mean((self.columns @ x - self.target[..., None]) ** 2, axis=(0, 1))
+
+
+def _equations(problem: Problem, states: States) -> tuple[Equations, list[str]]:
+    columns = np.concatenate([la.euler_lagrange(problem.library, *s.swapaxes(0, 1)) for s, _ in states])
+    texts = [term.text for term in problem.library.terms]
+    target = np.zeros(columns.shape[:2])
+    for text, value in problem.known.items():
+        target -= value * columns[..., texts.index(text)]
+    if states[0][1] is not None:
+        target += np.concatenate([forces for _, forces in states])
+    free = [k for k, text in enumerate(texts) if text not in problem.known]
+    columns = columns[..., free]
+    rms = np.sqrt(np.mean(columns**2, axis=(0, 1)))
+    rms[rms == 0.0] = 1.0
+    unit = np.sqrt(np.mean(target**2))
+    return Equations(columns / rms, target / unit, unit / rms), [texts[k] for k in free]
+
+
+def _normal(equations: Equations, batches: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
+    """Hessian and right-hand side of each batch, and the largest step that is safe on all."""
+    n_terms = equations.columns.shape[-1]
+    hessians = np.empty((len(batches), n_terms, n_terms))
+    slopes = np.empty((len(batches), n_terms, 1))
+    for b, rows in enumerate(batches):
+        x = equations.columns[rows].reshape(-1, n_terms)
+        hessians[b] = 2.0 * x.T @ x / len(x)
+        slopes[b] = 2.0 * x.T @ equations.target[rows].reshape(-1, 1) / len(x)
+    return hessians, slopes, 1.0 / float(np.linalg.eigvalsh(hessians)[:, -1].max())
+
+
+def _descend(equations: Equations, settings: np.ndarray, rng: np.random.Generator, record=None) -> np.ndarray:
+    """Run all stages for pairs of penalty and threshold, (n, 2), side by side; returns (n_terms, n)."""
+    penalties, thresholds = settings.T
+    shuffled = rng.permutation(len(equations.columns))
+    n_batches = max(len(shuffled) // BATCH, 1)
+    small = _normal(equations, np.array_split(shuffled, n_batches))
+    whole = _normal(equations, [shuffled])
+    x = np.zeros((equations.columns.shape[-1], len(settings)))
+    kept = np.ones(x.shape, dtype=bool)
+    epoch = 0
+    for factor, least, share, by_batches in STAGES:
+        hessians, slopes, step = small if by_batches else whole
+        shrink = step * factor * penalties
+        previous, i = x, 0
+        for _ in range(EPOCHS):
+            for b in range(n_batches):
+                k = b % len(hessians)
+                i += 1
+                v = x + (i - 1) / (i + 2) * (x - previous)
+                u = v - step * (hessians[k] @ v - slopes[k])
+                previous, x = x, kept * np.sign(u) * np.maximum(np.abs(u) - shrink, 0.0)
+            epoch += 1
+            if record is not None and epoch % RECORD_EVERY == 0:
+                record(x[:, 0])
+        kept &= np.abs(x) >= np.maximum(least, share * thresholds)
+        x = x * kept
+    return x
+
+
+def _held_out(lengths: list[int]) -> np.ndarray:
+    """Mask of the samples to judge by: the last trajectory, or the last fifth of a single one."""
+    mask = np.zeros(sum(lengths), dtype=bool)
+    mask[-lengths[-1] if len(lengths) > 1 else -(lengths[-1] // 5) :] = True
+    return mask
+
+
+def _choose(equations: Equations, lengths: list[int], seed: int) -> tuple[float, float]:
+    """Penalty and threshold by the residual on held-out data."""
+    judge = _held_out(lengths)
+    pairs = list(product(PENALTIES, THRESHOLDS))
+    found = _descend(equations.part(~judge), np.array(pairs), np.random.default_rng([seed, 1]))
+    misfit = equations.part(judge).misfit(found)
+    misfit[~np.isfinite(misfit)] = np.inf
+    good = misfit <= misfit.min() + WORTH_ALL * max(1.0 - misfit.min(), 0.0)
+    price = np.log(misfit + EXACT) + np.log1p(WORTH_ONE) * np.count_nonzero(found, axis=0)
+    return pairs[int(np.argmin(np.where(good, price, np.inf)))]
+
+
+def solve_from(problem: Problem, states: States, started: float) -> Answer:
+    """Find the coefficients from given q, q̇ and q̈.
+
+    Parameters
+    ----------
+    problem : Problem
+    states : list of (array, array or None)
+        For each trajectory q, q̇, q̈ as one (n_times, 3, n_dof) array, and the forces.
+    started : float
+        ``time.perf_counter()`` at the beginning of the run, for the history.
+    """
+    equations, texts = _equations(problem, states)
+    seed = problem.case.seed
+    pair = _choose(equations, [len(s) for s, _ in states], seed)
+    history: list[tuple[float, dict[str, float]]] = []
+
+    def named(x: np.ndarray) -> dict[str, float]:
+        return {t: float(v) for t, v in zip(texts, equations.scale * x, strict=True) if v != 0.0}
+
+    def record(x: np.ndarray) -> None:
+        history.append((time.perf_counter() - started, named(x)))
+
+    x = _descend(equations, np.array([pair]), np.random.default_rng([seed, 2]), record)[:, 0]
+    coefficients = named(x)
+    misfit = float(equations.misfit(x[:, None])[0])
+    return Answer(
+        coefficients=coefficients,
+        acceleration=acceleration_of(problem.library, {**problem.known, **coefficients}),
+        status="ok" if coefficients else "no term was found",
+        settings={
+            "penalty": pair[0],
+            "threshold": pair[1],
+            "penalties": list(PENALTIES),
+            "thresholds": list(THRESHOLDS),
+            "stages": [list(stage) for stage in STAGES],
+            "epochs_per_stage": EPOCHS,
+            "batch": BATCH,
+            "relative_misfit": misfit,
+        },
+        history=history,
+    )

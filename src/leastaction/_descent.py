@@ -1,0 +1,81 @@
+"""discover(method="adam"): the paper's gradient descent in the place of the search and the joint fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction._fit.adam import AdamFit, AdamProblem, descend
+from leastaction._fit.adam_options import AdamOptions
+from leastaction._fit.gauss_newton import JointFit
+from leastaction._fit.problem import Physics, Weights, linearise
+from leastaction._fit.workspace import StructureFit, Workspace, greville_sites
+from leastaction._selection import Progress, Selection
+from leastaction._smoothing import Smooth, smooth
+
+__all__ = ["select_by_descent"]
+
+_KNOTS = 2.0  # times those that the default method begins with: cubic splines need more
+
+
+def select_by_descent(
+    workspace: Workspace, options: AdamOptions, progress: Progress, seed: int = 0
+) -> tuple[Selection, Smooth]:
+    """Run the paper's method; the workspace ends with the knots of the result.
+
+    There is no covariance and no selection path: the method has none.
+    """
+    workspace.set_knots(options.knots_per_second or _KNOTS * workspace.knots_per_second)
+    smoothed = smooth(workspace.grid, workspace.times, workspace.values)
+    rng = np.random.default_rng(seed)
+    is_free = np.isnan(workspace.known)
+    physics = Physics(workspace.columns, is_free, None)
+    force = workspace.force_at if workspace.forces is not None else None
+    problem = AdamProblem(workspace.grid, workspace.times, workspace.values, physics, force, options, rng)
+    points = smoothed.control_points if options.start_curve == "smooth" else _through_samples(workspace)
+    if options.pin_ends:
+        points = points.copy()
+        points[problem.ends] = _through_samples(workspace)[problem.ends]
+    coefficients = np.where(is_free, 1.0, workspace.known)
+    if options.start_coefficients == "regression":
+        coefficients = problem.regress(points, coefficients)
+    texts = [term.text for term in workspace.columns.terms]
+
+    def report(details: dict) -> None:
+        named = dict(zip(texts, details.pop("coefficients").tolist(), strict=True))
+        progress("descent", {**details, "coefficients": {k: v for k, v in named.items() if v != 0.0}})
+
+    fit = descend(problem, points, coefficients, rng, report)
+    return Selection(_structure(workspace, fit), {}, np.nan, True), smoothed
+
+
+def _structure(workspace: Workspace, found: AdamFit) -> StructureFit:
+    """The result in the form of a joint fit without covariance."""
+    members = tuple(int(k) for k in workspace.free if found.coefficients[k] != 0.0)
+    physics, index = workspace.physics(members)
+    at = linearise(workspace.observations, physics, found.control_points, found.coefficients[index])
+    noise_std = np.sqrt(at.squares / np.maximum(workspace.observations.counts, 1))
+    unknown = np.full(len(noise_std), np.nan)
+    status = "converged" if found.converged else "step limit"
+    if not np.isfinite(found.loss):
+        status = "not finite"
+    fit = JointFit(
+        found.control_points,
+        found.coefficients[index],
+        np.full((len(members), len(members)), np.nan),
+        at,
+        np.nan,
+        Weights(np.maximum(noise_std, workspace.observations.noise_floor), unknown, 0.0 * unknown),
+        status,
+        found.iterations,
+    )
+    return StructureFit(members, found.coefficients, fit, np.nan)
+
+
+def _through_samples(workspace: Workspace) -> np.ndarray:
+    """Control points read off the samples at the knot averages, the ends at the first and last sample."""
+    columns = []
+    for space, t, q in zip(workspace.grid.spaces, workspace.times, workspace.values, strict=True):
+        sites = greville_sites(space.knots, workspace.degree)
+        samples = [(t[np.isfinite(c)], c[np.isfinite(c)]) for c in q.T]
+        columns.append(np.column_stack([np.interp(sites, at, c) for at, c in samples]))
+    return np.concatenate(columns)
