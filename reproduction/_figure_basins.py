@@ -138,8 +138,8 @@ def caption(study: Study) -> str:
         f"Magnetic pendulum with a known friction ψ = ½ · {study.strength:g} · (ẋ² + ẏ²) added to the true L "
         "and to each L that was discovered from five trajectories without friction. "
         f"Each of the {n} × {n} pixels is a mass released at rest there, within ±{extent:g} m. "
-        "Upper row: the colour tells at which magnet (crosses) it ends, the shade after what time its "
-        "energy is too low to leave that magnet. Lower row, black: pixels that end at another magnet than with the "
+        "Upper row: the colour tells at which magnet (crosses) it ends, the shade when its energy becomes "
+        "too low to leave that magnet. Lower row, black: pixels that end at another magnet than with the "
         f"true L. Equal pixels: {shares}. {others} Halving the integration step of {study.truth.step:g} s "
         f"changes {100 * study.halved:.2f} % of the pixels of the true map."
     )

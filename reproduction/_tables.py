@@ -71,7 +71,8 @@ def group_tables(results: Results, group: Group, paper: Mapping) -> list[Table]:
 _ACCURACY_NOTE = (
     "ℓ2 error of the coefficients × 10⁻², mean over the trials; below, precision / recall in per cent. "
     "The columns in italics are the paper's published numbers. Where a trial is missing or failed, the "
-    "number of runs is given, and the cell cannot be the best."
+    "number of runs is given, and the cell cannot be the best. Methods that find equations of motion "
+    "without a Lagrangian have no such error; they are in the tables further down."
 )
 
 
@@ -140,15 +141,21 @@ def _rows(results: Results, fill: Callable[[str, float], list[Cell]]) -> list[li
     return rows
 
 
+def _with_coefficients(results: Results) -> list[Column]:
+    """Return the columns but those whose answers never are Lagrangians of the library's terms."""
+    runs = {c: results.column(c) for c in results.columns}
+    return [c for c, r in runs.items() if not r.finished or r.mean("l2") is not None]
+
+
 def _accuracy(results: Results, group: Group, paper: Mapping) -> Table:
-    columns, names = results.columns, list(paper["table1"]["methods"])
+    columns, names = _with_coefficients(results), list(paper["table1"]["methods"])
     if group.library != "compact":
         names = []
 
     def fill(system: str, noise: float) -> list[Cell]:
         cell = results.where(system=system, noise=noise)
         ran = [cell.column(c) for c in columns]
-        most = max(len(r.records) for r in ran)
+        most = max((len(r.records) for r in ran), default=0)
         printed = [published(paper, group, name, system, noise) for name in names]
         errors = [
             _hundredfold(r.mean("l2")) if full else None for r, full in zip(ran, complete(ran), strict=True)

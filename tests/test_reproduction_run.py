@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from reproduction import problem
 from reproduction._execute import ROOT, to_json
 from reproduction._launch import Options, launch
 from reproduction.problem import Case
@@ -93,7 +94,8 @@ class Fake:
 def fake(tmp_path, monkeypatch) -> Fake:
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.syspath_prepend(str(tmp_path))
-    sys.modules.pop("fake_methods", None)
+    monkeypatch.setattr(problem, "DURATION", problem.DURATION)  # the stand-in changes it where it is imported
+    monkeypatch.delitem(sys.modules, "fake_methods", raising=False)
     return Fake(tmp_path)
 
 
@@ -148,7 +150,7 @@ def test_interrupt_ends_the_runs_and_says_what_is_left(fake):
 def test_worker_of_a_cluster_is_killed(fake):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
     ) as c:
         process = fake.start("--trials", "3", "--scheduler", c.scheduler_address)
         wait_for(lambda: len(fake.noted("started")) == 3 and len(fake.records()) == 1)

@@ -254,10 +254,11 @@ class TestTables:
         assert [c.best for c in table("Forecast", records).rows[0][2:]] == [False, True, True]
         assert [c.best for c in table("Wall", records).rows[0][2:]] == [True, True, True]
 
-    def test_methods_without_coefficients_have_no_error(self):
+    def test_methods_without_coefficients_are_in_the_other_tables(self):
         records = [record(), record("sindy", None, precision=None, recall=None)]
-        (row,) = table("Accuracy", records).rows
-        assert row[3].text == "–"
+        assert "sindy" not in table("Accuracy", records).head
+        assert table("Equation error", records).head[2:] == ["Ours", "sindy"]
+        assert table("Accuracy", [*records, record("operon", finished=False)]).head[3] == "operon"
 
     def test_second_table(self):
         plain = [record(noise=0.0), record("adam", noise=0.0)]

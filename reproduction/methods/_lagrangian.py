@@ -43,9 +43,11 @@ def acceleration_of(library: la.Library, coefficients: Mapping[str, float]) -> A
         n, n_dof = q.shape
         tiled = [np.tile(a, (len(units), 1)) for a in (q, qdot)]
         columns = la.euler_lagrange(reduced, *tiled, np.repeat(units, n, axis=0))
-        at_rest, *at_unit = (columns @ values).reshape(len(units), n, n_dof)
-        mass = np.stack([a - at_rest for a in at_unit], axis=-1)
-        force = -at_rest if forces is None else forces - at_rest
+        # far from the data a term may overflow
+        with np.errstate(over="ignore", invalid="ignore"):
+            at_rest, *at_unit = (columns @ values).reshape(len(units), n, n_dof)
+            mass = np.stack([a - at_rest for a in at_unit], axis=-1)
+            force = -at_rest if forces is None else forces - at_rest
         return _solved(mass, force)
 
     return acceleration

@@ -1,20 +1,23 @@
-"""What the three PySINDy methods share: states from positions, candidate functions, and the choice among models.
+"""What the three PySINDy methods share: states from positions, candidate functions, the choice of settings.
 
-A second-order system is given to PySINDy in the way its maintainers answer when asked: states (q, q̇), and the
+A second-order system is given to PySINDy in the way its maintainers answer when asked: states (q, q̇), and
 derivatives of the positions taken beforehand by its own differentiation classes and passed as ``x_dot``;
 forces are control inputs ``u``.
 
-* Derivatives: `SmoothedFiniteDifference` (its documentation: "appropriate for noisy data") applied twice, finite
-  differences of order 4; window and degree of the Savitzky-Golay filter are chosen, and no smoothing is one choice.
+* Derivatives: `SmoothedFiniteDifference` (its documentation: for noisy data) applied twice, finite
+  differences of order 4.  Window and degree of the Savitzky-Golay filter are those with the smallest
+  leave-one-out error of the positions, for each coordinate; no smoothing is one choice.
 * Missing samples are filled by a cubic spline through the measured ones, end values are held.
-* Candidates: polynomials of degree 2 in the velocities, times polynomials in coordinates that are not angles,
-  times all sines and cosines of angles, double angles, sums and differences of two angles.
-* Forces: linear, times the same sines and cosines.  Terms of the given Lagrangian library that are neither
-  polynomials nor sines and cosines give their gradients, so that PySINDy is told as much as we are.
-* Choice of a filter: leave-one-out error of the positions, for each coordinate.
+* Candidates: polynomials of degree 2 in the velocities, times polynomials of degree 2 in coordinates that are
+  not angles, times sines and cosines of angles, double angles, sums and differences of two angles; also of
+  a − 2b and 2a − 2b if all coordinates are angles, as for the double pendulum of the SINDy-PI paper.  Without
+  angles: polynomials of degree 3 in all states.  Forces: linear, times the same sines and cosines.
+* Terms of the given Lagrangian library that are neither polynomials nor sines and cosines give their
+  gradients, so that PySINDy is told as much as we are.
 * Choice of thresholds and of everything else: forecasts over half a second from many states of a trajectory
-  that was left out (of a fifth of the time, if there is only one), against its measured positions; for three
-  trajectories in turn.  No exact value is used.
+  that was left out (of a fifth of the time, if there is only one), against its measured positions, for three
+  trajectories in turn; the model with the fewest terms of those within one per cent of the best.  No exact
+  value is used.
 """
 
 from __future__ import annotations
@@ -43,14 +46,18 @@ __all__ = [
     "compress",
     "describe",
     "differentiate",
+    "equations",
     "feature_library",
-    "forecast_error",
     "folds",
+    "forecast_error",
     "inputs",
     "model_acceleration",
     "names",
+    "position_library",
     "quiet",
+    "regression",
     "seeded",
+    "simplest",
 ]
 
 HORIZON = 0.5  # seconds
@@ -105,7 +112,10 @@ def choose_smoothers(trajectories: Sequence[la.Trajectory]) -> tuple[Smoother, .
         window, degree = (smoother.window, smoother.degree) if smoother.window else (5, 3)
         own = savgol_coeffs(window, degree)[window // 2]
         inner = slice(window // 2, -(window // 2))
-        residuals = [(savgol_filter(q, window, degree, axis=0) - run.q)[inner] for q, run in zip(filled, trajectories, strict=True)]
+        residuals = [
+            (savgol_filter(q, window, degree, axis=0) - run.q)[inner]
+            for q, run in zip(filled, trajectories, strict=True)
+        ]
         errors.append(np.nanmean(np.concatenate(residuals) ** 2, axis=0) / (1 - own) ** 2)
     return tuple(SMOOTHERS[k] for k in np.argmin(errors, axis=0))
 
@@ -157,16 +167,15 @@ def inputs(q: np.ndarray, qdot: np.ndarray, forces: np.ndarray | None) -> np.nda
     return np.column_stack([q, qdot] if forces is None else [q, qdot, forces])
 
 
-def feature_library(problem: Problem, velocity_degree: int = 2) -> ps.GeneralizedLibrary:
+def feature_library(problem: Problem) -> ps.GeneralizedLibrary:
     """Return the candidate functions of coordinates, velocities and forces."""
     system, n = problem.system, problem.system.n_dof
-    angles = [i for i, c in enumerate(system.coordinates) if c in system.angles]
-    lengths = [i for i in range(n) if i not in angles]
+    angles, lengths = _kinds(problem)
     rates = list(range(n, 2 * n))
     if not angles:
         libraries, columns = [ps.PolynomialLibrary(degree=3)], [lengths + rates]
     else:
-        factors = [_harmonics(len(angles)), ps.PolynomialLibrary(degree=velocity_degree)]
+        factors = [_harmonics(len(angles), not lengths), ps.PolynomialLibrary(degree=2)]
         parts = [angles, rates]
         if lengths:
             factors.append(ps.PolynomialLibrary(degree=2))
@@ -174,8 +183,11 @@ def feature_library(problem: Problem, velocity_degree: int = 2) -> ps.Generalize
         libraries, columns = [ps.TensoredLibrary(factors, inputs_per_library=parts)], [list(range(2 * n))]
     if problem.data[0].forces is not None:
         forces = list(range(2 * n, 3 * n))
-        factors = [ps.PolynomialLibrary(degree=1, include_bias=False), _harmonics(len(angles))]
-        libraries.append(ps.TensoredLibrary(factors, inputs_per_library=[forces, angles]))
+        factors, parts = [ps.PolynomialLibrary(degree=1, include_bias=False)], [forces]
+        if angles:
+            factors.append(_harmonics(len(angles), not lengths))
+            parts.append(angles)
+        libraries.append(ps.TensoredLibrary(factors, inputs_per_library=parts))
         columns.append(list(range(3 * n)))
     given = _gradients(problem)
     if given:
@@ -184,24 +196,45 @@ def feature_library(problem: Problem, velocity_degree: int = 2) -> ps.Generalize
     return ps.GeneralizedLibrary(libraries, inputs_per_library=columns)
 
 
-def _harmonics(n_angles: int) -> ps.ConcatLibrary:
-    """Trigonometric polynomials of degree 2 in several angles, the constant included."""
+def position_library(problem: Problem) -> ps.TensoredLibrary:
+    """Return functions of the coordinates alone, by which accelerations are multiplied in implicit models."""
+    angles, lengths = _kinds(problem)
+    factors, parts = [], []
+    if angles:
+        factors.append(_harmonics(len(angles), not lengths))
+        parts.append(angles)
+    if lengths:
+        factors.append(ps.PolynomialLibrary(degree=2))
+        parts.append(lengths)
+    return ps.TensoredLibrary(factors, inputs_per_library=parts)
+
+
+def _kinds(problem: Problem) -> tuple[list[int], list[int]]:
+    system = problem.system
+    angles = [i for i, c in enumerate(system.coordinates) if c in system.angles]
+    return angles, [i for i in range(system.n_dof) if i not in angles]
+
+
+def _harmonics(n_angles: int, rich: bool) -> ps.ConcatLibrary:
+    """Return 1 and the sines and cosines; the combinations with two double angles only if rich."""
     libraries = [ps.PolynomialLibrary(degree=0), ps.FourierLibrary(n_frequencies=2)]
     if n_angles > 1:
-        functions = [
-            lambda x, y: np.sin(x - y),
-            lambda x, y: np.cos(x - y),
-            lambda x, y: np.sin(x + y),
-            lambda x, y: np.cos(x + y),
-        ]
-        texts = [
-            lambda x, y: f"sin({x}-{y})",
-            lambda x, y: f"cos({x}-{y})",
-            lambda x, y: f"sin({x}+{y})",
-            lambda x, y: f"cos({x}+{y})",
-        ]
+        weights = [(1, 1), (1, -1)] + ([(1, -2), (2, -1), (2, -2)] if rich else [])
+        functions, texts = [], []
+        for a, b in weights:
+            functions += [_wave(np.sin, a, b), _wave(np.cos, a, b)]
+            texts += [_text("sin", a, b), _text("cos", a, b)]
         libraries.append(ps.CustomLibrary(functions, texts))
     return ps.ConcatLibrary(libraries)
+
+
+# PySINDy counts the arguments of these functions, so they take exactly two.
+def _wave(function, a: int, b: int):
+    return lambda x, y: function(a * x + b * y)
+
+
+def _text(name: str, a: int, b: int):
+    return lambda x, y: f"{name}({a} {x}{b:+d} {y})"
 
 
 def _gradients(problem: Problem) -> list[sp.Expr]:
@@ -277,10 +310,12 @@ def seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Hide what PySINDy says of settings that are tried and then not chosen: too sparse, not converged."""
+    """Hide what PySINDy says of settings that are tried and not chosen, and of its own inner calls."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
         warnings.filterwarnings("ignore", category=ConvergenceWarning)
+        # WeakPDELibrary.fit shows its function library a single sample
+        warnings.filterwarnings("ignore", message="2 axes labeled for array with 1 axes")
         yield
 
 
@@ -295,7 +330,7 @@ def model_acceleration(library, coefficients: np.ndarray) -> Acceleration:
 
 
 def compress(features: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return few rows (R, Qᵀy) that give every least-squares problem of (Θ, y), ridge or not, the same solution."""
+    """Return few rows (R, Qᵀy) that give least squares, ridge or not, the same solution as (Θ, y)."""
     q, r = np.linalg.qr(features)
     return r, q.T @ targets
 
@@ -305,14 +340,22 @@ def describe(smoothers: Sequence[Smoother]) -> list[dict[str, int]]:
     return [asdict(smoother) for smoother in smoothers]
 
 
-def regression(problem: Problem, motions: Sequence[Motion]) -> tuple[ps.GeneralizedLibrary, np.ndarray, np.ndarray]:
+def regression(
+    problem: Problem, motions: Sequence[Motion]
+) -> tuple[ps.GeneralizedLibrary, np.ndarray, np.ndarray]:
     """Return the fitted library, its features at all samples, and the accelerations."""
     library = feature_library(problem)
     columns = [inputs(motion.q, motion.qdot, motion.forces) for motion in motions]
-    features = np.concatenate(library.fit(columns).transform(columns))
+    features = np.concatenate([np.asarray(part) for part in library.fit(columns).transform(columns)])
     return library, features, np.concatenate([motion.qddot for motion in motions])
 
 
 def equations(problem: Problem, right: Sequence[str]) -> str:
     """Return one equation a line, as PySINDy prints them."""
     return "\n".join(f"{c}_ddot = {text}" for c, text in zip(problem.system.coordinates, right, strict=True))
+
+
+def simplest(errors: np.ndarray, n_terms: np.ndarray) -> int:
+    """Return the index of the model with the fewest terms among those within one per cent of the best."""
+    close = np.flatnonzero(np.asarray(errors) <= 1.01 * np.min(errors))
+    return int(min(close, key=lambda k: (n_terms[k], errors[k])))

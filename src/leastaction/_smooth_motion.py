@@ -75,5 +75,6 @@ def smooth(
     knots_per_second, smoothed, _ = lay_knots(data, degree)
     times = [trajectory.t for trajectory in data]
     grid = SplineGrid([uniform_space(t[0], t[-1], knots_per_second, degree) for t in times])
-    curves = [grid.evaluate(smoothed.control_points, times, nu) for nu in range(3)]
-    return [SmoothMotion(t, *states, smoothed.noise_std) for t, *states in zip(times, *curves, strict=True)]
+    q, qdot, qddot = (grid.evaluate(smoothed.control_points, times, nu) for nu in range(3))
+    states = zip(times, q, qdot, qddot, strict=True)
+    return [SmoothMotion(*state, smoothed.noise_std) for state in states]

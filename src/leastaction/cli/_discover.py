@@ -10,7 +10,14 @@ import click
 
 from leastaction._errors import InputError
 from leastaction._names import quoted
-from leastaction.cli._options import DataOptions, blame, data_options, expression_list, known_coefficients
+from leastaction.cli._options import (
+    DataOptions,
+    blame,
+    data_options,
+    expression_list,
+    known_coefficients,
+    method_options,
+)
 from leastaction.cli._output import check_folder, write_together
 from leastaction.cli._show import live_progress, say, show_forecast, show_model, warn
 from leastaction.cli._text import counted, shown
@@ -49,7 +56,20 @@ Example:
 @click.option(
     "--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'."
 )
-@click.option("--method", default="gauss-newton", show_default=True, metavar="NAME", help="How to fit.")
+@click.option(
+    "--method",
+    default="gauss-newton",
+    show_default=True,
+    metavar="NAME",
+    help="How to fit: gauss-newton, or adam, the paper's own method, for comparison.",
+)
+@click.option(
+    "--option",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A setting of --method adam, e.g. threshold=0.05; may be given several times.",
+)
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
@@ -77,6 +97,7 @@ def discover(
     known: tuple[str, ...],
     dissipation: str | None,
     method: str,
+    settings: tuple[str, ...],
     seed: int,
     hold_out: str | None,
     output: str,
@@ -87,6 +108,8 @@ def discover(
     of terms. A model that does not hold is written too, marked as doubtful.
     """
     folder = check_folder(output, OUTPUTS)
+    with blame("--option"):
+        chosen = method_options(settings)
     options = DataOptions.of(data, coordinates, time, trial, forces, angles)
     with blame("--known"):
         given = known_coefficients(known)
@@ -102,7 +125,7 @@ def discover(
 
     with live_progress("prepare") as progress:
         model = leastaction.discover(
-            fitted, candidates, known=given, method=method, seed=seed, progress=progress
+            fitted, candidates, known=given, method=method, seed=seed, options=chosen, progress=progress
         )
         progress("forecast", {})
         forecast = _forecast(model, held_out)

@@ -25,6 +25,7 @@ __all__ = [
     "data_options",
     "expression_list",
     "known_coefficients",
+    "method_options",
     "name_list",
     "number",
 ]
@@ -118,6 +119,24 @@ def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
             raise InputError(f"{quoted(expression)} is given twice")
         out[expression] = number(value)
     return out
+
+
+def method_options(texts: Iterable[str]) -> dict[str, object] | None:
+    """Return ``NAME=VALUE`` texts as name -> number, truth value or text; None without any."""
+    out: dict[str, object] = {}
+    for text in texts:
+        name, equals, value = (side.strip() for side in text.partition("="))
+        if not name or not equals or not value:
+            raise InputError(f"{quoted(text)} is not of the form NAME=VALUE, e.g. threshold=0.05")
+        if name in out:
+            raise InputError(f"{quoted(name)} is given twice")
+        if value.lower() in ("true", "false"):
+            out[name] = value.lower() == "true"
+        elif _NUMBER.fullmatch(value):
+            out[name] = number(value)
+        else:
+            out[name] = value
+    return out or None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,227 @@
+"""SINDy-PI (Kaheman, Kutz & Brunton, Proc. R. Soc. A 476, 20200279, 2020) by PySINDy: implicit equations.
+
+The library holds functions of (q, q̇, f) and accelerations times functions of q; one of the latter is taken to
+the left-hand side and regressed on all others by the package's `SINDyPI` optimizer (L1, cvxpy), for every
+left-hand side and several weights.  Two kinds of library, as in the paper and as in the package: with the
+acceleration of one coordinate only, so that each equation is a rational function, and with all of them.  The
+n_dof equations found are solved for the accelerations at every state.  Left-hand sides tried: q̈ᵢ, times
+powers of the coordinates that are not angles.
+
+* Accelerations enter the library as measured states: `PDELibrary(implicit_terms=True)` would differentiate
+  the states again, and would hold q̇ twice, as a state and as the derivative of q.
+* Columns are normalised and the data compressed (same objective, few rows); `SINDyPI` has no step that
+  removes the shrinkage of L1, so a least-squares refit on the support competes with each of its solutions.
+* States, candidates and the choice among models by forecasts of left-out trajectories: see `_pysindy.py`.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import pysindy as ps
+
+from reproduction.methods import _pysindy as shared
+from reproduction.problem import Acceleration, Answer, Problem
+
+TITLE = "SINDy-PI"
+REFERENCE = "PySINDy 2.1, SINDyPI; Kaheman, Kutz & Brunton, Proc. R. Soc. A 476 (2020) 20200279"
+
+WEIGHTS = (1e-4, 1e-3, 1e-2, 1e-1)  # of L1, with columns of norm 1
+SUPPORT = 1e-3  # smaller coefficients of such columns are left by the solver's tolerance
+_LARGEST_ERROR = 10.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How one equation is found: acceleration and function on its left-hand side, and the regression."""
+
+    coordinate: int
+    left: int
+    coupled: bool
+    weight: float
+    refitted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """Library of functions of (q, q̇, f), library of functions of q, and their values with those of q̈."""
+
+    explicit: ps.GeneralizedLibrary
+    positions: ps.TensoredLibrary
+    theta: np.ndarray
+    multipliers: np.ndarray
+    qddot: np.ndarray
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Columns: all functions of q times each acceleration in turn; then the rest."""
+        products = [self.multipliers * column[:, None] for column in self.qddot.T]
+        return np.hstack([*products, self.theta])
+
+    def columns(self, setting: Setting) -> tuple[int, np.ndarray]:
+        """Return the left-hand column and the columns allowed on the right."""
+        k, n = self.multipliers.shape[1], self.qddot.shape[1]
+        left = setting.coordinate * k + setting.left
+        allowed = np.ones(n * k + self.theta.shape[1], dtype=bool)
+        if not setting.coupled:
+            allowed[: n * k] = False
+            allowed[setting.coordinate * k : (setting.coordinate + 1) * k] = True
+        allowed[left] = False
+        return left, np.flatnonzero(allowed)
+
+
+def solve(problem: Problem) -> Answer:
+    smoothers = shared.choose_smoothers(problem.data)
+    motions = shared.differentiate(problem.data, smoothers)
+    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+        # tried solutions compete by their forecasts, so an inexact one needs no warning
+        warnings.filterwarnings("ignore", message="Solution may be inaccurate")
+        warnings.filterwarnings("ignore", message="Infeasible solve")
+        chosen, error = _choose(problem, motions)
+        features = _features(problem, motions)
+        found = _regress(features, chosen)
+    rows = np.array([found[setting] for setting in chosen])
+    return Answer(
+        coefficients=None,
+        acceleration=_acceleration(features, rows),
+        status="ok" if error < 1 else "its forecasts are no better than no forecast",
+        settings={
+            "smoothers": shared.describe(smoothers),
+            "coupled": [setting.coupled for setting in chosen],
+            "weights": [setting.weight for setting in chosen],
+            "refitted": [setting.refitted for setting in chosen],
+            "held_out_error": error,
+            "n_candidates": rows.shape[1],
+            "n_terms": int(np.count_nonzero(rows)),
+        },
+        expression=_equations(problem, features, chosen, rows),
+    )
+
+
+def _features(problem: Problem, motions: Sequence[shared.Motion]) -> Features:
+    explicit, theta, qddot = shared.regression(problem, motions)
+    q = np.concatenate([motion.q for motion in motions])
+    positions = shared.position_library(problem)
+    return Features(explicit, positions, theta, np.asarray(positions.fit(q).transform(q)), qddot)
+
+
+def _settings(problem: Problem, features: Features) -> list[Setting]:
+    """All that is tried, for each coordinate."""
+    texts = features.positions.get_feature_names(list(problem.system.coordinates))
+    lefts = [k for k, text in enumerate(texts) if "sin" not in text and "cos" not in text]
+    coordinates = range(problem.system.n_dof)
+    kinds = (False, True) if len(coordinates) > 1 else (False,)
+    return [Setting(*options) for options in product(coordinates, lefts, kinds, WEIGHTS, (False, True))]
+
+
+def _regress(features: Features, settings: Sequence[Setting]) -> dict[Setting, np.ndarray]:
+    """Return the coefficients c of each equation c·(columns) = 0, −1 on the left-hand side's column."""
+    matrix = features.matrix
+    norms = np.linalg.norm(matrix, axis=0)
+    rows = np.linalg.qr(matrix / norms, mode="r")
+    found: dict[Setting, np.ndarray] = {}
+    solved: dict[tuple, np.ndarray] = {}
+    for setting in settings:
+        left, right = features.columns(setting)
+        key = (left, setting.coupled, setting.weight)
+        if key not in solved:
+            solved[key] = _sparse(rows[:, [left, *right]], setting.weight)
+        row = np.zeros(len(norms))
+        row[right] = solved[key]
+        if setting.refitted:
+            support = np.flatnonzero(row)
+            row[support] = np.linalg.lstsq(rows[:, support], rows[:, left], rcond=None)[0]
+        row[left] = -1.0
+        found[setting] = row / norms
+    return found
+
+
+def _sparse(rows: np.ndarray, weight: float) -> np.ndarray:
+    """Regress the first column on the others by SINDyPI."""
+    optimizer = ps.SINDyPI(
+        reg_weight_lam=weight, regularizer="l1", tol=1e-6, max_iter=20000, model_subset=[0]
+    )
+    row = optimizer.fit(rows, rows[:, :1]).coef_[0, 1:]
+    return np.where(np.abs(row) > SUPPORT, np.nan_to_num(row), 0.0)
+
+
+def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[Setting, ...], float]:
+    """Return one setting per coordinate: the best few by their own equation, then by joint forecasts."""
+    parts = []
+    for train, test in shared.folds(motions):
+        features = _features(problem, train)
+        parts.append((features, _regress(features, _settings(problem, features)), test))
+    errors = {
+        setting: sum(_equation_error(part, setting, found[setting], test) for part, found, test in parts)
+        for setting in parts[0][1]
+    }
+    n = problem.system.n_dof
+    best: dict[tuple[Setting, ...], float] = {}
+    for chosen in product(*(_shortlist(errors, coordinate) for coordinate in range(n))):
+        error = 0.0
+        for part, found, test in parts:
+            acceleration = _acceleration(part, np.array([found[setting] for setting in chosen]))
+            error += shared.forecast_error(acceleration, test) / len(parts)
+        best[chosen] = error
+    chosen = min(best, key=best.get)
+    return chosen, float(best[chosen])
+
+
+def _shortlist(errors: dict[Setting, float], coordinate: int) -> list[Setting]:
+    """The two best equations with this coordinate's acceleration only, and the best with all of them."""
+    ranked = sorted((s for s in errors if s.coordinate == coordinate), key=errors.get)
+    return [s for s in ranked if not s.coupled][:2] + [s for s in ranked if s.coupled][:1]
+
+
+def _equation_error(features: Features, setting: Setting, row, test: Sequence[shared.Motion]) -> float:
+    """Relative error of one coordinate's acceleration, the others as measured."""
+    i = setting.coordinate
+    q, qdot, qddot = (np.concatenate([getattr(m, part) for m in test]) for part in ("q", "qdot", "qddot"))
+    forces = None if test[0].forces is None else np.concatenate([m.forces for m in test])
+    mass, right = _linear(features, row[None, :], q, qdot, forces)
+    other = np.einsum("tj,tj->t", mass[:, 0], qddot) - mass[:, 0, i] * qddot[:, i]
+    with np.errstate(all="ignore"):
+        error = np.abs((right[:, 0] - other) / mass[:, 0, i] - qddot[:, i]) / np.std(qddot[:, i])
+    return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=np.inf), _LARGEST_ERROR) ** 2)))
+
+
+def _linear(features: Features, rows: np.ndarray, q, qdot, forces) -> tuple[np.ndarray, np.ndarray]:
+    """Return M and b of the equations M q̈ = b."""
+    n, k = features.qddot.shape[1], features.multipliers.shape[1]
+    multipliers = np.asarray(features.positions.transform(q))
+    theta = np.asarray(features.explicit.transform(shared.inputs(q, qdot, forces)))
+    mass = np.einsum("tk,ijk->tij", multipliers, rows[:, : n * k].reshape(len(rows), n, k))
+    return mass, -theta @ rows[:, n * k :].T
+
+
+def _acceleration(features: Features, rows: np.ndarray) -> Acceleration:
+    def acceleration(q, qdot, forces=None):
+        with np.errstate(all="ignore"):
+            mass, right = _linear(features, rows, q, qdot, forces)
+            good = np.isfinite(mass).all(axis=(1, 2)) & np.isfinite(right).all(axis=1)
+            good[good] = np.abs(np.linalg.det(mass[good])) > 0
+            result = np.full(right.shape, np.nan)
+            result[good] = np.linalg.solve(mass[good], right[good][..., None])[..., 0]
+        return result
+
+    return acceleration
+
+
+def _equations(problem: Problem, features: Features, chosen: Sequence[Setting], rows: np.ndarray) -> str:
+    coordinates = list(problem.system.coordinates)
+    functions = features.positions.get_feature_names(coordinates)
+    texts = [f"{c}_ddot {text}" for c in coordinates for text in functions]
+    texts += features.explicit.get_feature_names(shared.names(problem))
+    lines = []
+    for setting, row in zip(chosen, rows, strict=True):
+        left, _ = features.columns(setting)
+        scaled = -row / row[left]
+        terms = [f"{scaled[k]:.6g} {texts[k]}" for k in np.flatnonzero(scaled) if k != left]
+        lines.append(f"{texts[left]} = {' + '.join(terms) or '0'}")
+    return "\n".join(lines)
