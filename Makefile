@@ -6,13 +6,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
 TEST_ARGS ?=
+RUN_ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_NO_INPUT := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format bench study-systems clean
+.PHONY: help demo test lint format bench study-systems table1 table2 figures reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
 
@@ -23,6 +24,10 @@ help:
 	@echo "make format         put the code into the style that lint checks"
 	@echo "make bench          measure speed"
 	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
+	@echo "make table1         run the first table of the paper (takes long; resumes; RUN_ARGS='--jobs 2 --trials 1')"
+	@echo "make table2         run its second table: missing samples, no regularisation (takes long; resumes)"
+	@echo "make figures        draw the figures of the reproduction"
+	@echo "make reproduce-smoke  one small case by the fast methods, and its tables in build/reproduction/"
 	@echo "make clean          remove outputs and caches, keep $(VENV)"
 
 demo: $(STAMPS)/core
@@ -47,6 +52,21 @@ bench: $(STAMPS)/core
 
 study-systems: $(STAMPS)/core
 	$(BIN)/python benchmarks/accuracy.py
+
+# What has a record in reproduction/results/ is not run again.
+table1 table2: table%: $(STAMPS)/reproduction
+	$(BIN)/python -m reproduction.run --table $* $(RUN_ARGS)
+	$(BIN)/python -m reproduction.collate
+
+figures: $(STAMPS)/reproduction
+	$(BIN)/python -m reproduction.figures
+
+SMOKE_METHODS := ours xlsindy_exact xlsindy_positions energy rk4_sindy
+reproduce-smoke: $(STAMPS)/reproduction
+	rm -rf build/reproduction
+	$(BIN)/python -m reproduction.run --strict --system single_pendulum --noise 0.01 --trials 1 --jobs 2 \
+	  --timeout 120 $(SMOKE_METHODS:%=--method %) --results build/reproduction/results
+	$(BIN)/python -m reproduction.collate --results build/reproduction/results --output build/reproduction/tables
 
 clean:
 	rm -rf demo-output build dist docs/_build .pytest_cache .hypothesis .ruff_cache .import_linter_cache
@@ -84,4 +104,8 @@ $(STAMPS)/test: $(STAMPS)/venv pyproject.toml
 
 $(STAMPS)/lint: $(STAMPS)/venv pyproject.toml
 	@$(call install,[lint])
+	@touch $(STAMPS)/core $@
+
+$(STAMPS)/reproduction: $(STAMPS)/venv pyproject.toml
+	@$(call install,[reproduction])
 	@touch $(STAMPS)/core $@

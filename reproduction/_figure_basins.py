@@ -55,8 +55,8 @@ class Study:
 
 def compute(
     pixels: int,
+    others: Sequence[float],
     models: Sequence[tuple[str, float]] = MODELS,
-    others: Sequence[float] = OTHER_DAMPINGS,
     progress: Callable[[str], None] | None = None,
 ) -> Study:
     """Discover the undamped L by each method, add the same known damping to all, and map the basins."""

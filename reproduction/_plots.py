@@ -18,7 +18,7 @@ COLOURS = {
     "truth": "#000000",
     "ours": "#0072B2",
     "adam": "#D55E00",
-    "no-regularisation": "#E69F00",
+    "no-regularisation": "#009E73",
     "data": "#8C8C8C",
     "magnets": ("#0072B2", "#E69F00", "#009E73"),
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import time
 from collections.abc import Sequence
@@ -28,26 +29,35 @@ _TITLES = {
 def make(name: str, output: Path, pixels: int) -> dict:
     """Compute and draw one figure; return its record."""
     if name == "ablation":
-        ablations = _figure_ablation.compute()
+        ablations = _figure_ablation.compute(_figure_ablation.NOISES)
         write_svg(_figure_ablation.draw(ablations), output / "ablation.svg")
         return _record(
             "ablation.svg", _figure_ablation.caption(ablations), _figure_ablation.numbers(ablations)
         )
     if name == "magnetic":
-        forecast = _figure_magnetic.compute()
+        forecast = _figure_magnetic.compute(_figure_magnetic.LONG)
         write_svg(_figure_magnetic.draw(forecast), output / "magnetic.svg")
         return _record("magnetic.svg", _figure_magnetic.caption(forecast), _figure_magnetic.numbers(forecast))
-    study = _figure_basins.compute(pixels, progress=_say)
+    study = _figure_basins.compute(pixels, others=_figure_basins.OTHER_DAMPINGS, progress=_say)
     write_png(_figure_basins.draw(study), output / "basins.png", _figure_basins.dpi(pixels))
     return _record("basins.png", _figure_basins.caption(study), _figure_basins.numbers(study))
 
 
 def _record(file: str, caption: str, numbers: dict) -> dict:
-    return {"file": file, "caption": caption, "numbers": numbers}
+    return {"file": file, "caption": caption, "numbers": _finite(numbers)}
 
 
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
+
+
+def _finite(value):
+    """Return the same numbers with None for what JSON cannot hold."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _write(records: dict, output: Path) -> None:

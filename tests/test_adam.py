@@ -15,7 +15,7 @@ from leastaction._fit.adam import AdamProblem, descend
 from leastaction._fit.problem import Physics
 from leastaction._spline import SplineGrid, uniform_space
 
-QUICK = {"iterations": 2000, "threshold_from": 800, "check_every": 200, "learning_rate_curve": 1e-4}
+QUICK = {"iterations": 2000, "threshold_from": 800, "check_every": 200, "learning_rate_coefficients": 1e-2}
 
 
 def problem(force=True, missing=False, **options) -> AdamProblem:

@@ -50,6 +50,7 @@ __all__ = [
     "feature_library",
     "folds",
     "forecast_error",
+    "forecast_errors",
     "inputs",
     "model_acceleration",
     "names",
@@ -261,19 +262,36 @@ def _custom(expressions: Sequence[sp.Expr], symbols: Sequence[sp.Symbol]) -> ps.
 
 def forecast_error(acceleration: Acceleration, motions: Sequence[Motion]) -> float:
     """Return the error of forecasts over `HORIZON`, relative to how far the coordinates move in that time."""
-    squares, count = 0.0, 0
+    return float(_forecast_errors(acceleration, motions, 1)[0])
+
+
+def forecast_errors(library, coefficients: np.ndarray, motions: Sequence[Motion]) -> np.ndarray:
+    """Return the same for many models at once: coefficients (n_models, n_dof, n_features)."""
+    weights = np.swapaxes(coefficients, 1, 2)
+
+    def acceleration(q, qdot, forces):
+        features = np.asarray(library.transform(inputs(q, qdot, forces)))
+        return (features.reshape(len(weights), -1, features.shape[1]) @ weights).reshape(q.shape)
+
+    return _forecast_errors(acceleration, motions, len(weights))
+
+
+def _forecast_errors(acceleration: Acceleration, motions: Sequence[Motion], n_models: int) -> np.ndarray:
+    squares, count = np.zeros(n_models), 0
     for motion in motions:
         dt = motion.t[1] - motion.t[0]
         length = 4 * max(1, int(HORIZON / (4 * dt)))
         starts = np.arange(0, motion.t.size - length, length // 2)
         moved = motion.measured[starts + length] - motion.measured[starts]
         scale = np.sqrt(np.nanmean(moved**2, axis=0))
-        for k, q in _forecast(acceleration, motion, starts, length, dt):
+        for k, q in _forecast(acceleration, motion, np.tile(starts, n_models), length, dt):
             measured = motion.measured[starts + k]
-            error = np.nan_to_num(np.abs(q - measured) / scale, nan=np.inf)[np.isfinite(measured)]
-            squares += np.sum(np.minimum(error, _LARGEST_ERROR) ** 2)
-            count += error.size
-    return float(np.sqrt(squares / count))
+            known = np.isfinite(measured)
+            error = np.abs(q.reshape(n_models, *measured.shape) - measured) / scale
+            error = np.minimum(np.nan_to_num(error, nan=np.inf), _LARGEST_ERROR)
+            squares += np.sum(np.where(known, error, 0.0) ** 2, axis=(1, 2))
+            count += np.sum(known)
+    return np.sqrt(squares / count)
 
 
 def _forecast(acceleration, motion: Motion, starts, length: int, dt: float) -> Iterator:
@@ -310,12 +328,10 @@ def seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Hide what PySINDy says of settings that are tried and not chosen, and of its own inner calls."""
+    """Hide what PySINDy says of settings that are tried and not chosen: too sparse, not converged."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparsity parameter is too big")
         warnings.filterwarnings("ignore", category=ConvergenceWarning)
-        # WeakPDELibrary.fit shows its function library a single sample
-        warnings.filterwarnings("ignore", message="2 axes labeled for array with 1 axes")
         yield
 
 

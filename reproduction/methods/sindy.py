@@ -83,10 +83,9 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[Setting
         library, features, targets = shared.regression(problem, train)
         size = np.linalg.norm(targets) / np.sqrt(targets.shape[1])
         rows, right = shared.compress(features, targets)
-        for k, setting in enumerate(SETTINGS):
-            found = setting.optimizer(size, len(rows)).fit(rows, right).coef_
-            n_terms[k] += np.count_nonzero(found)
-            errors[k] += shared.forecast_error(shared.model_acceleration(library, found), test) / len(parts)
+        found = np.array([s.optimizer(size, len(rows)).fit(rows, right).coef_ for s in SETTINGS])
+        n_terms += np.count_nonzero(found, axis=(1, 2))
+        errors += shared.forecast_errors(library, found, test) / len(parts)
     k = shared.simplest(errors, n_terms)
     best = SETTINGS[k]
     bagged = Setting(best.threshold, best.normalised, best.alpha, bagging=True)

@@ -1,17 +1,18 @@
 """SINDy-PI (Kaheman, Kutz & Brunton, Proc. R. Soc. A 476, 20200279, 2020) by PySINDy: implicit equations.
 
 The library holds functions of (q, q̇, f) and accelerations times functions of q; one of the latter is taken to
-the left-hand side and regressed on all others by the package's `SINDyPI` optimizer (L1, cvxpy), for every
-left-hand side and several weights.  Two kinds of library, as in the paper and as in the package: with the
-acceleration of one coordinate only, so that each equation is a rational function, and with all of them.  The
-n_dof equations found are solved for the accelerations at every state.  Left-hand sides tried: q̈ᵢ, times
-powers of the coordinates that are not angles.
+the left-hand side and regressed on all others, with several weights: by the package's `SINDyPI` optimizer (L1,
+cvxpy), by a least-squares refit on its support (it has no step of its own that removes the shrinkage), and by
+the package's STLSQ, which is the regression of the paper.  Two kinds of library, as in the paper and as in the
+package: with the acceleration of one coordinate only, so that each equation is a rational function, and with
+all of them.  Left-hand sides: q̈ᵢ, times powers of the coordinates that are not angles.  The n_dof equations
+found are solved for the accelerations at every state.
 
 * Accelerations enter the library as measured states: `PDELibrary(implicit_terms=True)` would differentiate
   the states again, and would hold q̇ twice, as a state and as the derivative of q.
-* Columns are normalised and the data compressed (same objective, few rows); `SINDyPI` has no step that
-  removes the shrinkage of L1, so a least-squares refit on the support competes with each of its solutions.
-* States, candidates and the choice among models by forecasts of left-out trajectories: see `_pysindy.py`.
+* Columns are normalised, and the data compressed without changing the objective.
+* States, candidates and the choice among models by forecasts of left-out trajectories: see `_pysindy.py`;
+  the few models that enter it for each coordinate are those with the smallest error of its acceleration.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import io
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -32,9 +33,36 @@ from reproduction.problem import Acceleration, Answer, Problem
 TITLE = "SINDy-PI"
 REFERENCE = "PySINDy 2.1, SINDyPI; Kaheman, Kutz & Brunton, Proc. R. Soc. A 476 (2020) 20200279"
 
-WEIGHTS = (1e-4, 1e-3, 1e-2, 1e-1)  # of L1, with columns of norm 1
-SUPPORT = 1e-3  # smaller coefficients of such columns are left by the solver's tolerance
+SUPPORT = 1e-3  # L1 solutions: smaller coefficients of columns of norm 1 are left by the solver's tolerance
 _LARGEST_ERROR = 10.0
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Regression of a column on others, all of norm 1: ``l1``, ``l1, refitted`` or ``stlsq``."""
+
+    kind: str
+    weight: float
+    alpha: float = 0.0
+
+    def __call__(self, rows: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the coefficients of the columns of `rows`."""
+        if self.kind == "stlsq":
+            optimizer = ps.STLSQ(threshold=self.weight, alpha=self.alpha)
+            return optimizer.fit(rows, target[:, None]).coef_[0]
+        options = {"tol": 1e-6, "max_iter": 20000, "model_subset": [0]}
+        optimizer = ps.SINDyPI(reg_weight_lam=self.weight, regularizer="l1", **options)
+        solution = optimizer.fit(np.column_stack([target, rows]), target[:, None]).coef_[0, 1:]
+        return np.where(np.abs(solution) > SUPPORT, np.nan_to_num(solution), 0.0)
+
+
+L1_WEIGHTS = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+THRESHOLDS = (0.001, 0.003, 0.01, 0.03, 0.1)
+REGRESSIONS = (
+    *(Regression("l1", weight) for weight in L1_WEIGHTS),
+    *(Regression("l1, refitted", weight) for weight in L1_WEIGHTS),
+    *(Regression("stlsq", threshold, alpha) for threshold in THRESHOLDS for alpha in (1e-5, 0.05)),
+)
 
 
 @dataclass(frozen=True)
@@ -44,8 +72,7 @@ class Setting:
     coordinate: int
     left: int
     coupled: bool
-    weight: float
-    refitted: bool
+    regression: Regression
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +106,8 @@ class Features:
 def solve(problem: Problem) -> Answer:
     smoothers = shared.choose_smoothers(problem.data)
     motions = shared.differentiate(problem.data, smoothers)
-    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+    # SINDyPI prints the number of each model
+    with shared.quiet(), warnings.catch_warnings(), redirect_stdout(io.StringIO()):
         # tried solutions compete by their forecasts, so an inexact one needs no warning
         warnings.filterwarnings("ignore", message="Solution may be inaccurate")
         warnings.filterwarnings("ignore", message="Infeasible solve")
@@ -94,8 +122,7 @@ def solve(problem: Problem) -> Answer:
         settings={
             "smoothers": shared.describe(smoothers),
             "coupled": [setting.coupled for setting in chosen],
-            "weights": [setting.weight for setting in chosen],
-            "refitted": [setting.refitted for setting in chosen],
+            "regressions": [asdict(setting.regression) for setting in chosen],
             "held_out_error": error,
             "n_candidates": rows.shape[1],
             "n_terms": int(np.count_nonzero(rows)),
@@ -117,78 +144,77 @@ def _settings(problem: Problem, features: Features) -> list[Setting]:
     lefts = [k for k, text in enumerate(texts) if "sin" not in text and "cos" not in text]
     coordinates = range(problem.system.n_dof)
     kinds = (False, True) if len(coordinates) > 1 else (False,)
-    return [Setting(*options) for options in product(coordinates, lefts, kinds, WEIGHTS, (False, True))]
+    return [Setting(*options) for options in product(coordinates, lefts, kinds, REGRESSIONS)]
 
 
 def _regress(features: Features, settings: Sequence[Setting]) -> dict[Setting, np.ndarray]:
     """Return the coefficients c of each equation c·(columns) = 0, −1 on the left-hand side's column."""
     matrix = features.matrix
     norms = np.linalg.norm(matrix, axis=0)
+    norms[norms == 0] = 1.0
     rows = np.linalg.qr(matrix / norms, mode="r")
     found: dict[Setting, np.ndarray] = {}
-    solved: dict[tuple, np.ndarray] = {}
     for setting in settings:
         left, right = features.columns(setting)
-        key = (left, setting.coupled, setting.weight)
-        if key not in solved:
-            solved[key] = _sparse(rows[:, [left, *right]], setting.weight)
         row = np.zeros(len(norms))
-        row[right] = solved[key]
-        if setting.refitted:
-            support = np.flatnonzero(row)
+        regression = setting.regression
+        if regression.kind == "l1, refitted":
+            shrunk = found.get(replace(setting, regression=replace(regression, kind="l1")))
+            part = (
+                replace(regression, kind="l1")(rows[:, right], rows[:, left])
+                if shrunk is None
+                else shrunk[right]
+            )
+            support = right[part != 0]
             row[support] = np.linalg.lstsq(rows[:, support], rows[:, left], rcond=None)[0]
+        else:
+            row[right] = regression(rows[:, right], rows[:, left])
         row[left] = -1.0
         found[setting] = row / norms
     return found
 
 
-def _sparse(rows: np.ndarray, weight: float) -> np.ndarray:
-    """Regress the first column on the others by SINDyPI."""
-    optimizer = ps.SINDyPI(
-        reg_weight_lam=weight, regularizer="l1", tol=1e-6, max_iter=20000, model_subset=[0]
-    )
-    row = optimizer.fit(rows, rows[:, :1]).coef_[0, 1:]
-    return np.where(np.abs(row) > SUPPORT, np.nan_to_num(row), 0.0)
-
-
 def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[Setting, ...], float]:
     """Return one setting per coordinate: the best few by their own equation, then by joint forecasts."""
     parts = []
+    errors: dict[Setting, float] = {}
     for train, test in shared.folds(motions):
         features = _features(problem, train)
-        parts.append((features, _regress(features, _settings(problem, features)), test))
-    errors = {
-        setting: sum(_equation_error(part, setting, found[setting], test) for part, found, test in parts)
-        for setting in parts[0][1]
-    }
-    n = problem.system.n_dof
-    best: dict[tuple[Setting, ...], float] = {}
-    for chosen in product(*(_shortlist(errors, coordinate) for coordinate in range(n))):
-        error = 0.0
-        for part, found, test in parts:
-            acceleration = _acceleration(part, np.array([found[setting] for setting in chosen]))
-            error += shared.forecast_error(acceleration, test) / len(parts)
-        best[chosen] = error
-    chosen = min(best, key=best.get)
-    return chosen, float(best[chosen])
+        found = _regress(features, _settings(problem, features))
+        for setting, error in _equation_errors(features, found, test).items():
+            errors[setting] = errors.get(setting, 0.0) + error
+        parts.append((features, found, test))
+    tried = list(product(*(_shortlist(errors, i) for i in range(problem.system.n_dof))))
+    totals, n_terms = np.zeros(len(tried)), np.zeros(len(tried))
+    for features, found, test in parts:
+        for k, chosen in enumerate(tried):
+            rows = np.array([found[setting] for setting in chosen])
+            totals[k] += shared.forecast_error(_acceleration(features, rows), test) / len(parts)
+            n_terms[k] += np.count_nonzero(rows)
+    k = shared.simplest(totals, n_terms)
+    return tried[k], float(totals[k])
 
 
 def _shortlist(errors: dict[Setting, float], coordinate: int) -> list[Setting]:
-    """The two best equations with this coordinate's acceleration only, and the best with all of them."""
+    """Return the best two equations with this coordinate's acceleration only, and the best with all."""
     ranked = sorted((s for s in errors if s.coordinate == coordinate), key=errors.get)
     return [s for s in ranked if not s.coupled][:2] + [s for s in ranked if s.coupled][:1]
 
 
-def _equation_error(features: Features, setting: Setting, row, test: Sequence[shared.Motion]) -> float:
-    """Relative error of one coordinate's acceleration, the others as measured."""
-    i = setting.coordinate
+def _equation_errors(features: Features, found: dict, test: Sequence[shared.Motion]) -> dict[Setting, float]:
+    """Return relative errors of each equation's own acceleration, the others as measured."""
     q, qdot, qddot = (np.concatenate([getattr(m, part) for m in test]) for part in ("q", "qdot", "qddot"))
     forces = None if test[0].forces is None else np.concatenate([m.forces for m in test])
-    mass, right = _linear(features, row[None, :], q, qdot, forces)
-    other = np.einsum("tj,tj->t", mass[:, 0], qddot) - mass[:, 0, i] * qddot[:, i]
-    with np.errstate(all="ignore"):
-        error = np.abs((right[:, 0] - other) / mass[:, 0, i] - qddot[:, i]) / np.std(qddot[:, i])
-    return float(np.sqrt(np.mean(np.minimum(np.nan_to_num(error, nan=np.inf), _LARGEST_ERROR) ** 2)))
+    mass, right = _linear(features, np.array(list(found.values())), q, qdot, forces)
+    errors = {}
+    for k, setting in enumerate(found):
+        i = setting.coordinate
+        residual = right[:, k] - np.einsum("tj,tj->t", mass[:, k], qddot)
+        with np.errstate(all="ignore"):
+            error = np.abs(residual / mass[:, k, i]) / np.std(qddot[:, i])
+        bounded = np.minimum(np.nan_to_num(error, nan=np.inf), _LARGEST_ERROR)
+        errors[setting] = float(np.sqrt(np.mean(bounded**2)))
+    return errors
 
 
 def _linear(features: Features, rows: np.ndarray, q, qdot, forces) -> tuple[np.ndarray, np.ndarray]:
@@ -196,8 +222,8 @@ def _linear(features: Features, rows: np.ndarray, q, qdot, forces) -> tuple[np.n
     n, k = features.qddot.shape[1], features.multipliers.shape[1]
     multipliers = np.asarray(features.positions.transform(q))
     theta = np.asarray(features.explicit.transform(shared.inputs(q, qdot, forces)))
-    mass = np.einsum("tk,ijk->tij", multipliers, rows[:, : n * k].reshape(len(rows), n, k))
-    return mass, -theta @ rows[:, n * k :].T
+    mass = multipliers @ rows[:, : n * k].reshape(-1, k).T
+    return mass.reshape(len(q), len(rows), n), -theta @ rows[:, n * k :].T
 
 
 def _acceleration(features: Features, rows: np.ndarray) -> Acceleration:

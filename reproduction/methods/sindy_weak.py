@@ -26,6 +26,28 @@ HALF_WIDTHS = (0.05, 0.1, 0.2, 0.4)  # seconds; more than a swing cannot be told
 N_DOMAINS = 500
 
 
+class _Rows(ps.feature_library.base.BaseFeatureLibrary):
+    """A feature library that can also be fitted to one sample without an axis of time.
+
+    `WeakPDELibrary.fit` does that to its function library; libraries made of others cannot take it.
+    """
+
+    def __init__(self, library: ps.GeneralizedLibrary) -> None:
+        self.library = library
+
+    def fit(self, x, y=None) -> _Rows:
+        self.library.fit(np.atleast_2d(np.asarray(x)))
+        self.n_features_in_ = self.library.n_features_in_
+        self.n_output_features_ = self.library.n_output_features_
+        return self
+
+    def transform(self, x):
+        return self.library.transform(x)
+
+    def get_feature_names(self, input_features=None) -> list[str]:
+        return self.library.get_feature_names(input_features)
+
+
 def solve(problem: Problem) -> Answer:
     smoothers = shared.choose_smoothers(problem.data)
     motions = shared.differentiate(problem.data, smoothers)
@@ -60,7 +82,7 @@ def _same_length(motions: Sequence[shared.Motion]) -> list[shared.Motion]:
 def _library(problem: Problem, motions: Sequence[shared.Motion], half_width: float) -> ps.WeakPDELibrary:
     times = motions[0].t - motions[0].t[0]
     return ps.WeakPDELibrary(
-        function_library=shared.feature_library(problem),
+        function_library=_Rows(shared.feature_library(problem)),
         spatiotemporal_grid=times,
         K=N_DOMAINS,
         H_xt=half_width,
@@ -75,11 +97,10 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[float, 
     for train, test in parts:
         for h, half_width in enumerate(HALF_WIDTHS):
             library, rows, right, size = _integrals(problem, _same_length(train), half_width)
-            for k, setting in enumerate(SETTINGS, start=h * len(SETTINGS)):
-                found = setting.optimizer(size, len(rows)).fit(rows, right).coef_
-                acceleration = shared.model_acceleration(library.function_library, found)
-                n_terms[k] += np.count_nonzero(found)
-                errors[k] += shared.forecast_error(acceleration, test) / len(parts)
+            found = np.array([s.optimizer(size, len(rows)).fit(rows, right).coef_ for s in SETTINGS])
+            block = slice(h * len(SETTINGS), (h + 1) * len(SETTINGS))
+            n_terms[block] += np.count_nonzero(found, axis=(1, 2))
+            errors[block] += shared.forecast_errors(library.function_library, found, test) / len(parts)
     k = shared.simplest(errors, n_terms)
     return *tried[k], float(errors[k])
 

@@ -14,8 +14,6 @@ from leastaction._smoothing import Smooth, smooth
 
 __all__ = ["select_by_descent"]
 
-_KNOTS = 2.0  # times those that the default method begins with: cubic splines need more
-
 
 def select_by_descent(
     workspace: Workspace, options: AdamOptions, progress: Progress, seed: int = 0
@@ -24,7 +22,7 @@ def select_by_descent(
 
     There is no covariance and no selection path: the method has none.
     """
-    workspace.set_knots(options.knots_per_second or _KNOTS * workspace.knots_per_second)
+    workspace.set_knots(options.knots_per_second or workspace.knots_per_second)
     smoothed = smooth(workspace.grid, workspace.times, workspace.values)
     rng = np.random.default_rng(seed)
     is_free = np.isnan(workspace.known)

@@ -35,7 +35,7 @@ class AdamOptions:
     batch : int
         Collocation times used in an iteration.
     knots_per_second : float or None
-        None: from the time scale of the data, twice as many as the default method begins with.
+        None: from the time scale of the data, as many as the default method begins with.
     start_curve : {"smooth", "samples"}
         Control points at the start: those of a penalised smoothing spline, or the samples (linearly
         interpolated at the knot averages).
@@ -53,21 +53,21 @@ class AdamOptions:
     --------
     >>> from leastaction import AdamOptions
     >>> AdamOptions(threshold=0.01).iterations
-    10000
+    30000
     """
 
     data_weight: float = 1.0
     curvature_weight: float = 1e-7
-    physics_weight: float = 0.01
+    physics_weight: float = 0.1
     threshold: float = 0.03
-    threshold_from: int = 3000
-    check_every: int = 500
-    iterations: int = 10_000
-    learning_rate_curve: float = 1e-3
-    learning_rate_coefficients: float = 1e-2
+    threshold_from: int = 15_000
+    check_every: int = 1000
+    iterations: int = 30_000
+    learning_rate_curve: float = 3e-5
+    learning_rate_coefficients: float = 3e-3
     tolerance: float = 1e-5
     collocation: float = 5.0
-    batch: int = 4096
+    batch: int = 1024
     knots_per_second: float | None = None
     start_curve: Literal["smooth", "samples"] = "smooth"
     start_coefficients: Literal["regression", "ones"] = "regression"
