@@ -24,7 +24,7 @@ MAGNETS = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
 UNDECIDED = -1
 _AT_ONCE = 8192  # motions in the working set: their arrays stay in the processor's cache
 _LOOK = 0.1  # seconds between two looks at the energy
-_LONGEST = 150.0  # seconds after which a motion is given up as undecided
+_LONGEST = 60.0  # seconds after which a motion is given up as undecided
 
 
 @dataclass(frozen=True)

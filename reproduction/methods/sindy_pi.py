@@ -1,12 +1,12 @@
 """SINDy-PI (Kaheman, Kutz & Brunton, Proc. R. Soc. A 476, 20200279, 2020) by PySINDy: implicit equations.
 
-The library holds functions of (q, q̇, f) and accelerations times functions of q; one of the latter is taken to
-the left-hand side and regressed on all others, with several weights: by the package's `SINDyPI` optimizer (L1,
-cvxpy), by a least-squares refit on its support (it has no step of its own that removes the shrinkage), and by
-the package's STLSQ, which is the regression of the paper.  Two kinds of library, as in the paper and as in the
-package: with the acceleration of one coordinate only, so that each equation is a rational function, and with
-all of them.  Left-hand sides: q̈ᵢ, times powers of the coordinates that are not angles.  The n_dof equations
-found are solved for the accelerations at every state.
+The library holds functions of (q, q̇, f) and accelerations times functions of q; one of the latter is taken
+to the left-hand side and regressed on all others, with several weights: by the package's `SINDyPI` optimizer
+(L1, cvxpy), by a least-squares refit on its support (it has no step of its own that removes the shrinkage),
+and by the package's STLSQ, which is the regression of the paper.  Two kinds of library, as in the paper and
+as in the package: with the acceleration of one coordinate only, so that each equation is a rational function,
+and with all of them.  Left-hand sides: q̈ᵢ, times powers of the coordinates that are not angles.  The n_dof
+equations found are solved for the accelerations at every state.
 
 * Accelerations enter the library as measured states: `PDELibrary(implicit_terms=True)` would differentiate
   the states again, and would hold q̇ twice, as a state and as the derivative of q.
@@ -184,7 +184,8 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[S
         for setting, error in _equation_errors(features, found, test).items():
             errors[setting] = errors.get(setting, 0.0) + error
         parts.append((features, found, test))
-    tried = list(product(*(_shortlist(errors, i) for i in range(problem.system.n_dof))))
+    n = problem.system.n_dof
+    tried = list(product(*(_shortlist(errors, i, n) for i in range(n))))
     totals, n_terms = np.zeros(len(tried)), np.zeros(len(tried))
     for features, found, test in parts:
         for k, chosen in enumerate(tried):
@@ -195,10 +196,11 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[S
     return tried[k], float(totals[k])
 
 
-def _shortlist(errors: dict[Setting, float], coordinate: int) -> list[Setting]:
-    """Return the best two equations with this coordinate's acceleration only, and the best with all."""
+def _shortlist(errors: dict[Setting, float], coordinate: int, n_dof: int) -> list[Setting]:
+    """Return the best equations with this coordinate's acceleration only, and the best with all of them."""
     ranked = sorted((s for s in errors if s.coordinate == coordinate), key=errors.get)
-    return [s for s in ranked if not s.coupled][:2] + [s for s in ranked if s.coupled][:1]
+    own, all_of_them = (2, 1) if n_dof > 2 else (4, 2)  # all combinations are tried
+    return [s for s in ranked if not s.coupled][:own] + [s for s in ranked if s.coupled][:all_of_them]
 
 
 def _equation_errors(features: Features, found: dict, test: Sequence[shared.Motion]) -> dict[Setting, float]:
