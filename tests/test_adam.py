@@ -120,6 +120,19 @@ def test_finds_a_driven_pendulum_without_noise():
     assert found["cos(theta)"] == pytest.approx(9.81, rel=0.02)
 
 
+def test_given_start():
+    start = {"x_dot**2": 7.0, "x**2": -0.5, "x**4": -0.2}
+    model = la.discover(
+        duffing(noise=0.0), DUFFING_LIBRARY, KINETIC, method="adam",
+        options={**QUICK, "iterations": 400, "threshold_from": 200, "start_coefficients": start},
+    )  # fmt: skip
+    assert {t.expression: t.coefficient for t in model.terms} == pytest.approx(DUFFING_TRUTH, rel=0.02)
+    with pytest.raises(la.InputError, match="'y' is not a candidate"):
+        la.discover(
+            duffing(), DUFFING_LIBRARY, KINETIC, method="adam", options={"start_coefficients": {"y": 1.0}}
+        )
+
+
 def test_same_seed_same_answer():
     data = record(lambda q, v, f: -q, [([1.0], [0.0])], ["x"], duration=6.0, noise=0.01)
     short = {**QUICK, "iterations": 200, "check_every": 100, "threshold_from": 100}

@@ -1,17 +1,20 @@
 """Symbolic regression by Operon (Burlacu, Kronberger & Kommenda, GECCO 2020), in the place of uDSR.
 
-The paper compares with uDSR, which needs Python 3.7 or older; Operon is set the same task: for each coordinate
-an expression q̈ᵢ(q, q̇, f), from velocities and accelerations smoothed from the positions.
+The paper compares with uDSR, which needs Python 3.7 or older; Operon is set the same task: for each
+coordinate an expression q̈ᵢ(q, q̇, f), from velocities and accelerations smoothed from the positions.
 
-* Symbols add, sub, mul, div, sin, cos; objectives R² and length (NSGA-II), five Levenberg–Marquardt steps on
-  the constants of every expression, expressions of up to 50 nodes: the package's own examples and defaults.
+* Symbols add, sub, mul, div, sin, cos, and sqrt if the Lagrangian library has one; objectives R² and length
+  (NSGA-II), five Levenberg–Marquardt steps on the constants of every expression, expressions of up to 50
+  nodes: the package's own examples and defaults.
 * Every tenth sample of all trajectories but one; of the Pareto front the expression with the smallest error
   on the trajectory left out (of the last fifth, if there is only one) is taken, or a shorter one that is
   within one per cent.  Operon's own choice, description length, needs the noise of q̈, which is not known.
-* 1000 expressions, 80 generations, one thread, fixed seed: about half a minute for each coordinate.
+* 1000 expressions, 60 generations, one thread, fixed seed: about half a minute for each coordinate.
 """
 
 from __future__ import annotations
+
+import warnings
 
 import numpy as np
 from pyoperon.sklearn import SymbolicRegressor
@@ -28,7 +31,7 @@ OPTIONS = {
     "optimizer_iterations": 5,
     "max_length": 50,
     "population_size": 1000,
-    "generations": 80,
+    "generations": 60,
     "max_evaluations": 10_000_000,
     "n_threads": 1,
 }
@@ -38,6 +41,8 @@ STRIDE = 10
 def solve(problem: Problem, **options) -> Answer:
     """`options` replace those of `OPTIONS`."""
     train, test = _samples(problem)
+    if any("sqrt" in term.text for term in problem.library):
+        options = {"allowed_symbols": f"{OPTIONS['allowed_symbols']},sqrt", **options}
     options = {**OPTIONS, **options, "random_state": problem.case.seed}
     found = []
     for i in range(problem.system.n_dof):
@@ -102,6 +107,9 @@ def _text(problem: Problem, models: list) -> str:
     driven = () if problem.data[0].forces is None else (f"f_{c}" for c in system.coordinates)
     names = [*system.coordinates, *system.velocities, *driven]
     lines = []
-    for coordinate, (regressor, tree) in zip(system.coordinates, models, strict=True):
-        lines.append(f"{coordinate}_ddot = {regressor.get_model_string(tree, 6, names)}")
+    with warnings.catch_warnings():
+        # a constant can be the answer
+        warnings.filterwarnings("ignore", message="Model contains no variables")
+        for coordinate, (regressor, tree) in zip(system.coordinates, models, strict=True):
+            lines.append(f"{coordinate}_ddot = {regressor.get_model_string(tree, 6, names)}")
     return "\n".join(lines)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from leastaction._errors import InputError
 from leastaction._fit.adam import AdamFit, AdamProblem, descend
 from leastaction._fit.adam_options import AdamOptions
 from leastaction._fit.gauss_newton import JointFit
@@ -13,6 +16,8 @@ from leastaction._selection import Progress, Selection
 from leastaction._smoothing import Smooth, smooth
 
 __all__ = ["select_by_descent"]
+
+_REST = 1e-3  # not zero, which would mean: removed
 
 
 def select_by_descent(
@@ -33,9 +38,7 @@ def select_by_descent(
     if options.pin_ends:
         points = points.copy()
         points[problem.ends] = _through_samples(workspace)[problem.ends]
-    coefficients = np.where(is_free, 1.0, workspace.known)
-    if options.start_coefficients == "regression":
-        coefficients = problem.regress(points, coefficients)
+    coefficients = _start(workspace, problem, options, points)
     texts = [term.text for term in workspace.columns.terms]
 
     def report(details: dict) -> None:
@@ -44,6 +47,27 @@ def select_by_descent(
 
     fit = descend(problem, points, coefficients, rng, report)
     return Selection(_structure(workspace, fit), {}, np.nan, True), smoothed
+
+
+def _start(
+    workspace: Workspace, problem: AdamProblem, options: AdamOptions, points: np.ndarray
+) -> np.ndarray:
+    """Coefficients to begin with; known ones in place."""
+    is_known, given = ~np.isnan(workspace.known), options.start_coefficients
+    coefficients = np.where(is_known, workspace.known, 1.0)
+    if given == "regression":
+        return problem.regress(points, coefficients)
+    if isinstance(given, Mapping):
+        places = {term.text: k for k, term in enumerate(workspace.columns.terms)}
+        coefficients[~is_known] = _REST
+        for text, value in given.items():
+            if text not in places:
+                raise InputError(
+                    f"start_coefficients: {text!r} is not a candidate; write it as the library does"
+                )
+            if not is_known[places[text]]:
+                coefficients[places[text]] = float(value)
+    return coefficients
 
 
 def _structure(workspace: Workspace, found: AdamFit) -> StructureFit:

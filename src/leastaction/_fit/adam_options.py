@@ -39,8 +39,9 @@ class AdamOptions:
     start_curve : {"smooth", "samples"}
         Control points at the start: those of a penalised smoothing spline, or the samples (linearly
         interpolated at the knot averages).
-    start_coefficients : {"regression", "ones"}
-        Least squares along the starting curve, or one for every candidate.
+    start_coefficients : {"regression", "ones"} or mapping of str to float
+        Least squares along the starting curve; one for every candidate; or given values, a thousandth for
+        every other candidate.
     pin_ends : bool
         Tie both ends of every curve to the first and the last sample, as the paper does.
 
@@ -70,7 +71,7 @@ class AdamOptions:
     batch: int = 1024
     knots_per_second: float | None = None
     start_curve: Literal["smooth", "samples"] = "smooth"
-    start_coefficients: Literal["regression", "ones"] = "regression"
+    start_coefficients: Literal["regression", "ones"] | Mapping[str, float] = "regression"
     pin_ends: bool = False
 
     def __post_init__(self) -> None:
@@ -90,6 +91,8 @@ class AdamOptions:
             ("start_coefficients", ("regression", "ones")),
             ("pin_ends", (True, False)),
         ):
+            if name == "start_coefficients" and isinstance(self.start_coefficients, Mapping):
+                continue
             if getattr(self, name) not in choices:
                 raise InputError(
                     f"option {name} is {getattr(self, name)!r}; choose one of {', '.join(map(repr, choices))}"
