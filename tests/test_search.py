@@ -188,26 +188,27 @@ def regression(seed: int, n: int = N, truth_size: int = 3, n_rows: int = 60):
     truth[members] = rng.uniform(0.4, 1.5, truth_size) / np.sqrt((x[:, members] ** 2).mean(axis=0))
     y = x @ truth + rng.standard_normal(n_rows)
     about = rng.standard_normal(n) / np.sqrt((x**2).mean(axis=0))  # any point will do to expand about
-    return QuadraticModel(x.T @ x, x.T @ (x @ about - y), about), x, y, tuple(sorted(members.tolist()))
+    model = QuadraticModel(x.T @ x, x.T @ (x @ about - y), about)
+    here = float(np.sum((y - x @ about) ** 2))
 
+    def cost(support) -> float:
+        """Least-squares cost relative to the point of expansion, by QR of the columns."""
+        q, _ = np.linalg.qr(x[:, list(support)])
+        return float(np.sum((y - q @ (q.T @ y)) ** 2)) - here
 
-def residual_oracle(x, y, members) -> float:
-    """Least-squares cost relative to the empty support, by QR of the columns."""
-    q, _ = np.linalg.qr(x[:, list(members)])
-    return float(-np.sum((q.T @ y) ** 2))
+    return model, x, y, tuple(sorted(members.tolist())), cost
 
 
 def test_costs_are_least_squares_costs():
-    model, x, y, _ = regression(0)
-    assert model.costs(np.zeros((1, 0), dtype=int)).tolist() == [0.0]
-    for size in range(1, N + 1):
-        supports = np.array(list(combinations(range(N), size)))
-        expected = [residual_oracle(x, y, s) for s in supports]
+    model, *_, cost = regression(0)
+    for size in range(N + 1):
+        supports = np.array(list(combinations(range(N), size)), dtype=int)
+        expected = [cost(s) for s in supports]
         np.testing.assert_allclose(model.costs(supports), expected, rtol=1e-6, atol=1e-6)
 
 
 def test_solution_minimises_the_cost():
-    model, x, y, _ = regression(1)
+    model, x, y, *_ = regression(1)
     for members in [(), (3,), (0, 2, 7), tuple(range(N))]:
         expected = np.zeros(N)
         expected[list(members)] = np.linalg.lstsq(x[:, list(members)], y, rcond=1e-15)[0]
@@ -217,14 +218,10 @@ def test_solution_minimises_the_cost():
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("start", [(), (0, 1), tuple(range(N))])
 def test_local_search_equals_brute_force(seed, start):
-    model, x, y, _ = regression(seed)
+    model, *_, cost = regression(seed)
     penalty = term_penalty(60, N)
     levels = search_subsets(model, start, penalty)
-    costs = {
-        s: residual_oracle(x, y, s) + penalty * size
-        for size in range(N + 1)
-        for s in combinations(range(N), size)
-    }
+    costs = {s: cost(s) + penalty * size for size in range(N + 1) for s in combinations(range(N), size)}
     best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(penalty))
     assert best.criterion(penalty) == pytest.approx(min(costs.values()), rel=1e-6)
     assert best.members == min(costs, key=costs.__getitem__)
@@ -239,12 +236,26 @@ def test_local_search_equals_brute_force(seed, start):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_larger_search_finds_the_planted_support(seed):
-    model, x, y, planted = regression(seed, n=40, truth_size=6, n_rows=400)
+    model, _, _, planted, cost = regression(seed, n=40, truth_size=6, n_rows=400)
     penalty = term_penalty(400, 40)
     levels = search_subsets(model, (0, 1, 2), penalty)
     best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(penalty))
     assert best.members == planted
-    assert best.cost == pytest.approx(residual_oracle(x, y, planted), rel=1e-6)
+    assert best.cost == pytest.approx(cost(planted), rel=1e-6)
+
+
+def test_rounding_does_not_keep_a_term_in_a_fit_without_noise():
+    """The whole cost is some 1e16 there, and its last digits are worth more than a term."""
+    rng = np.random.default_rng(0)
+    x = 1e8 * rng.standard_normal((500, 4))
+    found = np.array([1.5, -0.5, 1.0, 3e-13])
+    gradient = x.T @ x @ np.array([0.0, 0.0, 0.0, 1e-14])
+    model = QuadraticModel(x.T @ x, gradient, found)
+    (without,) = model.costs(np.array([[0, 1, 2]]))
+    (all_four,) = model.costs(np.array([[0, 1, 2, 3]]))
+    q, _ = np.linalg.qr(x[:, :3])
+    rest = x[:, 3] - q @ (q.T @ x[:, 3])
+    assert without - all_four == pytest.approx((2.9e-13) ** 2 * (rest @ rest), rel=1e-3)
 
 
 def test_price_of_a_term_is_the_extended_bic():

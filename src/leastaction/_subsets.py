@@ -1,10 +1,15 @@
 """Best subsets of candidates on a quadratic model of the likelihood.
 
-About a fit, with the curve eliminated, the cost is a quadratic in all coefficients,
+About a fit λ₀ with gradient g, the curve eliminated, the cost is a quadratic in all coefficients,
 
-    cost(λ) = const − 2 hᵀλ + λᵀAλ,        minimum over a support S:  const − h_Sᵀ A_SS⁻¹ h_S,
+    cost(λ₀ + δ) − cost(λ₀) = 2 gᵀδ + δᵀAδ.
 
-so thousands of supports are compared without a refit.  Each free term costs log n + 2 log K
+A support S sets δ = −λ₀ outside of S, which is u, and is free to choose δ inside:
+
+    cost(S) = 2 gᵀu + uᵀAu − r_Sᵀ A_SS⁻¹ r_S,      r = g + A u,
+
+so thousands of supports are compared without a refit; relative to the fit itself, because the whole cost is
+so large without noise that its last digits would decide.  Each free term costs log n + 2 log K
 (extended BIC, Chen & Chen 2008, Biometrika 95:759), which accounts for having searched K candidates.
 """
 
@@ -17,6 +22,7 @@ import numpy as np
 __all__ = ["Choice", "QuadraticModel", "search_subsets", "term_penalty", "trade_off"]
 
 _RIDGE = 1e-11
+_NO_BETTER = 1e-3  # in units of χ²
 
 
 def term_penalty(n_samples: int, n_candidates: int) -> float:
@@ -26,7 +32,7 @@ def term_penalty(n_samples: int, n_candidates: int) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """A support (sorted candidate numbers) and its cost, relative to the empty support."""
+    """A support (sorted candidate numbers) and its cost, relative to the fit that the model is about."""
 
     members: tuple[int, ...]
     cost: float
@@ -51,16 +57,27 @@ class QuadraticModel:
         scale = 1.0 / np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
         self.scale = scale
         self.matrix = matrix * np.outer(scale, scale)
-        self.right = (matrix @ coefficients - gradient) * scale
+        self.gradient = gradient * scale
+        self.here = coefficients / scale
         self.n = len(scale)
 
     def costs(self, supports: np.ndarray) -> np.ndarray:
         """Costs of many supports of one size, (n_supports, size)."""
-        if supports.shape[1] == 0:
-            return np.zeros(len(supports))
-        matrix = self.matrix[supports[:, :, None], supports[:, None, :]] + _RIDGE * np.eye(supports.shape[1])
-        right = self.right[supports]
-        return -np.einsum("bk,bk->b", right, np.linalg.solve(matrix, right[:, :, None])[:, :, 0])
+        away, right = self._outside(supports)
+        costs = away @ self.gradient + np.einsum("bk,bk->b", away, right)
+        if supports.shape[1]:
+            matrix = self.matrix[supports[:, :, None], supports[:, None, :]] + _RIDGE * np.eye(
+                supports.shape[1]
+            )
+            inside = np.take_along_axis(right, supports, axis=1)
+            costs -= np.einsum("bk,bk->b", inside, np.linalg.solve(matrix, inside[:, :, None])[:, :, 0])
+        return costs
+
+    def _outside(self, supports: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """u and r of every support, (n_supports, n) each."""
+        away = np.tile(-self.here, (len(supports), 1))
+        np.put_along_axis(away, supports, 0.0, axis=1)
+        return away, self.gradient + away @ self.matrix
 
     def best(self, supports: set[tuple[int, ...]], width: int) -> list[Choice]:
         """The cheapest few of many supports of one size."""
@@ -78,8 +95,10 @@ class QuadraticModel:
         out = np.zeros(self.n)
         index = list(members)
         if index:
+            _, right = self._outside(np.array([index]))
             matrix = self.matrix[np.ix_(index, index)] + _RIDGE * np.eye(len(index))
-            out[index] = np.linalg.solve(matrix, self.right[index]) * self.scale[index]
+            step = np.linalg.solve(matrix, right[0, index])
+            out[index] = (self.here[index] - step) * self.scale[index]
         return out
 
 
@@ -143,6 +162,6 @@ def _swap_until_best(model: QuadraticModel, kept: list[Choice], width: int) -> l
         seen |= swapped
         better = model.best(swapped, width)
         merged = sorted([*kept, *better], key=lambda c: c.cost)[:width]
-        if merged[0].cost >= kept[0].cost - 1e-9 * abs(kept[0].cost):
+        if merged[0].cost >= kept[0].cost - _NO_BETTER:
             return merged
         kept = merged
