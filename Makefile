@@ -61,7 +61,7 @@ table1 table2: table%: $(STAMPS)/reproduction
 figures: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.figures
 
-SMOKE_METHODS := ours xlsindy_exact xlsindy_positions energy rk4_sindy
+SMOKE_METHODS := ours adam:short xlsindy_exact xlsindy_positions energy rk4_sindy
 reproduce-smoke: $(STAMPS)/reproduction
 	rm -rf build/reproduction
 	$(BIN)/python -m reproduction.run --strict --system single_pendulum --noise 0.01 --trials 1 --jobs 2 \

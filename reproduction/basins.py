@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
+from sympy.printing.numpy import NumPyPrinter
 
 from reproduction.problem import Answer, Problem
 
@@ -85,8 +86,20 @@ def field_of(lagrangian: sp.Expr, dissipation: sp.Expr, problem: Problem) -> Fie
     )
     solved = mass.adjugate() * right / mass.det()
     energy = sp.expand_mul(sum(p * s for p, s in zip(momentum, v, strict=True)) - lagrangian)
-    compiled = (sp.lambdify([*q, *v], e, "numpy", cse=True) for e in (tuple(solved), energy))
+    printer = _Printer({"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True})
+    compiled = (sp.lambdify([*q, *v], e, "numpy", printer=printer, cse=True) for e in (tuple(solved), energy))
     return Field(*compiled)
+
+
+class _Printer(NumPyPrinter):
+    """NumPy code with whole powers as products: NumPy's own are many times slower."""
+
+    def _print_Pow(self, expr, rational=False):
+        power = int(expr.exp) if expr.exp.is_Integer else 0
+        if not 2 <= abs(power) <= 8:
+            return super()._print_Pow(expr, rational)
+        product = "*".join([f"({self._print(expr.base)})"] * abs(power))
+        return f"({product})" if power > 0 else f"(1.0/({product}))"
 
 
 def capture_level(field: Field, reach: float = 4.0) -> float:

@@ -55,7 +55,7 @@ def test_implicit_equations_are_exactly_the_true_ones():
     motions = shared.differentiate(problem.data, shared.choose_smoothers(problem.data))
     features = sindy_pi._features(problem, motions)
     regression = sindy_pi.Regression("l1, refitted", 1e-5)
-    settings = [sindy_pi.Setting(i, 0, True, regression) for i in range(2)]
+    settings = [sindy_pi.Setting(i, 0, "all", regression) for i in range(2)]
     with redirect_stdout(io.StringIO()):
         found = sindy_pi._regress(features, settings)
     rows = np.array([found[setting] for setting in settings])

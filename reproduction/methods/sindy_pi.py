@@ -3,10 +3,10 @@
 The library holds functions of (q, q̇, f) and accelerations times functions of q; one of the latter is taken
 to the left-hand side and regressed on all others, with several weights: by the package's `SINDyPI` optimizer
 (L1, cvxpy), by a least-squares refit on its support (it has no step of its own that removes the shrinkage),
-and by the package's STLSQ, which is the regression of the paper.  Two kinds of library, as in the paper and
-as in the package: with the acceleration of one coordinate only, so that each equation is a rational function,
-and with all of them.  Left-hand sides: q̈ᵢ, times powers of the coordinates that are not angles.  The n_dof
-equations found are solved for the accelerations at every state.
+and by the package's STLSQ, which is the regression of the paper.  Three kinds of right-hand side: with the
+acceleration of one coordinate (as in the paper: each equation is a rational function), of all (as in the
+package), and of none, because noise in the accelerations spoils both.  Left-hand sides: q̈ᵢ, times powers of
+the coordinates that are not angles.  The n_dof equations found are solved for the accelerations.
 
 * Accelerations enter the library as measured states: `PDELibrary(implicit_terms=True)` would differentiate
   the states again, and would hold q̇ twice, as a state and as the derivative of q.
@@ -34,6 +34,7 @@ TITLE = "SINDy-PI"
 REFERENCE = "PySINDy 2.1, SINDyPI; Kaheman, Kutz & Brunton, Proc. R. Soc. A 476 (2020) 20200279"
 
 SUPPORT = 1e-3  # L1 solutions: smaller coefficients of columns of norm 1 are left by the solver's tolerance
+LARGE = 300  # columns; from there on every second regression is tried, on one left-out trajectory
 _LARGEST_ERROR = 10.0
 
 
@@ -61,7 +62,7 @@ THRESHOLDS = (0.001, 0.003, 0.01, 0.03, 0.1)
 REGRESSIONS = (
     *(Regression("l1", weight) for weight in L1_WEIGHTS),
     *(Regression("l1, refitted", weight) for weight in L1_WEIGHTS),
-    *(Regression("stlsq", threshold, alpha) for threshold in THRESHOLDS for alpha in (1e-5, 0.05)),
+    *(Regression("stlsq", threshold, alpha) for threshold in THRESHOLDS for alpha in (0.05, 1e-5)),
 )
 
 
@@ -71,7 +72,7 @@ class Setting:
 
     coordinate: int
     left: int
-    coupled: bool
+    right: str  # accelerations on the right: "none", "own" or "all"
     regression: Regression
 
 
@@ -86,6 +87,10 @@ class Features:
     qddot: np.ndarray
 
     @property
+    def n_columns(self) -> int:
+        return self.multipliers.shape[1] * self.qddot.shape[1] + self.theta.shape[1]
+
+    @property
     def matrix(self) -> np.ndarray:
         """Columns: all functions of q times each acceleration in turn; then the rest."""
         products = [self.multipliers * column[:, None] for column in self.qddot.T]
@@ -95,9 +100,10 @@ class Features:
         """Return the left-hand column and the columns allowed on the right."""
         k, n = self.multipliers.shape[1], self.qddot.shape[1]
         left = setting.coordinate * k + setting.left
-        allowed = np.ones(n * k + self.theta.shape[1], dtype=bool)
-        if not setting.coupled:
+        allowed = np.ones(self.n_columns, dtype=bool)
+        if setting.right != "all":
             allowed[: n * k] = False
+        if setting.right == "own":
             allowed[setting.coordinate * k : (setting.coordinate + 1) * k] = True
         allowed[left] = False
         return left, np.flatnonzero(allowed)
@@ -121,7 +127,7 @@ def solve(problem: Problem) -> Answer:
         status="ok" if error < 1 else "its forecasts are no better than no forecast",
         settings={
             "smoothers": shared.describe(smoothers),
-            "coupled": [setting.coupled for setting in chosen],
+            "right": [setting.right for setting in chosen],
             "regressions": [asdict(setting.regression) for setting in chosen],
             "held_out_error": error,
             "n_candidates": rows.shape[1],
@@ -143,8 +149,9 @@ def _settings(problem: Problem, features: Features) -> list[Setting]:
     texts = features.positions.get_feature_names(list(problem.system.coordinates))
     lefts = [k for k, text in enumerate(texts) if "sin" not in text and "cos" not in text]
     coordinates = range(problem.system.n_dof)
-    kinds = (False, True) if len(coordinates) > 1 else (False,)
-    return [Setting(*options) for options in product(coordinates, lefts, kinds, REGRESSIONS)]
+    rights = ("none", "own", "all") if len(coordinates) > 1 else ("none", "own")
+    regressions = REGRESSIONS[::2] if features.n_columns > LARGE else REGRESSIONS
+    return [Setting(*options) for options in product(coordinates, lefts, rights, regressions)]
 
 
 def _regress(features: Features, settings: Sequence[Setting]) -> dict[Setting, np.ndarray]:
@@ -157,18 +164,14 @@ def _regress(features: Features, settings: Sequence[Setting]) -> dict[Setting, n
     for setting in settings:
         left, right = features.columns(setting)
         row = np.zeros(len(norms))
-        regression = setting.regression
-        if regression.kind == "l1, refitted":
-            shrunk = found.get(replace(setting, regression=replace(regression, kind="l1")))
-            part = (
-                replace(regression, kind="l1")(rows[:, right], rows[:, left])
-                if shrunk is None
-                else shrunk[right]
-            )
-            support = right[part != 0]
+        if setting.regression.kind == "l1, refitted":
+            shrunk = replace(setting, regression=replace(setting.regression, kind="l1"))
+            if shrunk not in found:
+                found |= _regress(features, [shrunk])
+            support = right[found[shrunk][right] != 0]
             row[support] = np.linalg.lstsq(rows[:, support], rows[:, left], rcond=None)[0]
         else:
-            row[right] = regression(rows[:, right], rows[:, left])
+            row[right] = setting.regression(rows[:, right], rows[:, left])
         row[left] = -1.0
         found[setting] = row / norms
     return found
@@ -184,6 +187,8 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[S
         for setting, error in _equation_errors(features, found, test).items():
             errors[setting] = errors.get(setting, 0.0) + error
         parts.append((features, found, test))
+        if features.n_columns > LARGE:
+            break
     n = problem.system.n_dof
     tried = list(product(*(_shortlist(errors, i, n) for i in range(n))))
     totals, n_terms = np.zeros(len(tried)), np.zeros(len(tried))
@@ -197,10 +202,10 @@ def _choose(problem: Problem, motions: Sequence[shared.Motion]) -> tuple[tuple[S
 
 
 def _shortlist(errors: dict[Setting, float], coordinate: int, n_dof: int) -> list[Setting]:
-    """Return the best equations with this coordinate's acceleration only, and the best with all of them."""
+    """Return the best equations of each kind; all combinations of those of all coordinates are tried."""
     ranked = sorted((s for s in errors if s.coordinate == coordinate), key=errors.get)
-    own, all_of_them = (2, 1) if n_dof > 2 else (4, 2)  # all combinations are tried
-    return [s for s in ranked if not s.coupled][:own] + [s for s in ranked if s.coupled][:all_of_them]
+    kept = {"none": 1, "own": 2 if n_dof < 3 else 1, "all": 1}
+    return [s for right, n in kept.items() for s in [t for t in ranked if t.right == right][:n]]
 
 
 def _equation_errors(features: Features, found: dict, test: Sequence[shared.Motion]) -> dict[Setting, float]:
