@@ -183,11 +183,12 @@ def linearise(
     columns = physics.columns.subset(np.flatnonzero(physics.free).tolist()) if border is None else border
     k = len(columns)
     gradient, squares = observations.gradient(control_points)
+    rows = np.zeros((n, size, 1 + k))  # ∫ J_iᵀ[r_i, e_i] dt
     out = Linearisation(
         bands=np.zeros((n, n_local, size)),
-        borders=np.zeros((n, size, k)),
+        borders=rows[:, :, 1:],
         corners=np.zeros((n, k, k)),
-        curve_gradients=np.zeros((n, size)),
+        curve_gradients=rows[:, :, 0],
         coefficient_gradients=np.zeros((n, k)),
         data_gradient=gradient,
         squares=squares,
@@ -197,12 +198,12 @@ def linearise(
     )
     for chunk in grid.chunks(_CHUNK):
         states = grid.at_quadrature(control_points, chunk)
-        _add_physics(out, grid, physics, states, coefficients, border, chunk)
+        _add_physics(out, rows, grid, physics, states, coefficients, border, chunk)
         _add_volume(out, grid, physics.columns, states, coefficients, columns)
     return out
 
 
-def _add_physics(out, grid, physics, states, coefficients, border, chunk) -> None:
+def _add_physics(out, rows, grid, physics, states, coefficients, border, chunk) -> None:
     m, n_quad, n = states[0].shape
     # all arrays below run over quadrature point, then interval: long inner loops
     points = Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states))
@@ -218,10 +219,7 @@ def _add_physics(out, grid, physics, states, coefficients, border, chunk) -> Non
         e = root * columns[:, i]
         grid.add_gram(out.bands[i], local[i], chunk, n)
         values = np.concatenate([r[None], e]).reshape(-1, n_quad, m)
-        products = np.zeros((out.borders.shape[1], len(values)))
-        grid.add_products(products, local[i], values, chunk, n)
-        out.curve_gradients[i] += products[:, 0]
-        out.borders[i] += products[:, 1:]
+        grid.add_products(rows[i], local[i], values, chunk, n)
         out.corners[i] += e @ e.T
         out.coefficient_gradients[i] += e @ r
         out.equation[i] += float(r @ r)
