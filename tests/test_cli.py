@@ -19,6 +19,7 @@ from click.testing import CliRunner
 
 import leastaction as la
 from leastaction import systems
+from leastaction._model_parts import ModelTerm
 from leastaction.cli import _demo, _demonstrate, _generate, _options, _show, _text, program
 
 COMMANDS = ("discover", "simulate", "validate", "export", "generate", "demo")
@@ -42,7 +43,7 @@ def shell(*args, **options):
 
 
 def model_file(path, terms, coordinates=("x",), **fit):
-    model = la.LagrangianModel(coordinates, [la._model.ModelTerm(*term) for term in terms], **fit)
+    model = la.LagrangianModel(coordinates, [ModelTerm(*term) for term in terms], **fit)
     model.save(path)
     return path
 
@@ -334,7 +335,7 @@ def test_demo_data_and_published_models(name):
     library = la.Library(demo.candidates, demo.coordinates, dissipation=demo.dissipation)
     assert not library.reduced(keep=[library[0]]).dropped
     # Hanging at rest is where the published model has its stable equilibrium.
-    like = la.LagrangianModel(demo.coordinates, [la._model.ModelTerm(demo.candidates[0], 1.0)])
+    like = la.LagrangianModel(demo.coordinates, [ModelTerm(demo.candidates[0], 1.0)])
     published = _demonstrate.published_model(demo, like)
     hanging = np.full(len(demo.coordinates), np.pi)
     pulled = published.acceleration(hanging + 0.1, 0 * hanging)
@@ -455,7 +456,7 @@ def test_describe_knows_the_stages_of_discover():
 
 
 def test_errors_of_coefficients_end_at_their_second_digit():
-    Term = la._model.ModelTerm
+    Term = ModelTerm
     shown = [
         _show.with_error(term)
         for term in (
