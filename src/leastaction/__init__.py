@@ -49,6 +49,8 @@ _HOMES = {
     "write_report": "_report",
 }
 
+_MODULES = {"io": "io", "metrics": "_metrics", "systems": "systems"}
+
 __all__ = [
     "AdamOptions",
     "DataError",
@@ -78,10 +80,8 @@ __all__ = [
 
 
 def __getattr__(name: str):
-    if name == "metrics":
-        return import_module("leastaction._metrics")
-    if name in ("io", "systems"):
-        return import_module(f"leastaction.{name}")
+    if name in _MODULES:
+        return import_module(f"leastaction.{_MODULES[name]}")
     if name in _HOMES:
         return getattr(import_module(f"leastaction.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'leastaction' has no attribute {name!r}")

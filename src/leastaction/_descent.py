@@ -21,14 +21,15 @@ _REST = 1e-3  # not zero, which would mean: removed
 
 
 def select_by_descent(
-    workspace: Workspace, options: AdamOptions, progress: Progress, seed: int = 0
+    workspace: Workspace, smoothed: Smooth, options: AdamOptions, progress: Progress, seed: int = 0
 ) -> tuple[Selection, Smooth]:
-    """Run the paper's method; the workspace ends with the knots of the result.
+    """Run the paper's method; the workspace ends with the knots of the result, and so does the smooth curve.
 
     There is no covariance and no selection path: the method has none.
     """
-    workspace.set_knots(options.knots_per_second or workspace.knots_per_second)
-    smoothed = smooth(workspace.grid, workspace.times, workspace.values)
+    if options.knots_per_second is not None:
+        workspace.set_knots(options.knots_per_second)
+        smoothed = smooth(workspace.grid, workspace.times, workspace.values)
     rng = np.random.default_rng(seed)
     is_free = np.isnan(workspace.known)
     physics = Physics(workspace.columns, is_free, None)

@@ -127,7 +127,7 @@ def discover(
     _check_columns(workspace, prepared)
     if method == "adam":
         clock.start("descent")
-        selection, smoothed = select_by_descent(workspace, settings, clock.report, seed)
+        selection, smoothed = select_by_descent(workspace, prepared.smooth, settings, clock.report, seed)
     else:
         clock.start("search")
         selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)

@@ -94,15 +94,24 @@ def column_map(text: str) -> dict[str, str] | list[str]:
     return out
 
 
+def _pairs(texts: Iterable[str], form: str, *, last: bool = False) -> Iterator[tuple[str, str]]:
+    """Split texts at their first ``=`` (or last one) into two sides, neither empty, no left side twice."""
+    seen: set[str] = set()
+    for text in texts:
+        parts = text.rpartition("=") if last else text.partition("=")
+        name, equals, value = (side.strip() for side in parts)
+        if not name or not equals or not value:
+            raise InputError(f"{quoted(text)} is not of the form {form}")
+        if name in seen:
+            raise InputError(f"{quoted(name)} is given twice")
+        seen.add(name)
+        yield name, value
+
+
 def assignments(text: str) -> dict[str, float]:
     """Return the numbers of ``"theta=1, theta_dot=0"``."""
     out: dict[str, float] = {}
-    for part in text.split(","):
-        name, equals, value = (side.strip() for side in part.partition("="))
-        if not name or not equals or not value:
-            raise InputError(f"{quoted(part.strip())} is not of the form name=number, e.g. theta=1")
-        if name in out:
-            raise InputError(f"{quoted(name)} is given twice")
+    for name, value in _pairs((part.strip() for part in text.split(",")), "name=number, e.g. theta=1"):
         with blame(name):
             out[name] = number(value)
     return out
@@ -110,32 +119,18 @@ def assignments(text: str) -> dict[str, float]:
 
 def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
     """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
-    out: dict[str, float] = {}
-    for text in texts:
-        expression, equals, value = (side.strip() for side in text.rpartition("="))
-        if not equals or not expression or not value:
-            raise InputError(f"{quoted(text)} is not of the form EXPR=VALUE, e.g. 'cos(theta)=9.81'")
-        if expression in out:
-            raise InputError(f"{quoted(expression)} is given twice")
-        out[expression] = number(value)
-    return out
+    pairs = _pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
+    return {expression: number(value) for expression, value in pairs}
 
 
 def method_options(texts: Iterable[str]) -> dict[str, object] | None:
     """Return ``NAME=VALUE`` texts as name -> number, truth value or text; None without any."""
     out: dict[str, object] = {}
-    for text in texts:
-        name, equals, value = (side.strip() for side in text.partition("="))
-        if not name or not equals or not value:
-            raise InputError(f"{quoted(text)} is not of the form NAME=VALUE, e.g. threshold=0.05")
-        if name in out:
-            raise InputError(f"{quoted(name)} is given twice")
+    for name, value in _pairs(texts, "NAME=VALUE, e.g. threshold=0.05"):
         if value.lower() in ("true", "false"):
             out[name] = value.lower() == "true"
-        elif _NUMBER.fullmatch(value):
-            out[name] = number(value)
         else:
-            out[name] = value
+            out[name] = number(value) if _NUMBER.fullmatch(value) else value
     return out or None
 
 
