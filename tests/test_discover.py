@@ -26,6 +26,7 @@ from helpers import (
     pendulum,
     record,
 )
+from leastaction._prepare import excerpt
 
 
 # ------------------------------------------------------------------------------ round trips
@@ -309,3 +310,27 @@ def test_standard_errors_hold_over_the_whole_pipeline():
         ]
     assert np.mean(np.abs(z) < 2.0) >= 0.75
     assert np.abs(z).max() < 4.5
+
+
+# ------------------------------------------------------------------------------ long recordings
+def test_long_recordings_are_searched_in_pieces_and_fitted_whole(monkeypatch):
+    data = duffing(0.02)
+    whole = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    monkeypatch.setattr("leastaction._discover._ENOUGH", data.n_samples // 3)
+    pieces = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    assert "confirm" in pieces.diagnostics.timings
+    assert pieces.provenance["n_samples"] == data.n_samples
+    assert_finds(pieces, DUFFING_TRUTH)
+    for a, b in zip(whole.terms, pieces.terms, strict=True):
+        assert a.expression == b.expression
+        assert abs(a.coefficient - b.coefficient) <= 0.3 * a.standard_error
+        assert a.standard_error == pytest.approx(b.standard_error, rel=0.05)
+
+
+def test_pieces_are_spread_over_the_recordings_and_keep_their_samples():
+    data = duffing(0.02)
+    pieces = excerpt(data, data.n_samples // 4)
+    assert 0.2 * data.n_samples < pieces.n_samples < 0.35 * data.n_samples
+    assert excerpt(data, data.n_samples) is data
+    for piece in pieces:
+        assert any(np.isin(piece.t, whole.t).all() and np.isin(piece.q, whole.q).all() for whole in data)

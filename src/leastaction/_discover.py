@@ -19,12 +19,13 @@ from leastaction._library import Library
 from leastaction._model import LagrangianModel
 from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._prepare import Prepared, prepare
-from leastaction._selection import Progress, Selection, select_structure
+from leastaction._selection import Progress, Selection, confirm_structure, select_structure
 from leastaction._trajectory import Trajectories, Trajectory
 from leastaction._verify import Verdict, verify
 
 __all__ = ["discover"]
 
+_ENOUGH = 50_000  # samples to search on; longer recordings enter when the structure is confirmed
 _DEGREES = {"gauss-newton": 5, "adam": 3}  # of the splines, by method
 
 
@@ -122,7 +123,8 @@ def discover(
     clock = _Clock(progress)
     clock.start("prepare")
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
-    prepared = prepare(trajectories, library, known, dissipation, angles, degree)
+    most = None if method == "adam" else _ENOUGH
+    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most)
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     _check_columns(workspace, prepared)
     if method == "adam":
@@ -130,8 +132,13 @@ def discover(
         selection, smoothed = select_by_descent(workspace, prepared.smooth, settings, clock.report, seed)
     else:
         clock.start("search")
+        share = prepared.searched.n_samples / prepared.trajectories.n_samples
         selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)
         smoothed = prepared.smooth
+        if share < 1.0 and selection.structure.fit.converged:
+            clock.start("confirm")
+            workspace, smoothed = prepared.whole_workspace(workspace.columns, workspace.knots_per_second)
+            selection = confirm_structure(workspace, smoothed, selection, clock.report, relevance)
     if selection.structure.fit.status == "not finite":
         raise DataError(
             "no combination of these candidates gives finite equations along the data; check the library for "
@@ -208,7 +215,7 @@ def _model(
             value = float(structure.coefficients[k])
             parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
     diagnostics = Diagnostics(
-        prepared.trajectories,
+        workspace.trajectories,
         workspace.grid,
         structure.fit.control_points,
         weights.noise_std,

@@ -13,13 +13,14 @@ from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
 from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
-from leastaction._trajectory import Trajectories
+from leastaction._trajectory import Trajectories, Trajectory
 
-__all__ = ["Prepared", "lay_knots", "prepare"]
+__all__ = ["Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
 
 _KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 _FEWEST_SAMPLES = 20
+_PIECES = 20  # at least so many pieces of a long recording are searched
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,8 @@ class Prepared:
     Attributes
     ----------
     trajectories : Trajectories
+    searched : Trajectories
+        Those that the structure is searched on: pieces of long recordings, otherwise all.
     library : Library
         Reduced: no null, duplicate or dependent candidates.
     columns : tuple of Term
@@ -36,12 +39,14 @@ class Prepared:
     known : (n_columns,) array
         Known coefficients, NaN where free.
     smooth : Smooth
+        Of ``searched``.
     knots_per_second : float
     degree : int
     notes : tuple of str
     """
 
     trajectories: Trajectories
+    searched: Trajectories
     library: Library
     columns: tuple[Term, ...]
     known: np.ndarray
@@ -51,7 +56,14 @@ class Prepared:
     notes: tuple[str, ...]
 
     def workspace(self, columns) -> Workspace:
-        return Workspace(self.trajectories, columns, self.known, self.knots_per_second, self.degree)
+        """To search in."""
+        return Workspace(self.searched, columns, self.known, self.knots_per_second, self.degree)
+
+    def whole_workspace(self, columns, knots_per_second: float) -> tuple[Workspace, Smooth]:
+        """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
+        workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
+        penalty = self.smooth.penalty
+        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty)
 
 
 def prepare(
@@ -61,8 +73,14 @@ def prepare(
     dissipation: Iterable[str],
     angles: Iterable[str] | None,
     degree: int,
+    most_samples: int | None = None,
 ) -> Prepared:
     """Check and complete everything that a search needs.
+
+    Parameters
+    ----------
+    most_samples : int, optional
+        Search on pieces of longer recordings.
 
     Raises
     ------
@@ -88,7 +106,8 @@ def prepare(
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
-    knots_per_second, smoothed, rates = lay_knots(trajectories, degree)
+    searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
+    knots_per_second, smoothed, rates = lay_knots(searched, degree)
     notes = _notes_on_angles(trajectories, angles)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
@@ -118,7 +137,15 @@ def prepare(
             "nothing is left to find: every candidate is known, or is a constant or total time derivative"
         )
     return Prepared(
-        trajectories, reduced, columns, coefficients, smoothed, knots_per_second, degree, tuple(notes)
+        trajectories,
+        searched,
+        reduced,
+        columns,
+        coefficients,
+        smoothed,
+        knots_per_second,
+        degree,
+        tuple(notes),
     )
 
 
@@ -196,7 +223,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> tuple[float, Smooth, n
     rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
     knots = rate / 5.0
     for _ in range(5):
-        grid = SplineGrid([uniform_space(t[0], t[-1], knots, degree) for t in times])
+        grid = lay_grid(times, knots, degree)
         smoothed = smooth(grid, times, values)
         rms = [
             np.sqrt(np.mean(np.concatenate(grid.evaluate(smoothed.control_points, times, nu)) ** 2, axis=0))
@@ -206,5 +233,29 @@ def lay_knots(trajectories: Trajectories, degree: int) -> tuple[float, Smooth, n
         if abs(wanted / knots - 1.0) < 0.1:
             break
         knots = wanted
-    grid = SplineGrid([uniform_space(t[0], t[-1], knots, degree) for t in times])
-    return knots, smooth(grid, times, values), rms[0]
+    else:
+        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+    return knots, smoothed, rms[0]
+
+
+def lay_grid(times: list[np.ndarray], knots_per_second: float, degree: int) -> SplineGrid:
+    """One uniform spline space for each trajectory."""
+    return SplineGrid([uniform_space(t[0], t[-1], knots_per_second, degree) for t in times])
+
+
+def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
+    """Pieces spread evenly over long recordings, about ``n_samples`` in all; shorter ones come back whole."""
+    share = n_samples / trajectories.n_samples
+    if share >= 1.0:
+        return trajectories
+    most = max(_FEWEST_SAMPLES, n_samples // (trajectories.n_dof * _PIECES))
+    pieces = []
+    for whole in trajectories:
+        for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
+            if np.isfinite(whole.q[rows]).sum(axis=0).min() >= _FEWEST_SAMPLES:
+                forces = None if whole.forces is None else whole.forces[rows]
+                pieces.append(Trajectory(whole.t[rows], whole.q[rows], forces, whole.coordinates))
+    if not pieces:
+        return trajectories
+    count = min(len(pieces), max(1, round(share * len(pieces))))
+    return Trajectories([pieces[k] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)])

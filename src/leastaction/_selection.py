@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
-__all__ = ["Progress", "Selection", "propose_supports", "select_structure"]
+__all__ = ["Progress", "Selection", "confirm_structure", "propose_supports", "select_structure"]
 
 Progress = Callable[[str, dict], None]
 
@@ -230,7 +230,11 @@ class _Refiner:
 
 
 def select_structure(
-    workspace: Workspace, smooth: Smooth, progress: Progress, relevance: float = 0.05, seed: int = 0
+    workspace: Workspace,
+    smooth: Smooth,
+    progress: Progress,
+    relevance: float = 0.05,
+    seed: int = 0,
 ) -> Selection:
     """Run the search; the workspace ends with the knots of the result.
 
@@ -257,6 +261,26 @@ def select_structure(
         again, settled = refine_knots(workspace, again, progress)
     pruned = refiner.prune(again, relevance)
     return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled)
+
+
+def confirm_structure(
+    workspace: Workspace, smooth: Smooth, found: Selection, progress: Progress, relevance: float
+) -> Selection:
+    """Refit and select again on all data, from a structure that was found on pieces of them.
+
+    The knots stay: with a factor of 1.4 between grids and errors that fall with a high power of the spacing,
+    what still moves by a tenth of a standard error leaves a bias of some hundredths.
+    """
+    structure, refiner = found.structure, _Refiner(workspace, progress)
+    there = structure.fit.weights
+    longer = workspace.grid.n_ctrl / len(structure.fit.control_points)
+    weights = replace(there, slack=longer * there.slack)
+    start, _ = workspace.fit_curve(
+        structure.members, Start(smooth.control_points, structure.coefficients, weights)
+    )
+    refined = refiner.refine(workspace.fit(structure.members, start), rounds=4)
+    pruned = refiner.prune(refined, relevance)
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled)
 
 
 def refine_knots(

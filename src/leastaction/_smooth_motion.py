@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction._prepare import lay_knots
-from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories, Trajectory
 
 __all__ = ["SmoothMotion", "smooth"]
@@ -72,9 +71,8 @@ def smooth(
     True
     """
     data = Trajectories.coerce(trajectories)
-    knots_per_second, smoothed, _ = lay_knots(data, degree)
+    _, smoothed, _ = lay_knots(data, degree)
     times = [trajectory.t for trajectory in data]
-    grid = SplineGrid([uniform_space(t[0], t[-1], knots_per_second, degree) for t in times])
-    q, qdot, qddot = (grid.evaluate(smoothed.control_points, times, nu) for nu in range(3))
+    q, qdot, qddot = (smoothed.grid.evaluate(smoothed.control_points, times, nu) for nu in range(3))
     states = zip(times, q, qdot, qddot, strict=True)
     return [SmoothMotion(*state, smoothed.noise_std) for state in states]

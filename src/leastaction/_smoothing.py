@@ -28,6 +28,7 @@ class Smooth:
 
     Attributes
     ----------
+    grid : SplineGrid
     control_points : (n_ctrl, n_dof) array
     noise_std : (n_dof,) array
         Estimated standard deviation of the measurement noise.
@@ -35,6 +36,7 @@ class Smooth:
         Penalty κ chosen for ∫ (d³q/dt³)² dt, relative to 1/σ².
     """
 
+    grid: SplineGrid
     control_points: np.ndarray
     noise_std: np.ndarray
     penalty: np.ndarray
@@ -87,7 +89,12 @@ def _penalty_matrix(grid: SplineGrid) -> sp.csr_array:
     return sp.csr_array(basis.T @ (sp.diags_array(np.concatenate(scale)) @ basis))
 
 
-def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) -> Smooth:
+def smooth(
+    grid: SplineGrid,
+    times: list[np.ndarray],
+    values: list[np.ndarray],
+    penalty: np.ndarray | None = None,
+) -> Smooth:
     r"""Smooth every coordinate of every trajectory; NaN samples are left out.
 
     Parameters
@@ -95,6 +102,8 @@ def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) 
     grid : SplineGrid
     times : list of (n_times,) arrays, one per trajectory
     values : list of (n_times, n_dof) arrays
+    penalty : (n_dof,) array, optional
+        κ where it is known already; otherwise REML chooses it.
 
     Returns
     -------
@@ -106,7 +115,7 @@ def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) 
 
     .. math:: (n - M) \log \hat\sigma^2(\kappa) + \log|H(\kappa)| - (n_{ctrl} - M) \log\kappa .
     """
-    penalty = _to_banded(_penalty_matrix(grid), grid.degree)
+    roughness = _to_banded(_penalty_matrix(grid), grid.degree)
     design = grid.design(times)
     stacked = np.concatenate(values)
     n_dof = stacked.shape[1]
@@ -114,12 +123,15 @@ def smooth(grid: SplineGrid, times: list[np.ndarray], values: list[np.ndarray]) 
     for i in range(n_dof):
         valid = np.isfinite(stacked[:, i])
         designs.append(design if valid.all() else design[valid])
-        results.append(_smooth_one(designs[i], stacked[valid, i], penalty, grid))
+        kappa = None if penalty is None else float(penalty[i])
+        results.append(_smooth_one(designs[i], stacked[valid, i], roughness, grid, kappa))
     control, noise, chosen, factors = zip(*results, strict=True)
-    return Smooth(np.stack(control, axis=1), np.array(noise), np.array(chosen), designs, list(factors))
+    return Smooth(grid, np.stack(control, axis=1), np.array(noise), np.array(chosen), designs, list(factors))
 
 
-def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid):
+def _smooth_one(
+    design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid, kappa: float | None = None
+):
     gram = banded_gram(design, grid.degree)
     moment = design.T @ y
     n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
@@ -148,6 +160,9 @@ def _smooth_one(design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: 
         except np.linalg.LinAlgError:
             return np.inf
 
+    if kappa is not None:
+        _, coefficients, sigma2, kappa, factor = solve(np.log10(kappa / unit))
+        return coefficients, float(np.sqrt(sigma2)), kappa, factor
     coarse = np.linspace(-12.0, 4.0, 9)
     scores = [objective(c) for c in coarse]
     best = coarse[int(np.argmin(scores))]
