@@ -9,6 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
+from leastaction._coarse import search_coarse
 from leastaction._descent import select_by_descent
 from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._errors import DataError, InputError
@@ -129,12 +130,16 @@ def discover(
     _check_columns(workspace, prepared)
     if method == "adam":
         clock.start("descent")
-        selection, smoothed = select_by_descent(workspace, prepared.smooth, settings, clock.report, seed)
+        selection, smoothed = select_by_descent(
+            workspace, prepared.knots.smooth, settings, clock.report, seed
+        )
     else:
         clock.start("search")
         share = prepared.searched.n_samples / prepared.trajectories.n_samples
-        selection = select_structure(workspace, prepared.smooth, clock.report, relevance, seed)
-        smoothed = prepared.smooth
+        selection = select_structure(workspace, prepared.knots.smooth, clock.report, relevance, seed)
+        coarse = prepared.knots.coarse
+        workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
+        smoothed = prepared.knots.smooth
         if share < 1.0 and selection.structure.fit.converged:
             clock.start("confirm")
             workspace, smoothed = prepared.whole_workspace(workspace.columns, workspace.knots_per_second)
@@ -191,7 +196,7 @@ class _Clock:
 
 def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
     """Refuse candidates that are undefined along the data, by name."""
-    states = workspace.grid.at_quadrature(prepared.smooth.control_points)
+    states = workspace.grid.at_quadrature(prepared.knots.smooth.control_points)
     values = workspace.columns.strong(Points(*(s[:, 0] for s in states)))
     bad = [t.text for t, v in zip(prepared.columns, values, strict=True) if not np.isfinite(v).all()]
     if bad:

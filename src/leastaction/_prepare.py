@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -20,6 +21,9 @@ __all__ = ["Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
 _KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 _FEWEST_SAMPLES = 20
+_MOST_GRIDS = 6
+_KNOTS_SETTLED = 0.25
+_MOST_OVER_SLOWER = 3.5  # simulated motions ask for 1 to 3 times the knots of the derivative below
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
@@ -38,9 +42,8 @@ class Prepared:
         Candidates of L, then of the dissipation function.
     known : (n_columns,) array
         Known coefficients, NaN where free.
-    smooth : Smooth
+    knots : Knots
         Of ``searched``.
-    knots_per_second : float
     degree : int
     notes : tuple of str
     """
@@ -50,19 +53,18 @@ class Prepared:
     library: Library
     columns: tuple[Term, ...]
     known: np.ndarray
-    smooth: Smooth
-    knots_per_second: float
+    knots: Knots
     degree: int
     notes: tuple[str, ...]
 
     def workspace(self, columns) -> Workspace:
         """To search in."""
-        return Workspace(self.searched, columns, self.known, self.knots_per_second, self.degree)
+        return Workspace(self.searched, columns, self.known, self.knots.per_second, self.degree)
 
     def whole_workspace(self, columns, knots_per_second: float) -> tuple[Workspace, Smooth]:
         """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
         workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
-        penalty = self.smooth.penalty
+        penalty = self.knots.smooth.penalty
         return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty)
 
 
@@ -107,11 +109,11 @@ def prepare(
             + "': 1.0}, which sets the units of L"
         )
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
-    knots_per_second, smoothed, rates = lay_knots(searched, degree)
+    knots = lay_knots(searched, degree)
     notes = _notes_on_angles(trajectories, angles)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
-        for c, r in zip(library.coordinates, rates, strict=True)
+        for c, r in zip(library.coordinates, knots.rates, strict=True)
     }
     softened = smooth_abs(library, smoothing)
     if softened is not library:
@@ -142,8 +144,7 @@ def prepare(
         reduced,
         columns,
         coefficients,
-        smoothed,
-        knots_per_second,
+        knots,
         degree,
         tuple(notes),
     )
@@ -212,30 +213,50 @@ def _notes_on_angles(trajectories: Trajectories, angles) -> list[str]:
     return notes
 
 
-def lay_knots(trajectories: Trajectories, degree: int) -> tuple[float, Smooth, np.ndarray]:
-    """Knots a second from the data's own time scale, the smoothed curve there, and rms rates.
+class Knots(NamedTuple):
+    """Knots a second, how few would still show the motion, the smoothed curve, and (n_dof,) rms rates."""
+
+    per_second: float
+    coarse: float
+    smooth: Smooth
+    rates: np.ndarray
+
+
+def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
+    """Knots a second from the data's own time scale.
 
     The knot spacing h follows the fastest coordinate: h · rms(d³q/dt³)/rms(d²q/dt²) = 1/4, found by
-    repeated smoothing; never finer than half a sampling interval.
+    repeated smoothing; never finer than half a sampling interval.  It begins coarse, h · rms(dq/dt)/std(q) =
+    1/4, and stays near what rms(d²q/dt²)/rms(dq/dt) asks for: fine grids admit noise and vibration, whose
+    third derivative asks for finer grids still.
     """
     times = [t.t for t in trajectories]
     values = [t.q for t in trajectories]
     rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
-    knots = rate / 5.0
-    for _ in range(5):
-        grid = lay_grid(times, knots, degree)
-        smoothed = smooth(grid, times, values)
-        rms = [
-            np.sqrt(np.mean(np.concatenate(grid.evaluate(smoothed.control_points, times, nu)) ** 2, axis=0))
-            for nu in (1, 2, 3)
-        ]
-        wanted = min(_KNOTS_PER_RADIAN * float(np.max(rms[2] / np.maximum(rms[1], 1e-300))), 2.0 * rate)
-        if abs(wanted / knots - 1.0) < 0.1:
+
+    def spread(nu: int) -> np.ndarray:
+        curves = smoothed.grid.evaluate(smoothed.control_points, times, nu)
+        return np.sqrt(
+            np.mean(
+                [np.mean((c - (c.mean(axis=0) if nu == 0 else 0.0)) ** 2, axis=0) for c in curves], axis=0
+            )
+        )
+
+    def knots_for(nu: int) -> float:
+        fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
+        return min(_KNOTS_PER_RADIAN * fastest, 2.0 * rate)
+
+    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values)
+    coarse = knots = knots_for(0)
+    for _ in range(_MOST_GRIDS):
+        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+        wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
+        if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
             break
         knots = wanted
     else:
         smoothed = smooth(lay_grid(times, knots, degree), times, values)
-    return knots, smoothed, rms[0]
+    return Knots(knots, coarse, smoothed, spread(1))
 
 
 def lay_grid(times: list[np.ndarray], knots_per_second: float, degree: int) -> SplineGrid:

@@ -20,7 +20,7 @@ from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
-__all__ = ["Progress", "Selection", "confirm_structure", "propose_supports", "select_structure"]
+__all__ = ["EXPLAINED", "Progress", "Selection", "confirm_structure", "propose_supports", "select_structure"]
 
 Progress = Callable[[str, dict], None]
 
@@ -34,6 +34,8 @@ _TRIED = 60  # supports whose mass matrix is looked at
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _SLACK_LEFT = 30.0
+EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
+_GROWN = 1.1
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
 
@@ -290,19 +292,28 @@ def refine_knots(
     max_rounds: int = 6,
     factor: float = 1.4,
 ) -> tuple[StructureFit, bool]:
-    """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %."""
+    """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %.
+
+    Where the library is not exact, finer splines may follow vibrations that it knows nothing of: refinement
+    ends when it makes a large equation error larger.
+    """
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
     growth = np.ones(workspace.observations.n_dof)
     for _ in range(max_rounds):
         before = workspace.knots_per_second
         if not structure.fit.converged or before > 3.0 * rate:
             return structure, False
+        left = workspace.equation_error(structure)[0]
         start = workspace.refine_knots(factor, structure, growth)
         progress("knots", {"knots_per_second": workspace.knots_per_second})
         finer = workspace.fit(structure.members, start)
         if not finer.fit.converged or not np.isfinite(finer.evidence):
             workspace.set_knots(before)
             return structure, False
+        off = workspace.equation_error(finer)[0]
+        if np.any((off > EXPLAINED) & (off > _GROWN * left)):
+            workspace.set_knots(before)
+            return structure, True
         # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
         least = _DIGITS * np.abs(finer.estimates)
         spread = np.maximum(structure.standard_errors, np.maximum(least, 1e-150))

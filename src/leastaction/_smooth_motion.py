@@ -71,7 +71,7 @@ def smooth(
     True
     """
     data = Trajectories.coerce(trajectories)
-    _, smoothed, _ = lay_knots(data, degree)
+    smoothed = lay_knots(data, degree).smooth
     times = [trajectory.t for trajectory in data]
     q, qdot, qddot = (smoothed.grid.evaluate(smoothed.control_points, times, nu) for nu in range(3))
     states = zip(times, q, qdot, qddot, strict=True)

@@ -10,12 +10,11 @@ import sympy as sp
 
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import Workspace
-from leastaction._selection import Selection
+from leastaction._selection import EXPLAINED, Selection
 from leastaction._smoothing import Smooth
 
 __all__ = ["Verdict", "verify"]
 
-_EQUATION_ERROR = 0.01  # of the generalised forces: exact libraries leave 0.0002 at most
 _WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
@@ -44,13 +43,13 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
     floor = workspace.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
     chi2 = fit.linearisation.squares / workspace.observations.counts / noise**2
-    share, rms = _equation_error(workspace, structure)
+    share, rms = workspace.equation_error(structure)
     doubts: list[str] = []
     notes: list[str] = []
     if not fit.converged:
         doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
     for i, name in enumerate(names):
-        if share[i] > _EQUATION_ERROR or chi2[i] > _NOISE_RATIO**2:
+        if share[i] > EXPLAINED or chi2[i] > _NOISE_RATIO**2:
             doubts.append(
                 f"the library cannot explain {name}: the equation is off by {100 * share[i]:.1f} % of its "
                 f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or "
@@ -70,23 +69,6 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     status = "doubtful" if doubts else "ok"
     return Verdict(status, tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
-
-
-def _equation_error(workspace: Workspace, structure) -> tuple[np.ndarray, np.ndarray]:
-    """Root mean square of the equation residual, relative to the terms of each equation, and absolute."""
-    physics, index = workspace.physics(structure.members)
-    states = workspace.grid.at_quadrature(structure.fit.control_points)
-    points = Points(*(s[:, 0] for s in states))
-    coefficients = structure.coefficients[index]
-    size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
-    # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
-    mass = physics.columns.mass_matrix(points, coefficients)
-    size += np.einsum("pij,pj->ip", mass**2, states[2][:, 0] ** 2)
-    if workspace.forces is not None:
-        size += workspace.forces[:, 0].T ** 2
-    duration = workspace.grid.weights.sum()
-    rms = np.sqrt(structure.fit.linearisation.equation / duration)
-    return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
 
 
 def _signal(workspace: Workspace, structure) -> list[str]:

@@ -157,6 +157,21 @@ class Workspace:
         points = Points(*(s[::stride, 0] for s in states))
         return float(np.mean(positive_definite(self.columns.mass_matrix(points, coefficients))))
 
+    def equation_error(self, structure: StructureFit) -> tuple[np.ndarray, np.ndarray]:
+        """Root mean square of the equation residual, relative to the terms of each equation, and absolute."""
+        physics, index = self.physics(structure.members)
+        states = self.grid.at_quadrature(structure.fit.control_points)
+        points = Points(*(s[:, 0] for s in states))
+        coefficients = structure.coefficients[index]
+        size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
+        # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
+        mass = physics.columns.mass_matrix(points, coefficients)
+        size += np.einsum("pij,pj->ip", mass**2, states[2][:, 0] ** 2)
+        if self.forces is not None:
+            size += self.forces[:, 0].T ** 2
+        rms = np.sqrt(structure.fit.linearisation.equation / self.grid.weights.sum())
+        return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
+
     def score(self, structure: StructureFit) -> Quadratic:
         """Quadratic model of the cost in all free columns about a structure's fit."""
         physics, _ = self.physics(structure.members)

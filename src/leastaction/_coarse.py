@@ -1,0 +1,72 @@
+"""A second search on a coarse grid, for hardware that moves in ways the library knows nothing of.
+
+Belts and joints vibrate, clocks jitter, motors ripple.  A fine spline follows all of it, and the equations
+then fight accelerations of the wrong origin.  Where the first search leaves a large equation error, another
+one begins on the coarsest grid that shows the motion; free runs along the data judge which of them is right.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import sympy as sp
+
+from leastaction._fit.workspace import StructureFit, Workspace
+from leastaction._forecast import forecast
+from leastaction._mechanics import Mechanics
+from leastaction._prepare import excerpt
+from leastaction._selection import EXPLAINED, Progress, Selection, select_structure
+from leastaction._smoothing import smooth
+
+__all__ = ["forecast_error", "search_coarse"]
+
+_HORIZON = 0.5  # of free runs, in periods of the motion
+_WINDOW = 0.1
+_JUDGED = 12_000  # samples that the free runs run along
+_CLEARLY = 0.95  # the coarse grid has to be better by 5 %
+
+
+def search_coarse(
+    fine: Workspace,
+    found: Selection,
+    knots_per_second: float,
+    progress: Progress,
+    relevance: float,
+    seed: int,
+) -> tuple[Workspace, Selection]:
+    """Search again from ``knots_per_second`` if an equation is off by more than one per cent.
+
+    Returns
+    -------
+    Workspace, Selection
+        Those of the better forecasts.
+    """
+    off = fine.equation_error(found.structure)[0]
+    if np.all(off <= EXPLAINED) or not knots_per_second < fine.knots_per_second:
+        return fine, found
+    coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
+    curve = smooth(coarse.grid, coarse.times, coarse.values)
+    other = select_structure(coarse, curve, progress, relevance, seed)
+    if not other.structure.fit.converged:
+        return fine, found
+    period = 2.0 * np.pi * 4.0 / knots_per_second
+    first, second = (
+        forecast_error(w, s.structure, _HORIZON * period) for w, s in ((fine, found), (coarse, other))
+    )
+    progress("coarse", {"forecast_error": second, "before": first})
+    return (coarse, other) if second < _CLEARLY * first else (fine, found)
+
+
+def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float) -> float:
+    """Root mean square error of free runs over standard deviation, runs that are lost counted as one."""
+    parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
+    for term, value in zip(workspace.columns.terms, structure.coefficients, strict=True):
+        parts[term.kind] += sp.Float(float(value)) * term.expr
+    data = excerpt(workspace.trajectories, _JUDGED)
+    mechanics = Mechanics(parts["lagrangian"], parts["dissipation"], data.coordinates)
+    shortest = min(trajectory.duration for trajectory in data)
+    horizon = min(horizon, 0.4 * shortest)
+    noise = structure.fit.weights.noise_std
+    result = forecast(mechanics.acceleration, data, noise, horizon, _WINDOW * horizon)
+    errors = np.array([trace.rms / result.std for trace in result.traces])
+    errors = errors[~np.isnan(errors)]
+    return float(np.sqrt(np.mean(np.minimum(errors, 1.0) ** 2)))
