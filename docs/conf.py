@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from importlib import metadata
 from pathlib import Path
 
 _HERE = Path(__file__).resolve().parent
@@ -13,9 +13,9 @@ project = "leastaction"
 author = "leastaction developers"
 copyright = author
 try:
-    release = version("leastaction")
-except PackageNotFoundError:
-    release = "unknown"
+    release = version = metadata.version("leastaction")
+except metadata.PackageNotFoundError:
+    release = version = "unknown"
 
 extensions = [
     "myst_parser",

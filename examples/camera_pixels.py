@@ -2,9 +2,9 @@
 From camera pixels to a Lagrangian
 ==================================
 
-A camera films a pendulum, and a tracker reports the bob in whole pixels. Nobody measured where the pivot is in
-the picture, and the camera is not quite level. What is the length of the pendulum, how much friction is there,
-and how crooked is the camera?
+A camera films a pendulum, and a tracker reports the bob in whole pixels. Nobody measured where the pivot is
+in the picture, and the camera is not quite level. What is the length of the pendulum, how much friction is
+there, and how crooked is the camera?
 """
 
 import matplotlib.pyplot as plt
@@ -44,8 +44,9 @@ films = [film(1.2, 0.0), film(-0.8, 1.0)]
 print(films[0][:5])
 
 # %%
-# **Pixels to angle.** The bob moves on a circle: fit it, and the centre is the pivot. The angle is then measured
-# from the vertical *of the picture*. Whether that is the vertical of the laboratory we leave to the data.
+# **Pixels to angle.** The bob moves on a circle: fit it, and the centre is the pivot. The angle is then
+# measured from the vertical *of the picture*. Whether that is the vertical of the laboratory we leave to
+# the data.
 
 bob = np.concatenate(films)
 bob = bob[np.isfinite(bob).all(axis=1)]
@@ -70,8 +71,8 @@ model = la.discover(data, library, {"theta_dot**2": 0.5}, dissipation=["theta_do
 print(model.format_table())
 
 # %%
-# Gravity acts along the vertical of the laboratory: g/l · cos(θ − δ) = g/l · (cos δ cos θ + sin δ sin θ). Both
-# numbers come out with an error, the length as well as the roll of the camera.
+# Gravity acts along the vertical of the laboratory: g/l · cos(θ − δ) = g/l · (cos δ cos θ + sin δ sin θ).
+# Both numbers come out with an error, the length as well as the roll of the camera.
 
 found = {term.expression: term.coefficient for term in model.terms}
 strength = np.hypot(found["cos(theta)"], found["sin(theta)"])
@@ -82,40 +83,31 @@ print(f"length {length:.4f} m (true {LENGTH}), roll {np.rad2deg(roll):.2f}° (tr
 print("\n".join(f"- {note}" for note in model.diagnostics.notes))
 
 # %%
-# Left, what the camera reports; right, the pixels of one second and the curve that obeys the law. The steps
-# are the whole pixels.
+# Left, what the camera reports; right, half a second of it around a turning point, and the curve that obeys
+# the law. The steps are the whole pixels.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained", width_ratios=[1, 1.25])
 for pixels, colour in zip(films, ["tab:blue", "tab:orange"], strict=True):
     left.plot(*pixels[:200].T, ".", ms=3, color=colour)
 left.plot(column, row, "k+", ms=12)
-down = np.array([np.sin(roll), np.cos(roll)])
-left.annotate(
-    "vertical that the law found",
-    xy=[column, row] + 190 * down,
-    xytext=(column, row),
-    fontsize=9,
-    rotation=90,
-    ha="center",
-    va="top",
-    arrowprops={"arrowstyle": "->"},
-)
-left.plot([column, column], [row, row + 260], ":", color="0.6")
+left.plot([column, column], [row, row + 230], ":", color="0.4", label="vertical of the picture")
+plumb = np.array([column, row]) + 230 * np.array([[0.0, 0.0], [np.sin(roll), np.cos(roll)]])
+left.plot(*plumb.T, color="tab:red", label="vertical that the law found")
+left.legend(fontsize=8, loc="lower center")
 left.set(xlim=(0, 640), ylim=(480, 0), aspect="equal", xlabel="column (pixels)", ylabel="row (pixels)")
 
 fine = np.linspace(0.0, 20.0, 12_001)
 curve = model.diagnostics.curve([fine, fine])[0][:, 0]
-inside, shown = (t > 15.0) & (t < 16.6), (fine > 15.0) & (fine < 16.6)
-right.plot(t[inside], angles[0][inside], ".", color="0.5", label="from the pixels")
-right.plot(fine[shown], curve[shown], color="tab:blue", label="fitted curve")
-right.fill_between(
-    fine[shown], curve[shown] - 0.5 / radius, curve[shown] + 0.5 / radius, color="tab:blue", alpha=0.2, lw=0
-)
-right.set(xlabel="t (s)", ylabel="angle in the picture (rad)", title="band: half a pixel either way")
-right.legend(fontsize=9)
+inside, shown = (t > 15.4) & (t < 15.85), (fine > 15.4) & (fine < 15.85)
+half = 0.5 / radius
+right.plot(t[inside], angles[0][inside], "o", ms=5, color="0.45", label="from the pixels")
+right.plot(fine[shown], curve[shown], color="tab:blue", label="fitted curve, half a pixel either way")
+right.fill_between(fine[shown], curve[shown] - half, curve[shown] + half, color="tab:blue", alpha=0.2, lw=0)
+right.set(xlabel="t (s)", ylabel="angle in the picture (rad)")
+right.legend(fontsize=9, loc="upper center")
 plt.show()
 
 # %%
-# **What to learn.** Turn what was recorded into coordinates with as little processing as possible: no filter, no
-# differences of frames. Geometry that you do not know (the pivot) has to be found first; a constant offset of
-# an angle may stay in, and comes out of the law as a sine beside the cosine.
+# **What to learn.** Turn what was recorded into coordinates with as little processing as possible: no
+# filter, no differences of frames. Geometry that you do not know (the pivot) has to be found first; a
+# constant offset of an angle may stay in, and comes out of the law as a sine beside the cosine.

@@ -2,9 +2,9 @@
 A model exported into a controller
 ==================================
 
-A cart on a spring carries a pendulum. From recordings of free swings we find the model, write it out as a Python
-module that needs nothing but ``math``, and design with it a controller that pushes the cart so that the pendulum
-stands upside down.
+A cart on a spring carries a pendulum. From recordings of free swings we find the model, write it out as a
+Python module that needs nothing but ``math``, and design with it a controller that pushes the cart so that
+the pendulum stands upside down.
 """
 
 import tempfile
@@ -51,8 +51,8 @@ def derivative(state, force):
 
 
 # %%
-# **The linear–quadratic regulator.** Linearise by central differences, solve the Riccati equation, and the force on
-# the cart is −K times the distance from the equilibrium.
+# **The linear–quadratic regulator.** Linearise by central differences, solve the Riccati equation, and the
+# force on the cart is −K times the distance from the equilibrium.
 
 upright, step = np.array([*rest, 0.0, 0.0]), 1e-5
 a = np.column_stack(
@@ -66,8 +66,8 @@ print("gain:", gain.round(1))
 print("poles with control:", np.linalg.eigvals(a - b * gain).round(2))
 
 # %%
-# **The test is the machine, not the model.** The true system, from which the data came, starts 0.35 rad away
-# from upright.
+# **The test is the machine, not the model.** The true system, from which the data came, starts 0.35 rad
+# away from upright.
 
 
 def closed_loop(t, state):
@@ -76,11 +76,12 @@ def closed_loop(t, state):
     return [*state[2:], *acceleration]
 
 
-start = upright + [0.0, 0.35, 0.0, 0.0]
+start = upright + np.array([0.0, 0.35, 0.0, 0.0])
 t = np.linspace(0.0, 5.0, 501)
 run = solve_ivp(closed_loop, (0.0, 5.0), start, t_eval=t, rtol=1e-9, atol=1e-9).y.T
 force = -(run - upright) @ gain
-print(f"after 5 s: {np.abs(run[-1] - upright).max():.1e} from the equilibrium; greatest force {np.abs(force).max():.0f} N")
+print(f"after 5 s {np.abs(run[-1] - upright).max():.3f} from the equilibrium")
+print(f"greatest force {np.abs(force).max():.0f} N")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.4), layout="constrained", width_ratios=[1.3, 1])
 frames = [0, 12, 24, 36, 50, 70, 100, 150, 300]
@@ -104,6 +105,6 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** The recordings never came near upside down with a controller in the loop, and yet the model is good
-# enough to stand there: it is the law, not a fit of the recorded region. Do check how far your recordings reach,
-# though: a spring that is a parabola where you looked need not be one elsewhere.
+# **What to learn.** The recordings never came near upside down with a controller in the loop, and yet the
+# model is good enough to stand there: it is the law, not a fit of the recorded region. Do check how far
+# your recordings reach, though: a spring that is a parabola where you looked need not be one elsewhere.

@@ -2,8 +2,8 @@
 When the library lacks a term
 =============================
 
-No method finds a term that it was not offered. What it must do is say so. A cart on a spring carries a pendulum;
-the spring becomes stiffer when it is stretched, and the candidates know of no such spring.
+No method finds a term that it was not offered. What it must do is say so. A cart on a spring carries a
+pendulum; the spring becomes stiffer when it is stretched, and the candidates know of no such spring.
 """
 
 import matplotlib.pyplot as plt
@@ -30,24 +30,21 @@ lacking = la.discover(data, la.Library(without, ["x", "theta"], angles=["theta"]
 print(lacking.format_table())
 
 # %%
-# The numbers look sober, the intervals are narrow, and the model is wrong: the status is *doubtful*, and the warning
-# names the equation that does not hold. A script should test ``model.fit.status`` before it goes on.
+# The numbers look sober, the intervals are narrow, and the model is wrong: the status is *doubtful*, and
+# the warning names the equation that does not hold. A script should test ``model.fit.status`` before it
+# goes on.
 #
-# **Which term is it?** The warning says where to look: at the equation of x. Smooth the recordings without any
-# model, put the curve into the found equations, and look at what is left over as a force on the cart.
+# **Which term is it?** The warning says where to look: at the equation of x. Put the curve that was fitted
+# to the recordings, with its derivatives, into the found equations, and look at what is left over as a
+# force on the cart.
 
-(motions, rest) = la.smooth(data), []
-for motion in motions:
-    missing = motion.qddot - lacking.acceleration(motion.q, motion.qdot)
-    rest.append(np.einsum("tij,tj->ti", lacking.mass_matrix(motion.q), missing))
-inside = slice(50, -50)  # the ends of a smoothed curve are the least certain
-x = np.concatenate([motion.q[inside, 0] for motion in motions])
-x_dot = np.concatenate([motion.qdot[inside, 0] for motion in motions])
-force = np.concatenate([r[inside, 0] for r in rest])
+q, qdot, qddot = (np.concatenate(lacking.diagnostics.curve(nu=nu)) for nu in range(3))
+rest = np.einsum("tij,tj->ti", lacking.mass_matrix(q), qddot - lacking.acceleration(q, qdot))
+x, x_dot, force = q[:, 0], qdot[:, 0], rest[:, 0]
 
 # %%
-# Against the velocity it is a cloud: it is not friction. Against the position it is a curve, and a cubic one:
-# a potential with a fourth power. Offered that, the discovery holds.
+# Against the velocity it is a cloud: it is not friction. Against the position it is a curve, and a cubic
+# one: a potential with a fourth power. Offered that, the discovery holds.
 
 complete = la.discover(data, la.Library(cart.library, ["x", "theta"], angles=["theta"]), known=cart.known)
 print(complete.format_table())
@@ -64,7 +61,7 @@ def trend(axis, u, colour):
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.3), sharey=True, layout="constrained")
 limit = 1.4 * np.quantile(np.abs(force), 0.99)
 for axis, u, label in ((left, x_dot, "velocity of the cart (m/s)"), (right, x, "position of the cart (m)")):
-    axis.plot(u, force, ",", color="0.55")
+    axis.plot(u, force, ".", ms=2.5, color="0.6", alpha=0.5, mew=0)
     trend(axis, u, "tab:blue")
     axis.axhline(0.0, color="0.7", lw=0.8, zorder=0)
     axis.set(xlabel=label, ylim=(-limit, limit))
@@ -78,5 +75,5 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** "Doubtful" is an answer: the warnings name the equation, and the force that is left over, drawn
-# against each coordinate and each velocity, usually shows what kind of term to add.
+# **What to learn.** "Doubtful" is an answer: the warnings name the equation, and the force that is left
+# over, drawn against each coordinate and each velocity, usually shows what kind of term to add.

@@ -2,11 +2,11 @@
 A measured double pendulum
 ==========================
 
-Two links swing freely; optical encoders record both angles every 2 ms. From 18 pieces of that recording we find
-the Lagrangian and the friction, and with them we forecast the 8 pieces that were kept aside.
+Two links swing freely; optical encoders record both angles every 2 ms. From 18 pieces of that recording we
+find the Lagrangian and the friction, and with them we forecast the 8 pieces that were kept aside.
 
-The recording comes with the package (Kaheman et al., HardwareX 15, 2023, MIT licence). Angles are measured from
-upright, so both pendulums hang at π.
+The recording comes with the package (Kaheman et al., HardwareX 15, 2023, MIT licence). Angles are measured
+from upright, so both pendulums hang at π.
 """
 
 from importlib.resources import as_file, files
@@ -25,21 +25,31 @@ print(fitted)
 print(held_out)
 
 # %%
-# The candidates are what one writes down without knowing the answer: products of two velocities with cosines and
-# sines, the first harmonics of a potential, viscous friction and dry friction in both joints. The friction of the
-# second joint goes with the angle between the links.
+# The candidates are what one writes down without knowing the answer: products of two velocities with
+# cosines and sines, the first harmonics of a potential, viscous friction and dry friction in both joints.
+# The friction of the second joint goes with the angle between the links.
 #
-# Nothing drives the pendulum, so its motion fixes L only up to a factor. We set the coefficient of the first
-# squared velocity to one; everything else comes out relative to it.
+# Nothing drives the pendulum, so its motion fixes L only up to a factor. We set the coefficient of the
+# first squared velocity to one; everything else comes out relative to it.
 
-candidates = """
-    theta1_dot**2   theta2_dot**2   theta1_dot*theta2_dot
-    theta1_dot*theta2_dot*cos(theta1-theta2)   theta1_dot*theta2_dot*sin(theta1-theta2)
-    theta1_dot**2*cos(theta1)   theta2_dot**2*cos(theta2)
-    theta1_dot**2*cos(theta1-theta2)   theta2_dot**2*cos(theta1-theta2)
-    cos(theta1)   cos(theta2)   sin(theta1)   sin(theta2)
-    cos(theta1-theta2)   cos(2*theta1)   cos(2*theta2)
-""".split()
+candidates = [
+    "theta1_dot**2",
+    "theta2_dot**2",
+    "theta1_dot*theta2_dot",
+    "theta1_dot*theta2_dot*cos(theta1-theta2)",
+    "theta1_dot*theta2_dot*sin(theta1-theta2)",
+    "theta1_dot**2*cos(theta1)",
+    "theta2_dot**2*cos(theta2)",
+    "theta1_dot**2*cos(theta1-theta2)",
+    "theta2_dot**2*cos(theta1-theta2)",
+    "cos(theta1)",
+    "cos(theta2)",
+    "sin(theta1)",
+    "sin(theta2)",
+    "cos(theta1-theta2)",
+    "cos(2*theta1)",
+    "cos(2*theta2)",
+]
 friction = [
     "theta1_dot**2/2",
     "theta2_dot**2/2",
@@ -52,17 +62,17 @@ model = la.discover(fitted, library, known={"theta1_dot**2": 1.0}, dissipation=f
 print(model.format_table())
 
 # %%
-# Four of the terms are those of the textbook. The fifth, a small sine, is a property of this apparatus: the zeros
-# of the two encoders differ by some milliradians, and cos(θ₁ − θ₂ + δ) is a cosine and a little sine. The note that
-# the discovery leaves says so in words:
+# Four of the terms are those of the textbook. The fifth, a small sine, is a property of this apparatus: the
+# zeros of the two encoders differ by some milliradians, and cos(θ₁ − θ₂ + δ) is a cosine and a little sine.
+# The note that the discovery leaves says so in words:
 
 for note in model.diagnostics.notes:
     print("-", note)
 
 # %%
-# A coefficient can look right and still be useless. The test that counts is to forecast motions that the fit has
-# not seen: each forecast starts from the state that fits half a second of data before it, and then runs free for
-# one second.
+# A coefficient can look right and still be useless. The test that counts is to forecast motions that the
+# fit has not seen: each forecast starts from the state that fits half a second of data before it, and then
+# runs free for one second.
 
 forecast = model.validate(held_out, horizon=1.0)
 print("rms error (rad):", forecast.rms.round(4), "in", len(forecast.traces), "forecasts")
@@ -88,7 +98,7 @@ for column, (trace, title) in enumerate(zip(shown, ["largest error", "smallest e
     bottom.axhline(0.0, color="0.7", lw=0.8, zorder=0)
     bottom.set_xlabel("seconds after the start of the forecast")
 axes[0, 0].plot([], [], ".", color="0.6", label="measured (every 12th sample)")
-axes[0, 0].legend(loc="lower left", fontsize=8, framealpha=0.9)
+axes[0, 0].legend(loc="upper right", fontsize=8, framealpha=0.9)
 axes[0, 0].set_ylabel("angle from upright (rad)")
 axes[1, 0].set_ylabel("error (mrad)")
 plt.show()

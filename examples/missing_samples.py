@@ -2,9 +2,9 @@
 Missing and irregular samples
 =============================
 
-Cameras drop frames, markers are hidden behind a link, loggers share a bus and write when they can. Samples need
-not be on a grid, need not come at the same times for all coordinates, and need not be there. An empty cell in a
-table, or NaN in an array, is all there is to say about a missing sample.
+Cameras drop frames, markers are hidden behind a link, loggers share a bus and write when they can. Samples
+need not be on a grid, need not come at the same times for all coordinates, and need not be there. An empty
+cell in a table, or NaN in an array, is all there is to say about a missing sample.
 """
 
 import matplotlib.pyplot as plt
@@ -17,8 +17,8 @@ truth = systems.get("double_pendulum")
 settings = {"noise": 0.02, "trials": 2, "duration": 10.0, "irregular": True, "seed": 4}
 
 # %%
-# Four versions of the same motions, sampled irregularly about 100 times a second, with more and more samples lost,
-# each coordinate on its own. The last one has some five samples a second of each angle.
+# Four versions of the same motions, sampled irregularly about 100 times a second, with more and more
+# samples lost, each coordinate on its own. The last one has some five samples a second of each angle.
 
 lost = [0.0, 0.5, 0.8, 0.95]
 library = la.Library(truth.library, truth.coordinates, angles=truth.angles)
@@ -26,11 +26,13 @@ recordings = [systems.generate(truth, missing=fraction, **settings) for fraction
 models = [la.discover(data, library) for data in recordings]
 for fraction, data, model in zip(lost, recordings, models, strict=True):
     right = la.metrics.exact_support({t.expression: t.coefficient for t in model.terms}, truth.lagrangian)
-    print(f"{100 * fraction:3.0f} % lost, {data.n_samples:5d} samples: {model.fit.status}, terms exact: {right}")
+    print(
+        f"{100 * fraction:3.0f} % lost, {data.n_samples:5d} samples: {model.fit.status}, terms exact: {right}"
+    )
 
 # %%
-# What not to do: fill the gaps by interpolation first, so that the table looks complete. The filled
-# values are not measurements; their errors are neither small nor random.
+# What not to do: fill the gaps by interpolation first, so that the table looks complete. The filled values
+# are not measurements; their errors are neither small nor random.
 
 
 def filled(run):
@@ -46,11 +48,12 @@ interpolated = la.discover([filled(run) for run in recordings[1]], library)
 print(interpolated.format_table())
 
 # %%
-# Left: one second of the recording that has lost 80 %, and the curve that the fit put through it. Right: the
-# coefficients relative to the truth with their 95 % intervals. The intervals grow as samples are lost,
-# and the truth stays inside; with filled gaps it does not, and the status says that something is wrong.
+# Left: two seconds of the recording that has lost 80 %, and the curve that the fit put through it. Right:
+# the errors of the coefficients in per cent with their 95 % intervals, on a scale that is linear up to one
+# per cent. With ever fewer samples the intervals grow, as they should. With half of the samples lost and
+# filled in, the coefficients are off by three quarters, and the status says that something is wrong.
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.4), layout="constrained", width_ratios=[1, 1.2])
+figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.8), layout="constrained", width_ratios=[1, 1.2])
 run = recordings[2][0]
 fine = np.linspace(2.0, 4.0, 400)
 times = [fine] + [r.t for r in recordings[2][1:]]
@@ -82,10 +85,14 @@ for k, (name, model) in enumerate(groups):
 right.axvline(0.0, color="0.6", lw=0.8, zorder=0)
 right.set_yticks(range(len(truth.lagrangian)), ["θ̇₁²", "θ̇₂²", "θ̇₁θ̇₂cos(θ₁−θ₂)", "cos θ₁", "cos θ₂"])
 right.invert_yaxis()
-right.set(xlabel="error of the coefficient (%)")
-right.legend(fontsize=8)
+right.set_xscale("symlog", linthresh=1.0)
+right.set_xlim(-2.0, 300.0)
+ticks = [-1, 0, 1, 10, 100]
+right.set_xticks(ticks, [str(tick) for tick in ticks])
+right.set_xlabel("error of the coefficient (%)")
+right.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 plt.show()
 
 # %%
-# **What to learn.** Hand over what was measured, as it was measured. Each sample counts at its own time; gaps cost
-# accuracy as honest as any other lack of data, and filling them costs honesty.
+# **What to learn.** Hand over what was measured, as it was measured. Each sample counts at its own time;
+# gaps cost accuracy, and the intervals say how much; filled gaps cost the result.

@@ -2,8 +2,8 @@
 Polynomial oscillators
 ======================
 
-Which polynomial is the potential? First a Duffing oscillator with two wells, then two oscillators with a coupling
-of fourth degree. Candidates are all monomials up to a degree that is too high on purpose.
+Which polynomial is the potential? First a Duffing oscillator with two wells, then two oscillators with a
+coupling of fourth degree. Candidates are all monomials up to a degree that is too high on purpose.
 """
 
 import matplotlib.pyplot as plt
@@ -37,7 +37,8 @@ print(model.format_table())
 # %%
 # Two coordinates
 # ---------------
-# A generated library of degree 6: with two lengths it has 27 monomials for the potential and 18 kinetic terms.
+# A generated library of degree 6: with two lengths it has 27 monomials for the potential and 18 kinetic
+# terms.
 
 pair = systems.MechanicalSystem(
     name="pair",
@@ -82,7 +83,7 @@ right.contour(*np.moveaxis(grid, -1, 0), true, levels, colors="0.75", linewidths
 right.contour(*np.moveaxis(grid, -1, 0), found, levels, colors="tab:blue", linewidths=1)
 path = pair_model.diagnostics.curve()[0]
 right.plot(*path[:300].T, color="tab:orange", lw=0.8)
-right.set(xlabel="x", ylabel="y", aspect="equal", title="two oscillators: true (grey), found (blue), a motion")
+right.set(xlabel="x", ylabel="y", aspect="equal", title="found (blue) on true (grey), and a motion")
 plt.show()
 
 # %%

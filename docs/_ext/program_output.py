@@ -3,7 +3,7 @@
 ``.. program-output:: leastaction demo --output demo`` runs the command in a folder that all pages share
 (``_build/session``) and shows command and output; option ``:hide:`` runs it without showing, ``:lines: 20``
 shows the first lines only, ``:fails: 2`` expects that exit code. ``.. file-content:: demo/model.json`` shows
-a file of that folder.
+a file of that folder, and ``:report:`text <demo>` `` links to a copy of demo/report.html.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,7 @@ from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
-from sphinx.util.docutils import SphinxDirective
+from sphinx.util.docutils import ReferenceRole, SphinxDirective
 
 _COLUMNS = "96"
 
@@ -61,6 +62,26 @@ class FileContent(SphinxDirective):
         return [nodes.literal_block(text, text, language=self.options.get("language", "text"))]
 
 
+class Report(ReferenceRole):
+    """Links to the report that a command has written into a folder of the session."""
+
+    def run(self) -> tuple[list[nodes.Node], list[nodes.system_message]]:
+        if not (session(self.env.app) / self.target / "report.html").exists():
+            raise ExtensionError(f"{self.env.docname}: no command has written {self.target}/report.html")
+        up = "../" * self.env.docname.count("/")
+        address = f"{up}reports/{self.target}.html"
+        return [nodes.reference("", self.title, refuri=address, internal=True)], []
+
+
+def copy_reports(app: Sphinx, error: Exception | None) -> None:
+    """Put the reports beside the pages."""
+    if error is None and app.builder.format == "html":
+        target = Path(app.outdir) / "reports"
+        target.mkdir(exist_ok=True)
+        for report in sorted(session(app).glob("*/report.html")):
+            shutil.copyfile(report, target / f"{report.parent.name}.html")
+
+
 def session(app: Sphinx) -> Path:
     """Return the folder in which the commands of all pages run."""
     folder = Path(app.outdir).parent / "session"
@@ -96,4 +117,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     """Register the directives. Commands depend on each other, so pages are read one after the other."""
     app.add_directive("program-output", ProgramOutput)
     app.add_directive("file-content", FileContent)
+    app.add_role("report", Report())
+    app.connect("build-finished", copy_reports)
     return {"version": "1", "parallel_read_safe": False, "parallel_write_safe": True}
