@@ -1,4 +1,4 @@
-"""The numbers of docs/choose.md: sampling rate, length, number of runs, degree. ``python benchmarks/choices.py``."""
+"""The numbers of docs/choose.md: sampling rate, length, number of runs, degree."""
 
 from __future__ import annotations
 

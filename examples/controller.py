@@ -32,7 +32,7 @@ print(model.format_table())
 
 folder = Path(tempfile.mkdtemp())
 text = la.export(model, "python", folder / "cart.py")
-print("\n".join(text.splitlines()[:32]))
+print(text.partition("def energy")[0])
 
 spec = spec_from_file_location("cart", folder / "cart.py")
 cart = module_from_spec(spec)

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 from docutils import nodes
@@ -22,7 +24,8 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import ReferenceRole, SphinxDirective
 
-_COLUMNS = "96"
+_COLUMNS = "96"  # of the terminal that the program sees
+_WIDTH = 100  # of what the page shows
 
 
 class ProgramOutput(SphinxDirective):
@@ -42,11 +45,28 @@ class ProgramOutput(SphinxDirective):
         if "hide" in self.options:
             return []
         lines = text.rstrip().splitlines()
-        shown = lines[: self.options.get("lines", len(lines))]
-        if len(shown) < len(lines):
+        shown = [part for line in lines[: self.options.get("lines", len(lines))] for part in _folded(line)]
+        if self.options.get("lines", len(lines)) < len(lines):
             shown.append("...")
-        block = "\n".join([f"$ {command}", *shown])
+        block = "\n".join([*_typed(command), *shown])
         return [nodes.literal_block(block, block, language="console")]
+
+
+def _folded(line: str) -> list[str]:
+    """Break a long line of text as a terminal would; tables, which have columns, stay as they are."""
+    is_table = "  " in line.strip()
+    return [line] if is_table or len(line) <= _WIDTH else textwrap.wrap(line, _WIDTH)
+
+
+def _typed(command: str) -> list[str]:
+    """Break a long command before its options, so that it can still be copied and run."""
+    lines, line = [], "$"
+    for part in re.split(r" (?=--?\w)", command):
+        if len(line) + len(part) > _WIDTH - 3:
+            lines.append(f"{line} \\")
+            line = "   "
+        line += f" {part}"
+    return [*lines, line]
 
 
 class FileContent(SphinxDirective):
@@ -71,6 +91,11 @@ class Report(ReferenceRole):
         up = "../" * self.env.docname.count("/")
         address = f"{up}reports/{self.target}.html"
         return [nodes.reference("", self.title, refuri=address, internal=True)], []
+
+
+def read_first(app: Sphinx, env: object, docnames: list[str]) -> None:
+    """Read the start page first: other pages show what its commands have written."""
+    docnames.sort(key=lambda name: (name != "start", name))
 
 
 def copy_reports(app: Sphinx, error: Exception | None) -> None:
@@ -118,5 +143,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_directive("program-output", ProgramOutput)
     app.add_directive("file-content", FileContent)
     app.add_role("report", Report())
+    app.connect("env-before-read-docs", read_first)
     app.connect("build-finished", copy_reports)
     return {"version": "1", "parallel_read_safe": False, "parallel_write_safe": True}
