@@ -51,7 +51,7 @@ figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constraine
 left.plot(t, energy, color="tab:blue", label="energy of the found model")
 left.plot(t, energy[0] - lost, "--", color="tab:red", label="start minus work of the found friction")
 left.set(xlabel="t (s)", ylabel="energy (J)")
-left.legend(fontsize=9)
+left.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 
 exact = {e: c for e, c in {**truth.lagrangian, **truth.dissipation}.items() if e not in truth.known}
 for k, (name, found, colour) in enumerate(

@@ -109,10 +109,10 @@ for i, colour in enumerate(["tab:blue", "tab:orange"]):
     axes[1].plot(t, driven_without.q[:, i], ":", color=colour, label="the same, friction not offered")
     axes[2].plot(t, 1e3 * (driven.q - q)[:, i], color=colour)
 axes[0].set_ylabel("torque (N m)")
-axes[1].set(ylabel="angle (rad)", ylim=(-2.0, 3.4))
+axes[1].set(ylabel="angle (rad)", ylim=(-2.0, 2.5))
 axes[2].set(ylabel="error with the\nfound model (mrad)", xlabel="t (s)")
 axes[0].legend(fontsize=9)
-axes[1].legend(fontsize=8, ncols=2, loc="upper left")
+axes[1].legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 plt.show()
 
 # %%

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ast
 import os
-import resource
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+resource = pytest.importorskip("resource", reason="processor time of a child is a matter of POSIX")
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
 SECONDS = 20.0  # of one core; double that ends the test on slow machines
