@@ -13,7 +13,7 @@ export PIP_NO_INPUT := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format bench study-systems table1 table2 figures reproduce-smoke clean
+.PHONY: help demo test lint format docs gallery bench study-systems table1 table2 figures reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
 
@@ -22,6 +22,8 @@ help:
 	@echo "make test           run the tests (TEST_ARGS='-k spline' for some of them)"
 	@echo "make lint           check style, types and the direction of imports"
 	@echo "make format         put the code into the style that lint checks"
+	@echo "make docs           build the documentation into docs/_build/html, gallery included (minutes)"
+	@echo "make gallery        run every script of examples/ as a test"
 	@echo "make bench          measure speed"
 	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
 	@echo "make table1         run the first table of the paper (takes long; resumes; RUN_ARGS='--jobs 2 --trials 1')"
@@ -47,6 +49,17 @@ format: $(STAMPS)/lint
 	$(BIN)/ruff check --fix-only .
 	$(BIN)/ruff format .
 
+# Everything anew: a page that an older version of the package has made must not stay. Warnings are errors.
+docs: $(STAMPS)/docs
+	rm -rf docs/_build docs/gallery
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx \
+	  -q -n -W --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
+	$(BIN)/python docs/check_pages.py docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
+gallery: $(STAMPS)/test
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m slow tests/test_gallery.py
+
 bench: $(STAMPS)/core
 	$(BIN)/python benchmarks/run.py
 
@@ -69,7 +82,7 @@ reproduce-smoke: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.collate --results build/reproduction/results --output build/reproduction/tables
 
 clean:
-	rm -rf demo-output build dist docs/_build .pytest_cache .hypothesis .ruff_cache .import_linter_cache
+	rm -rf demo-output build dist docs/_build docs/gallery .pytest_cache .hypothesis .ruff_cache .import_linter_cache
 	find src tests benchmarks examples docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # A working environment is kept, whoever made it; a broken or too old one is made anew.
@@ -104,6 +117,10 @@ $(STAMPS)/test: $(STAMPS)/venv pyproject.toml
 
 $(STAMPS)/lint: $(STAMPS)/venv pyproject.toml
 	@$(call install,[lint])
+	@touch $(STAMPS)/core $@
+
+$(STAMPS)/docs: $(STAMPS)/venv pyproject.toml
+	@$(call install,[docs])
 	@touch $(STAMPS)/core $@
 
 $(STAMPS)/reproduction: $(STAMPS)/venv pyproject.toml

@@ -29,7 +29,7 @@ class Library(Sequence[Term]):
     Parameters
     ----------
     terms
-        Candidates φ_k as text, SymPy expressions or terms.  Text may use + - * / **, brackets,
+        Candidates φ_k as text, SymPy expressions or terms.  Text may use ``+ - * / **``, brackets,
         sin cos tan exp log sqrt abs, numbers, pi, the coordinates, their velocities
         ``<coordinate>_dot`` and the parameters.
     coordinates

@@ -1,0 +1,202 @@
+"""Documentation: no public name is missing, its code runs, the check of its pages sees what it must."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import re
+from pathlib import Path
+from types import ModuleType
+
+import click
+import pytest
+
+import leastaction as la
+from leastaction import systems
+from leastaction.cli._program import program
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _documented() -> set[str]:
+    pages = "".join(page.read_text(encoding="utf-8") for page in DOCS.glob("api/*.rst"))
+    return set(
+        re.findall(r"^\.\. auto(?:function|class|exception)::\s+leastaction\.(\S+)", pages, re.MULTILINE)
+    )
+
+
+def _public() -> set[str]:
+    names = set()
+    for name in la.__all__:
+        thing = getattr(la, name)
+        if not inspect.ismodule(thing):
+            # a reader of files is documented where it is defined
+            names.add(f"io.{name}" if name in la.io.__all__ else name)
+            continue
+        own = [n for n, x in vars(thing).items() if getattr(x, "__module__", "") == thing.__name__]
+        listed = getattr(thing, "__all__", None) or [n for n in own if not n.startswith("_")]
+        names.update(f"{name}.{inner}" for inner in listed)
+    return names
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    assert _public() - _documented() == set()
+
+
+def test_the_reference_names_nothing_that_is_not_there() -> None:
+    for name in _documented():
+        thing: object = la
+        *modules, last = name.split(".")
+        for part in modules:
+            thing = (
+                importlib.import_module(f"leastaction.{part}")
+                if part.startswith("_")
+                else getattr(thing, part)
+            )
+        assert hasattr(thing, last), name
+
+
+def test_the_reference_would_miss_a_new_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(systems, "__all__", [*systems.__all__, "brand_new"])
+    assert _public() - _documented() == {"systems.brand_new"}
+
+
+def test_every_command_is_on_its_page() -> None:
+    page = (DOCS / "cli.md").read_text(encoding="utf-8")
+    assert isinstance(program, click.Group)
+    for name in program.commands:
+        assert f"```{{program-output}} leastaction {name} --help\n" in page
+
+
+def _sentences(path: Path) -> list[str]:
+    """The texts of a module, with … for what is filled in."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.JoinedStr):
+            found.append("".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values))
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.append(node.value)
+    return found
+
+
+def test_every_warning_is_explained() -> None:
+    """The first column of the table in report.md: the beginnings of the sentences in _verify."""
+    page = (DOCS / "report.md").read_text(encoding="utf-8").split("## The warnings")[1]
+    explained = tuple(re.findall(r"^\| ((?:the|these) [^|]+?) \|", page, re.MULTILINE))[1:]
+    sentences = _sentences(ROOT / "src/leastaction/_verify.py")
+    for beginning in explained:
+        assert any(text.startswith(beginning) for text in sentences), beginning
+    subjects = ("the library", "these data", "the mass", "the motion", "the dissipation", "the solver")
+    for text in sentences:
+        assert not text.startswith(subjects) or text.startswith(explained), text
+
+
+def _examples() -> list[tuple[str, str]]:
+    found = []
+    for page in PAGES:
+        blocks = re.findall(
+            r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+        )
+        found += [(f"{page.stem}-{k}", block) for k, block in enumerate(blocks)]
+    return found
+
+
+OURS = [(name, block) for name, block in _examples() if "import leastaction" in block]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """One folder with the files of each page that has Python examples of ours."""
+    cart, pendulum = (tmp_path_factory.mktemp(name) for name in ("cart", "pendulum"))
+    data = systems.generate("cart_spring_pendulum", noise=0.01, trials=2, duration=5.0, seed=0)
+    la.write_csv(cart / "run.csv", data)
+    driven = systems.generate("single_pendulum", noise=0.01, trials=2, duration=5.0, rate=50.0, seed=0)
+    rows = ["trial,t,theta,tau"] + [
+        f"{k},{t},{q},{f}"
+        for k, run in enumerate(driven)
+        for t, q, f in zip(run.t, run.q[:, 0], run.forces[:, 0], strict=True)
+    ]
+    (pendulum / "run.csv").write_text("\n".join(rows), encoding="utf-8")
+    scipy_io = pytest.importorskip("scipy.io")
+    run = driven[0]
+    scipy_io.savemat(pendulum / "run.mat", {"t": run.t, "theta": run.q[:, 0], "tau": run.forces[:, 0]})
+    return {"start": cart, "report": cart, "coming_from": pendulum}
+
+
+@pytest.mark.parametrize(("name", "block"), OURS, ids=[name for name, _ in OURS])
+def test_examples_of_the_pages_run(
+    name: str, block: str, tables: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tables[name.rpartition("-")[0]])
+    exec(compile(block, name, "exec"), {"__name__": "__main__"})
+
+
+@pytest.mark.parametrize(("name", "block"), _examples(), ids=[name for name, _ in _examples()])
+def test_examples_are_python(name: str, block: str) -> None:
+    compile(block, name, "exec")
+
+
+CHECK = _load("check_pages")
+
+FOREIGN = [
+    '<script src="https://cdn.example.org/a.js"></script>',
+    '<script src="//cdn.example.org/a.js"></script>',
+    '<link rel="stylesheet" href="https://example.org/a.css">',
+    '<link rel="preconnect" href="https://fonts.example.org">',
+    '<img alt="" src="here.png" srcset="here.png 1x, https://example.org/b.png 2x">',
+    '<iframe src="http://example.org"></iframe>',
+    '<object data="https://example.org/x.svg"></object>',
+    '<p style="background: url(https://example.org/a.png)">x</p>',
+    "<style>@import 'https://example.org/a.css';</style>",
+    '<script>fetch("https://example.org/data.json")</script>',
+    '<script>x.src = "https://example.org/a.js"</script>',
+    '<meta http-equiv="refresh" content="0; url=https://example.org/">',
+]
+
+
+@pytest.mark.parametrize("markup", FOREIGN)
+def test_what_a_page_would_fetch_is_seen(markup: str, tmp_path: Path) -> None:
+    (tmp_path / "here.png").touch()
+    (tmp_path / "index.html").write_text(markup, encoding="utf-8")
+    assert [line for line in CHECK.problems(tmp_path) if "loads" in line]
+    assert CHECK.main([str(tmp_path)]) == 1
+
+
+def test_a_page_that_stands_alone_passes(tmp_path: Path) -> None:
+    (tmp_path / "a.css").write_text(
+        "p { background: url(data:image/png;base64,xx) } /* url(https://x.org/y) */"
+    )
+    (tmp_path / "a.js").write_text(
+        '// see https://example.org\nconst namespace = "http://www.w3.org/2000/svg";'
+    )
+    (tmp_path / "index.html").write_text(
+        '<link rel="stylesheet" href="a.css?v=1"><script src="a.js"></script>'
+        '<link rel="canonical" href="https://example.org/"><a href="https://example.org">a link</a>'
+        '<a href="#top">top</a><svg xmlns="http://www.w3.org/2000/svg"><use href="#x"/></svg>'
+    )
+    assert list(CHECK.problems(tmp_path)) == []
+    assert CHECK.main([str(tmp_path)]) == 0
+
+
+def test_styles_and_scripts_are_read_too(tmp_path: Path) -> None:
+    (tmp_path / "a.css").write_text("@font-face { src: url('https://fonts.example.org/f.woff2') }")
+    (tmp_path / "b.js").write_text('import("https://cdn.example.org/m.mjs")')
+    (tmp_path / "index.html").write_text('<img src="lost.png"><a href="lost.html">x</a>')
+    assert len(list(CHECK.problems(tmp_path))) == 4
+
+
+def test_no_pages_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert CHECK.main([str(tmp_path)]) == 2
+    assert "make docs" in capsys.readouterr().err
