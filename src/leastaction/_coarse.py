@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import sympy as sp
 
+from leastaction._errors import InputError
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
 from leastaction._mechanics import Mechanics
@@ -21,6 +22,7 @@ __all__ = ["forecast_error", "search_coarse"]
 
 _HORIZON = 0.5  # of free runs, in periods of the motion
 _WINDOW = 0.1
+_WINDOW_STEPS = 8
 _JUDGED = 12_000  # samples that the free runs run along
 _CLEARLY = 0.95  # the coarse grid has to be better by 5 %
 
@@ -66,7 +68,12 @@ def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     noise = structure.fit.weights.noise_std
-    result = forecast(mechanics.acceleration, data, noise, horizon, _WINDOW * horizon)
+    step = float(np.median(np.concatenate([np.diff(trajectory.t) for trajectory in data])))
+    window = max(_WINDOW * horizon, _WINDOW_STEPS * step)
+    try:
+        result = forecast(mechanics.acceleration, data, noise, horizon, window)
+    except InputError:  # too short for a free run
+        return np.inf
     errors = np.array([trace.rms / result.std for trace in result.traces])
     errors = errors[~np.isnan(errors)]
     return float(np.sqrt(np.mean(np.minimum(errors, 1.0) ** 2)))

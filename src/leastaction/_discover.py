@@ -150,7 +150,7 @@ def discover(
             "functions that are undefined there, such as log or sqrt of a coordinate that changes sign"
         )
     clock.start("verify")
-    verdict = verify(workspace, selection, smoothed)
+    verdict = verify(workspace, selection, smoothed, prepared.knots.samples_per_period)
     clock.stop()
     given = {
         "method": method,
@@ -211,6 +211,8 @@ def _model(
 ):
     structure = selection.structure
     weights = structure.fit.weights
+    warnings = (*prepared.doubts, *verdict.warnings)
+    status = "doubtful" if warnings else "ok"
     members = dict(zip(structure.members, structure.standard_errors, strict=True))
     parts: dict[str, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
     for k, term in enumerate(prepared.columns):
@@ -237,7 +239,7 @@ def _model(
         tuple(parts["dissipation"]),
         None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
         weights.noise_std,
-        FitSummary(verdict.status, verdict.chi2_per_sample, weights.physics.tolist(), verdict.warnings),
+        FitSummary(status, verdict.chi2_per_sample, weights.physics.tolist(), warnings),
         {
             "version": _version(),
             "options": options,

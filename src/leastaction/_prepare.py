@@ -45,7 +45,7 @@ class Prepared:
     knots : Knots
         Of ``searched``.
     degree : int
-    notes : tuple of str
+    notes, doubts : tuple of str
     """
 
     trajectories: Trajectories
@@ -56,6 +56,7 @@ class Prepared:
     knots: Knots
     degree: int
     notes: tuple[str, ...]
+    doubts: tuple[str, ...]
 
     def workspace(self, columns) -> Workspace:
         """To search in."""
@@ -110,7 +111,7 @@ def prepare(
         )
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
-    notes = _notes_on_angles(trajectories, angles)
+    notes, doubts = _about_angles(trajectories, angles)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
         for c, r in zip(library.coordinates, knots.rates, strict=True)
@@ -147,6 +148,7 @@ def prepare(
         knots,
         degree,
         tuple(notes),
+        tuple(doubts),
     )
 
 
@@ -195,29 +197,43 @@ def _round_to_one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def _notes_on_angles(trajectories: Trajectories, angles) -> list[str]:
+def _about_angles(trajectories: Trajectories, angles) -> tuple[list[str], list[str]]:
+    """What was unwrapped, and what should perhaps have been."""
     notes = [
         f"{count} jumps of 2π removed from {name}"
         for name, count in trajectories.wraps_removed.items()
         if count and name in angles
     ]
+    doubts = []
     for i, name in enumerate(trajectories.coordinates):
         if name in angles:
             continue
         steps = np.concatenate([np.diff(t.q[:, i][np.isfinite(t.q[:, i])]) for t in trajectories])
         wraps = int(np.sum(np.abs(np.abs(steps) - 2 * np.pi) < 0.5))
         if wraps and np.quantile(np.abs(steps), 0.99) < np.pi / 2:
-            notes.append(
+            doubts.append(
                 f"{name} jumps by about 2π {wraps} times: if it is an angle, say so with angles=[{name!r}]"
             )
-    return notes
+    return notes, doubts
 
 
 class Knots(NamedTuple):
-    """Knots a second, how few would still show the motion, the smoothed curve, and (n_dof,) rms rates."""
+    """How fast the motion is, and the curve that was found on the way.
+
+    Attributes
+    ----------
+    per_second, coarse : float
+        Knots a second to begin with, and how few would still show the motion.
+    samples_per_period : float
+        Of the fastest coordinate.
+    smooth : Smooth
+    rates : (n_dof,) array
+        Root mean square.
+    """
 
     per_second: float
     coarse: float
+    samples_per_period: float
     smooth: Smooth
     rates: np.ndarray
 
@@ -256,7 +272,8 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         knots = wanted
     else:
         smoothed = smooth(lay_grid(times, knots, degree), times, values)
-    return Knots(knots, coarse, smoothed, spread(1))
+    period = 2.0 * np.pi * _KNOTS_PER_RADIAN / knots_for(1)
+    return Knots(knots, coarse, rate * period, smoothed, spread(1))
 
 
 def lay_grid(times: list[np.ndarray], knots_per_second: float, degree: int) -> SplineGrid:

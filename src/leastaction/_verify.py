@@ -8,8 +8,10 @@ from typing import Literal
 import numpy as np
 import sympy as sp
 
+from leastaction._causes import likely_cause
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import Workspace
+from leastaction._rivals import rival_warnings
 from leastaction._selection import EXPLAINED, Selection
 from leastaction._smoothing import Smooth
 
@@ -19,9 +21,17 @@ _WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
 _VISIBLE = 0.3
-_AS_LIKELY = 5.0  # −2 log likelihood
+_PART_OF_IT = 0.3
+_FEW_SAMPLES = 7.0  # a period of the fastest motion
+_HIDDEN = 0.001  # equation error below which no cause is looked for
 _LAG_ONE = 0.1
 _SMALL_OFFSET = 0.05
+
+
+_ANY_CAUSE = (
+    "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign be "
+    "wrong"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +45,7 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdict:
+def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_per_period: float) -> Verdict:
     """Run every check on a selected structure."""
     structure = selection.structure
     fit = structure.fit
@@ -48,20 +58,29 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth) -> Verdic
     notes: list[str] = []
     if not fit.converged:
         doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
-    for i, name in enumerate(names):
-        if share[i] > EXPLAINED or chi2[i] > _NOISE_RATIO**2:
-            doubts.append(
-                f"the library cannot explain {name}: the equation is off by {100 * share[i]:.1f} % of its "
-                f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; a term, a force or "
-                "friction may be missing"
-            )
-        elif share[i] > _WORTH_KNOWING:
+    unexplained = [i for i in range(len(names)) if share[i] > EXPLAINED or chi2[i] > _NOISE_RATIO**2]
+    cause = likely_cause(workspace, structure) if fit.converged and np.any(share > _HIDDEN) else None
+    for i in unexplained:
+        doubts.append(
+            f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
+            f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
+            + (_ANY_CAUSE if cause is None else "see the likely cause")
+        )
+    if cause is not None:
+        doubts.append(f"likely cause ({100 * cause.share:.0f} % of the equation error): {cause.text}")
+    for i in range(len(names)):
+        if share[i] > _WORTH_KNOWING and i not in unexplained:
             notes.append(
-                f"the equation of {name} leaves {100 * share[i]:.2g} % of its forces unexplained: little on "
-                "hardware; in a simulation a small term or friction is missing"
+                f"the equation of {names[i]} leaves {100 * share[i]:.2g} % of its forces unexplained: little "
+                "on hardware; in a simulation a small term or friction is missing"
             )
+    if samples_per_period < _FEW_SAMPLES:
+        doubts.append(
+            f"sampling is slow: {samples_per_period:.1f} samples a period of the fastest motion, where at "
+            f"least {_FEW_SAMPLES:g} are needed; what is faster looks slow, so sample faster"
+        )
     doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
-    doubts += _indistinct_structures(workspace, selection)
+    doubts += rival_warnings(workspace, selection)
     doubts += _mass_matrix(workspace, structure)
     doubts += _friction(workspace, structure)
     notes += _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
@@ -84,40 +103,30 @@ def _signal(workspace: Workspace, structure) -> list[str]:
     ]
 
 
-def _indistinct_structures(workspace: Workspace, selection: Selection) -> list[str]:
-    """Structures of the chosen size that these data support as well."""
-    chosen = tuple(sorted(selection.structure.members))
-    level = selection.levels.get(len(chosen), [])
-    cost = next((c.cost for c in level if c.members == chosen), None)
-    if cost is None:
-        return []
-    texts = [term.text for term in workspace.columns.terms]
-    out = []
-    for other in level:
-        if other.members != chosen and other.cost - cost < _AS_LIKELY:
-            mine = ", ".join(texts[m] for m in chosen if m not in other.members)
-            theirs = ", ".join(texts[m] for m in other.members if m not in chosen)
-            out.append(
-                f"these data cannot tell {mine} from {theirs}: record motions in which they differ, "
-                "or leave one of them out"
-            )
-    return out
-
-
 def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
+    """The combination of coefficients that the data determine least, in words."""
     structure = selection.structure
-    relative = structure.standard_errors / np.maximum(np.abs(structure.estimates), 1e-300)
-    loose = [
-        workspace.columns.terms[m].text
-        for m, r in zip(structure.members, relative, strict=True)
-        if r > _INDISTINCT
-    ]
+    covariance = structure.fit.covariance
+    if not np.isfinite(covariance).all():
+        return []
+    size = np.maximum(np.abs(structure.estimates), 1e-300)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    relative = structure.standard_errors / size
+    texts = [workspace.columns.terms[m].text for m in structure.members]
+    loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
     if not loose:
         return []
-    return [
-        f"these data hardly determine {', '.join(loose)}: record larger or different motions, or fix one of "
-        "the coefficients with known"
-    ]
+    # eigenvector of relative changes: the terms that move together
+    weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
+    moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > _PART_OF_IT]
+    out = f"these data hardly determine {', '.join(loose)}"
+    if len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5):
+        out += " (all coefficients can grow together: the scale of L is open)"
+    elif len(moving) > 1:
+        signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
+        parts = ", ".join(f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True))
+        out += f" (open to {100 * np.sqrt(values[-1]):.0f} %: the combination {parts})"
+    return [out + ": record larger or different motions, or fix one of the coefficients with known"]
 
 
 def _mass_matrix(workspace: Workspace, structure) -> list[str]:

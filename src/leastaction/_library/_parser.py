@@ -237,7 +237,8 @@ class _Converter:
             value = _value(expr)
             if not math.isfinite(value):
                 raise self._error(node, "this is not a finite real number")
-            if abs(value) > MAX_NUMBER:
+            # what is tiny is written as one over something huge; only rational numbers become literals
+            if abs(value) > (MAX_NUMBER if expr.is_Rational else 1 / MIN_NUMBER):
                 raise self._error(node, "this number is out of range; expected |number| <= 1e12")
         elif expr.is_Mul and abs(_value(expr.as_coeff_Mul()[0])) > MAX_NUMBER:
             raise self._error(node, "a number in this product is out of range; expected |number| <= 1e12")
