@@ -38,11 +38,6 @@ def _faults() -> Iterator[Case]:
         yield from _grid("faults", names, (noise,), (setup,))
 
 
-def _further() -> tuple[str, ...]:
-    named = getattr(systems, "further", None)
-    return named() if named else ()
-
-
 PLANS = {
     "structure": Plan(10, 1800.0, tuple(_structure())),
     "single": Plan(10, 900.0, tuple(_grid("single", systems.names(), (0.01, 0.1), trajectories=1))),
@@ -50,7 +45,9 @@ PLANS = {
     "faults": Plan(3, 900.0, tuple(_faults())),
     "noise": Plan(3, 900.0, tuple(_grid("noise", systems.names(), (0.01, 0.05), tuple(KINDS)))),
     "further": Plan(
-        3, 1800.0, tuple(_grid("further", _further(), (0.01, 0.1), libraries=("compact", "large")))
+        3,
+        1800.0,
+        tuple(_grid("further", systems.further_names(), (0.01, 0.1), libraries=("compact", "large"))),
     ),
 }
 
