@@ -82,9 +82,9 @@ def robot_arm(
 ) -> MechanicalSystem:
     """Arm on a turning column, driven in all joints and with viscous friction in them.
 
-    There are masses at the elbow and at the tip. φ turns the column, whose moment of inertia is `inertia`; α and β
-    are the angles of upper arm and forearm from the downward vertical (motors with belts: friction acts on φ̇,
-    α̇ and β̇).
+    There are masses at the elbow and at the tip. φ turns the column, whose moment of inertia is `inertia`;
+    α and β are the angles of upper arm and forearm from the downward vertical (motors with belts: friction
+    acts on φ̇, α̇ and β̇).
 
     Start: |φ| < 1, α, β in (−1.2, 1.2), rates within ±1; α and β stay below π.
     """
