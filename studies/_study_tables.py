@@ -175,7 +175,7 @@ def _verdict(result: dict, cause: str) -> str:
 def _faults(records: Records) -> Iterator[Table]:
     head = (
         *("set-up", "runs", "ok, right", "ok, wrong", "doubtful, cause named", "doubtful, not named"),
-        *("no model", "failed", "causes named (mean)", "ok, a note names it", "median s"),
+        *("no model", "failed", "causes named (mean)", "ok, a note names it", "covered if ok", "median s"),
     )
     order = {name: k for k, name in enumerate(FAULTS)}
     for noises, title in ((None, "all noise levels"), *_levels(records)):
@@ -184,7 +184,8 @@ def _faults(records: Records) -> Iterator[Table]:
         rows = [(FAULTS[setup].title, *_fault_row(group, FAULTS[setup].cause)) for (setup,), group in groups]
         note = (
             f"Right: exactly the true terms of L and ℓ2 ≤ {percent(_RIGHT)} against the truth. One "
-            "warning may name several causes; their mean number is given."
+            "warning may name several causes; their mean number is given. Covered: 95 % intervals that "
+            "hold the truth."
         )
         yield Table(f"Set-ups that are wrong on purpose: {title}", head, rows, note)
     yield _what_was_said(records, order)
@@ -206,6 +207,7 @@ def _fault_row(records: Records, cause: str) -> tuple[str, ...]:
         *(str(counts[k]) for k in ("right", "wrong", "named", "unnamed", "no model", "failed")),
         number(np.mean([len(r["causes"]) for r in doubtful]) if doubtful else None, ".1f"),
         str(sum(bool(cause) and cause in r["causes_in_notes"] for r in quiet)),
+        f"{sum(r['covered'] for r in quiet)}/{sum(len(r['terms']) for r in quiet)}",
         number(median(seconds), ".1f"),
     )
 
