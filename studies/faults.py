@@ -84,6 +84,7 @@ CAUSES = {
     "wrapped": r"wrap|2π|angles=|--angles",
     "excitation": r"larger\b[^.:]*motion|cannot tell|hardly (determine|show)|larger (amplitude|swing)",
     "units": r"degree|radian",
+    "singular": r"undefined|singular|infinite|outside its domain|\bpoles?\b",
 }
 
 
@@ -103,6 +104,12 @@ def _without(terms: dict[str, str]) -> Callable[[Question], Question]:
         return replace(question, library=question.library.replace(terms=left))
 
     return ask
+
+
+def _with_pole(question: Question) -> Question:
+    """Add 1/q of a coordinate that passes zero: finite at every sample, and infinite between them."""
+    pole = f"1/{question.system.coordinates[0]}"
+    return replace(question, library=question.library.replace(terms=[*question.library, pole]))
 
 
 def _friction(loss: float) -> Callable[[systems.MechanicalSystem], systems.MechanicalSystem]:
@@ -272,6 +279,12 @@ FAULTS = {
     ),
     "degrees": Fault(
         "angles in degrees", ("single_pendulum", "double_pendulum", "chaotic_pendulum"), "units", _in_degrees
+    ),
+    "pole": Fault(
+        "a candidate 1/q of a coordinate that passes zero",
+        ("single_pendulum", "cart_spring_pendulum", "henon_heiles"),
+        "singular",
+        _with_pole,
     ),
     "excitation": Fault(
         "motions a hundred times too small to be nonlinear",

@@ -104,6 +104,8 @@ def test_faults_of_the_question():
     wrong, right = faulty("term-missing", "double_pendulum")
     (lost,) = {t.text for t in right.library} - {t.text for t in wrong.library}
     assert lost == "theta1_dot*theta2_dot*cos(theta1-theta2)"
+    wrong, right = faulty("pole", "henon_heiles")
+    assert {t.text for t in wrong.library} - {t.text for t in right.library} == {"1/x"}
     wrong, right = faulty("known-1.2", "cart_spring_pendulum")
     assert wrong.known == pytest.approx({"cos(theta)": 9.81, "x_dot**2": 1.2 * 1.5})
     wrong, right = faulty("only-known-sign", "chaotic_pendulum")

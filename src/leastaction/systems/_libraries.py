@@ -76,9 +76,11 @@ def large_library(system: str | MechanicalSystem) -> Library:
 def _generated(system: MechanicalSystem) -> Library:
     """Return the compact candidates and those of `Library.mechanical` that they can not nearly write."""
     library = compact_library(system)
+    lengths = [c not in system.angles for c in system.coordinates]
+    positive = bool((_points(system)[0][:, lengths] > 0).all())
     sizes = {
         size: Library.mechanical_size(system.coordinates, system.angles, size=size)
-        for size in ("compact", "standard", "large")
+        for size in ("compact", "standard", *(["large"] if positive else []))  # which has 1/x and log(x)
     }
     size = max((s for s, n in sizes.items() if n <= _MOST_GENERATED), key=lambda s: sizes[s])
     more = list(Library.mechanical(system.coordinates, system.angles, size=size))
@@ -118,6 +120,12 @@ def _single(system) -> list[str]:
 
 def _in_x(system) -> list[str]:
     return [term.replace("theta", "x") for term in _single(system)]
+
+
+def _in_plane(system) -> list[str]:
+    velocities = ("x_dot**2", "y_dot**2", "x_dot*y_dot")
+    higher = ("x_dot**4", "y_dot**4", "x_dot**2*y_dot**2", "x_dot**2*y", "x_dot*y**2", "x**2*y_dot")
+    return [*_times(velocities, ("x**3", "y**3", "x**2*y")), *higher, *_potentials(_monomials("x", "y", 6))]
 
 
 def _double(system) -> list[str]:
@@ -183,7 +191,8 @@ _LARGE = {
     "magnetic_pendulum": _magnetic,
 }
 
-_MORE = {"double_well": _in_x}  # one coordinate has few candidates otherwise
+# systems that have few candidates otherwise
+_MORE = {"double_well": _in_x, "henon_heiles": _in_plane}
 
 
 def truth_for(system: str | MechanicalSystem, library: Library, kind: str = "lagrangian") -> dict[int, float]:
