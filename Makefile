@@ -13,7 +13,9 @@ export PIP_NO_INPUT := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format docs gallery bench study-systems table1 table2 figures reproduce-smoke clean
+STUDIES := structure single calibration faults noise further
+.PHONY: help demo test lint format docs gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
+  reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
 
@@ -26,6 +28,8 @@ help:
 	@echo "make gallery        run every script of examples/ as a test"
 	@echo "make bench          measure speed"
 	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
+	@echo "make study-NAME     run a study of studies/ (takes long; resumes; RUN_ARGS='--jobs 2 --trials 1'); NAME one of"
+	@echo "                    $(STUDIES)"
 	@echo "make table1         run the first table of the paper (takes long; resumes; RUN_ARGS='--jobs 2 --trials 1')"
 	@echo "make table2         run its second table: missing samples, no regularisation (takes long; resumes)"
 	@echo "make figures        draw the figures of the reproduction"
@@ -65,6 +69,11 @@ bench: $(STAMPS)/core
 
 study-systems: $(STAMPS)/core
 	$(BIN)/python benchmarks/accuracy.py
+
+# What has a record in studies/results/ is not run again.
+$(STUDIES:%=study-%): study-%: $(STAMPS)/core
+	$(BIN)/python -m studies.run $* $(RUN_ARGS)
+	$(BIN)/python -m studies.collate $*
 
 # What has a record in reproduction/results/ is not run again.
 table1 table2: table%: $(STAMPS)/reproduction

@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -21,7 +21,17 @@ import leastaction as la
 from reproduction.problem import Case, pose
 from reproduction.scoring import score
 
-__all__ = ["ROOT", "end_with_parent", "execute", "failure", "to_json"]
+__all__ = [
+    "ROOT",
+    "commit",
+    "end_with_parent",
+    "execute",
+    "failure",
+    "machine",
+    "to_json",
+    "versions",
+    "write",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 _ALWAYS = ("numpy", "scipy", "sympy", "leastaction")
@@ -107,9 +117,8 @@ def machine() -> dict:
     return {"processor": processor, "cores": os.cpu_count(), "system": platform.system()}
 
 
-def commit() -> str:
+def commit(code: Sequence[str] = ("src", ":(glob)reproduction/**/*.py")) -> str:
     """The checked-out commit, with "+changes" if code differs from it; "" outside a repository."""
-    code = ["src", ":(glob)reproduction/**/*.py"]
     try:
         head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True)
         clean = subprocess.run(["git", "status", "--porcelain", "--", *code], cwd=ROOT, capture_output=True)

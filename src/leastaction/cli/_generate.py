@@ -16,7 +16,7 @@ from leastaction.cli._text import counted, shown
 if TYPE_CHECKING:
     from leastaction.systems import MechanicalSystem
 
-__all__ = ["SYSTEMS", "generate"]
+__all__ = ["FURTHER", "SYSTEMS", "generate"]
 
 # As leastaction.systems.names(), which would take a second to import for --help.
 SYSTEMS = (
@@ -27,6 +27,19 @@ SYSTEMS = (
     "cart_spring_pendulum",
     "spherical_spring_pendulum",
     "magnetic_pendulum",
+)
+# As leastaction.systems.further_names().
+FURTHER = (
+    "triple_pendulum",
+    "robot_arm",
+    "rotary_pendulum",
+    "elastic_pendulum_cart",
+    "spring_chain",
+    "toda_chain",
+    "double_well",
+    "henon_heiles",
+    "kepler_orbit",
+    "morse_molecule",
 )
 
 _MAX_SAMPLES = 5_000_000
@@ -73,7 +86,9 @@ def generate(
     """Make noisy recordings of a system whose Lagrangian is known.
 
     SYSTEM is one of single_pendulum, double_pendulum, spherical_pendulum (driven), chaotic_pendulum,
-    cart_spring_pendulum, spherical_spring_pendulum and magnetic_pendulum (free).
+    cart_spring_pendulum, spherical_spring_pendulum and magnetic_pendulum (free); or one of the further
+    systems triple_pendulum, robot_arm, rotary_pendulum, double_well (driven), elastic_pendulum_cart,
+    spring_chain, toda_chain, henon_heiles, kepler_orbit and morse_molecule (free).
     """
     file = check_file(output)
     values = {}
@@ -115,4 +130,6 @@ def _next_command(system: MechanicalSystem, path: str) -> str:
         words += ["--angles", ",".join(system.angles)]
     for expression, value in system.known.items():
         words += ["--known", f"{expression}={value:.12g}"]
+    if system.dissipation:
+        words += ["--dissipation", ", ".join(system.dissipation)]
     return shown(shlex.join([*words, "--output", "found"]))

@@ -14,13 +14,14 @@ from __future__ import annotations
 
 from leastaction.systems._generate import TrueMotion, generate, measure, noise_std, simulate_truth
 from leastaction.systems._libraries import compact_library, large_library, truth_for
-from leastaction.systems._registry import get, names
+from leastaction.systems._registry import further_names, get, names
 from leastaction.systems._system import MechanicalSystem
 
 __all__ = [
     "MechanicalSystem",
     "TrueMotion",
     "compact_library",
+    "further_names",
     "generate",
     "get",
     "large_library",

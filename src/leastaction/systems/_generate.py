@@ -266,7 +266,7 @@ def generate(
     Parameters
     ----------
     name : str or MechanicalSystem
-        One of `names()`.
+        One of `names()` or `further_names()`.
     noise : float
         Noise level: times the standard deviation of each coordinate over all trajectories (``"relative"``;
         angles are wrapped to (−π, π] for it), or in the unit of the coordinate (``"absolute"``).

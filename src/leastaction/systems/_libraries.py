@@ -10,12 +10,15 @@ import sympy as sp
 
 from leastaction._errors import InputError
 from leastaction._library import Library
-from leastaction.systems._registry import resolve
+from leastaction.systems._registry import further_names, resolve
 from leastaction.systems._system import MechanicalSystem
 from leastaction.systems._variational import euler_lagrange
 
 # Residual, relative to the term, up to which a representation counts as exact.
 _EXACT = 1e-9
+# Terms of Library.mechanical that a large library may take, and how new the effect of one must be
+_MOST_GENERATED = 105
+_NEW = 1e-3
 
 
 def compact_library(system: str | MechanicalSystem) -> Library:
@@ -36,9 +39,10 @@ def compact_library(system: str | MechanicalSystem) -> Library:
 
 
 def large_library(system: str | MechanicalSystem) -> Library:
-    """Return 50 to 100 generated candidates of a system as a `Library`.
+    """Return 50 to 120 generated candidates of a system as a `Library`.
 
-    They are velocity monomials times products of simple functions of the coordinates, and potentials.
+    They are velocity monomials times products of simple functions of the coordinates, and potentials; for the
+    systems of `further_names` those of `Library.mechanical` beside the compact library.
     The true Lagrangian is in their span; `truth_for` gives its coefficients. For the double pendulum these
     are 51 terms, where θ̇₁θ̇₂cos(θ₁−θ₂) appears as two products.
 
@@ -58,10 +62,41 @@ def large_library(system: str | MechanicalSystem) -> Library:
     cos(theta1) 19.62
     """
     system = resolve(system)
+    if system.name not in (*_LARGE, *further_names()):
+        raise InputError(
+            f"there is no large library for {system.name!r}; there is for "
+            f"{', '.join((*_LARGE, *further_names()))}"
+        )
     if system.name not in _LARGE:
-        raise InputError(f"there is no large library for {system.name!r}; there is for {', '.join(_LARGE)}")
+        return _generated(system)
     terms = dict.fromkeys(_LARGE[system.name](system))
     return Library(terms, system.coordinates, angles=system.angles, dissipation=tuple(system.dissipation))
+
+
+def _generated(system: MechanicalSystem) -> Library:
+    """Return the compact candidates and those of `Library.mechanical` that they can not nearly write."""
+    library = compact_library(system)
+    lengths = [c not in system.angles for c in system.coordinates]
+    positive = bool((_points(system)[0][:, lengths] > 0).all())
+    sizes = {
+        size: Library.mechanical_size(system.coordinates, system.angles, size=size)
+        for size in ("compact", "standard", *(["large"] if positive else []))  # which has 1/x and log(x)
+    }
+    size = max((s for s, n in sizes.items() if n <= _MOST_GENERATED), key=lambda s: sizes[s])
+    more = list(Library.mechanical(system.coordinates, system.angles, size=size))
+    if system.name in _MORE:
+        more += list(library.replace(terms=_MORE[system.name](system)))
+    columns = _columns(system, [*library, *more], "lagrangian")
+    columns = columns / np.linalg.norm(columns, axis=0)
+    basis = np.linalg.qr(columns[:, : len(library)])[0]
+    terms = list(library)
+    for term, column in zip(more, columns.T[len(library) :], strict=True):
+        rest = column - basis @ (basis.T @ column)
+        if np.linalg.norm(rest) > _NEW:
+            terms.append(term)
+            rest -= basis @ (basis.T @ rest)
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+    return library.replace(terms=terms)
 
 
 def _times(*factors: Iterable[str]) -> list[str]:
@@ -81,6 +116,16 @@ def _single(system) -> list[str]:
     ]
     velocities = ["theta_dot**2", "theta_dot**3", "theta_dot**4", "theta_dot**5"]
     return [*_times(velocities, functions), *_potentials(functions), "theta**4", "theta*cos(theta)"]
+
+
+def _in_x(system) -> list[str]:
+    return [term.replace("theta", "x") for term in _single(system)]
+
+
+def _in_plane(system) -> list[str]:
+    velocities = ("x_dot**2", "y_dot**2", "x_dot*y_dot")
+    higher = ("x_dot**4", "y_dot**4", "x_dot**2*y_dot**2", "x_dot**2*y", "x_dot*y**2", "x**2*y_dot")
+    return [*_times(velocities, ("x**3", "y**3", "x**2*y")), *higher, *_potentials(_monomials("x", "y", 6))]
 
 
 def _double(system) -> list[str]:
@@ -145,6 +190,9 @@ _LARGE = {
     "spherical_spring_pendulum": _spherical_spring,
     "magnetic_pendulum": _magnetic,
 }
+
+# systems that have few candidates otherwise
+_MORE = {"double_well": _in_x, "henon_heiles": _in_plane}
 
 
 def truth_for(system: str | MechanicalSystem, library: Library, kind: str = "lagrangian") -> dict[int, float]:

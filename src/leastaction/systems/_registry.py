@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from leastaction._errors import InputError
-from leastaction.systems import _magnetic, _pendulums, _springs
+from leastaction.systems import _arms, _chains, _magnetic, _pendulums, _potentials, _springs
 from leastaction.systems._system import MechanicalSystem
 
 _MAKERS = {
@@ -17,6 +17,19 @@ _MAKERS = {
     "spherical_spring_pendulum": _springs.spherical_spring_pendulum,
     "magnetic_pendulum": _magnetic.magnetic_pendulum,
 }
+_FURTHER = {
+    "triple_pendulum": _arms.triple_pendulum,
+    "robot_arm": _arms.robot_arm,
+    "rotary_pendulum": _arms.rotary_pendulum,
+    "elastic_pendulum_cart": _arms.elastic_pendulum_cart,
+    "spring_chain": _chains.spring_chain,
+    "toda_chain": _chains.toda_chain,
+    "double_well": _potentials.double_well,
+    "henon_heiles": _potentials.henon_heiles,
+    "kepler_orbit": _potentials.kepler_orbit,
+    "morse_molecule": _potentials.morse_molecule,
+}
+_ALL = _MAKERS | _FURTHER
 
 
 def names() -> tuple[str, ...]:
@@ -30,13 +43,24 @@ def names() -> tuple[str, ...]:
     return tuple(_MAKERS)
 
 
+def further_names() -> tuple[str, ...]:
+    """Return the names of systems beside the seven: more degrees of freedom, friction, other potentials.
+
+    Examples
+    --------
+    >>> further_names()[:2]
+    ('triple_pendulum', 'robot_arm')
+    """
+    return tuple(_FURTHER)
+
+
 def get(name: str, **parameters: float) -> MechanicalSystem:
     """Return a system by name, with other physical parameters if given.
 
     Parameters
     ----------
     name : str
-        One of `names()`.
+        One of `names()` or `further_names()`.
     **parameters : float
         Physical parameters that differ from the usual ones, see ``get(name).parameters``.
 
@@ -50,19 +74,19 @@ def get(name: str, **parameters: float) -> MechanicalSystem:
     >>> get("single_pendulum", m=2.0).lagrangian
     {'theta_dot**2': 1.0, 'cos(theta)': 19.62}
     """
-    if name not in _MAKERS:
-        raise InputError(f"there is no system {name!r}; the systems are {', '.join(_MAKERS)}")
+    if name not in _ALL:
+        raise InputError(f"there is no system {name!r}; the systems are {', '.join(_ALL)}")
     system = _default(name)
     wrong = [p for p in parameters if p not in system.parameters]
     if wrong:
         raise InputError(f"{name} has no parameter {wrong[0]!r}; it has {', '.join(system.parameters)}")
-    return _MAKERS[name](**parameters) if parameters else system
+    return _ALL[name](**parameters) if parameters else system
 
 
 @cache
 def _default(name: str) -> MechanicalSystem:
     # One object per name, so that its equations are derived and compiled once per process.
-    return _MAKERS[name]()
+    return _ALL[name]()
 
 
 def resolve(system: str | MechanicalSystem) -> MechanicalSystem:
@@ -72,4 +96,4 @@ def resolve(system: str | MechanicalSystem) -> MechanicalSystem:
 
 def is_default(system: MechanicalSystem) -> bool:
     """Whether this is the very object that `get` returns for its name."""
-    return system.name in _MAKERS and _default(system.name) is system
+    return system.name in _ALL and _default(system.name) is system

@@ -1,0 +1,177 @@
+"""Worker processes that are replaced when they crash or take too long; no case is lost or run twice."""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import selectors
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from studies._record import ROOT, failure
+from studies.case import Case
+
+__all__ = ["Options", "solved"]
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Options:
+    """How cases are run.
+
+    Attributes
+    ----------
+    jobs : int
+        Worker processes.
+    timeout : float
+        Seconds that one run may take.
+    renew : int
+        Runs after which a worker is replaced by a fresh one: SymPy's caches grow.
+    worker : str
+        Module that is run as a worker.
+    """
+
+    jobs: int = 1
+    timeout: float = 900.0
+    renew: int = 40
+    worker: str = "studies._worker"
+
+
+class Worker:
+    """One process, started when it is first needed and again after it has ended."""
+
+    def __init__(self, options: Options, folder: Path) -> None:
+        self._options, self._log = options, folder / f"log-{id(self)}.txt"
+        self._process: subprocess.Popen | None = None
+        self._runs = 0
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def _started(self) -> subprocess.Popen:
+        if self._process is not None and self._runs >= self._options.renew:
+            self.end()
+        return self._process or self._start()
+
+    def _start(self) -> subprocess.Popen:
+        with self._lock:
+            if self._closed:
+                raise InterruptedError("interrupted before the run began")
+            path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
+            settings = {**dict.fromkeys(_THREADS, "1"), "MPLBACKEND": "Agg", "PYTHONPATH": path}
+            with self._log.open("wb") as log:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", self._options.worker],
+                    cwd=ROOT,
+                    env=os.environ | settings,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=log,
+                    start_new_session=True,
+                )
+            self._process, self._runs = process, 0
+        return process
+
+    def run(self, case: Case) -> dict:
+        """Return the result of a case, a failure if the process ended or took too long."""
+        process = self._started()
+        assert process.stdin is not None
+        self._runs += 1
+        try:
+            process.stdin.write(json.dumps(asdict(case)).encode() + b"\n")
+            process.stdin.flush()
+            line = self._answer(process)
+        except OSError:
+            line = b""
+        if line is None:
+            self.end()
+            return failure("timed out", f"no result after {self._options.timeout:g} s")
+        if not line.endswith(b"\n"):
+            code = process.wait()
+            self.end()
+            return failure("failed", self._last_words(code))
+        return json.loads(line)
+
+    def _answer(self, process: subprocess.Popen) -> bytes | None:
+        """Return a line, what there is of one if the process has ended, None if it takes too long."""
+        assert process.stdout is not None
+        end, kept = time.monotonic() + self._options.timeout, b""
+        with selectors.DefaultSelector() as selector:
+            selector.register(process.stdout, selectors.EVENT_READ)
+            while not kept.endswith(b"\n"):
+                if not selector.select(max(0.0, end - time.monotonic())):
+                    return None
+                chunk = os.read(process.stdout.fileno(), 1 << 20)
+                if not chunk:
+                    break
+                kept += chunk
+        return kept
+
+    def _last_words(self, code: int) -> str:
+        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n")
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        how = f"ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        return f"the process {how}; its last words: {last}"
+
+    def close(self) -> None:
+        """End the process for good."""
+        with self._lock:
+            self._closed = True
+        self.end()
+
+    def end(self) -> None:
+        """End the process and what it has started."""
+        process, self._process = self._process, None
+        if process is None:
+            return
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)  # it leads a group of its own
+            process.wait()
+        for pipe in (process.stdin, process.stdout):
+            if pipe:
+                pipe.close()
+
+
+def solved(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict]]:
+    """Yield (case, result) as runs end. Leaving the iteration early ends those under way."""
+    waiting: queue.SimpleQueue[Case] = queue.SimpleQueue()
+    for case in cases:
+        waiting.put(case)
+    done: queue.SimpleQueue[tuple[Case, dict]] = queue.SimpleQueue()
+    stop = threading.Event()
+
+    def serve(worker: Worker) -> None:
+        while not stop.is_set():
+            try:
+                case = waiting.get_nowait()
+            except queue.Empty:
+                break
+            try:
+                result = worker.run(case)
+            except Exception as error:  # a full disk, no more processes: a record, not a runner that hangs
+                result = failure("failed", f"{type(error).__name__}: {error}")
+            done.put((case, result))
+        worker.end()
+
+    with tempfile.TemporaryDirectory(prefix="studies-") as folder:
+        workers = [Worker(options, Path(folder)) for _ in range(min(options.jobs, len(cases)))]
+        threads = [threading.Thread(target=serve, args=(w,), daemon=True) for w in workers]
+        for thread in threads:
+            thread.start()
+        try:
+            for _ in cases:
+                yield done.get()
+        finally:
+            stop.set()
+            for worker in workers:
+                worker.close()
+            for thread in threads:
+                thread.join()

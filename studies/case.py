@@ -1,0 +1,55 @@
+"""One run of a study, named completely: the same case always poses the same problem."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+__all__ = ["Case"]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One run.
+
+    Attributes
+    ----------
+    study : str
+        Decides what is done to the data and what is kept of the run.
+    system : str
+        A name that ``leastaction.systems.get`` knows.
+    noise : float
+        Level, times the standard deviation of each coordinate.
+    setup : str
+        What is done to the data or the question ("plain": nothing): see ``noises.py`` and ``faults.py``.
+    library : {"compact", "large"}
+    trial : int
+        New initial conditions, forcing and noise each.
+    trajectories : int
+    duration, rate : float
+        Seconds, samples a second.
+    """
+
+    study: str
+    system: str
+    noise: float
+    setup: str = "plain"
+    library: str = "compact"
+    trial: int = 0
+    trajectories: int = 5
+    duration: float = 20.0
+    rate: float = 100.0
+
+    @property
+    def seed(self) -> int:
+        """Of motions and noise: the same for all noise levels, libraries and set-ups."""
+        return 1000 + self.trial
+
+    @property
+    def key(self) -> str:
+        """Path of the record without its ending, relative to the folder of results."""
+        shape = f"{self.trajectories}x{self.duration:g}s-{self.rate:g}Hz"
+        parts = [self.setup, f"{self.noise:g}", self.library, shape, f"trial{self.trial}"]
+        return f"{self.study}/{self.system}/" + "-".join(parts)
+
+    def as_dict(self) -> dict:
+        return {**asdict(self), "seed": self.seed}

@@ -1,0 +1,59 @@
+"""Which cases make up a study; the first trial of everything comes before the second of anything."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+
+from leastaction import systems
+from studies.case import Case
+from studies.faults import SETUPS
+from studies.noises import KINDS
+
+__all__ = ["PLANS", "Plan", "cases"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study: its trials by default, the seconds a run may take, and its cases of trial 0."""
+
+    trials: int
+    timeout: float
+    first: tuple[Case, ...]
+
+
+def _grid(study: str, names, levels, setups=("plain",), libraries=("compact",), **shape) -> Iterator[Case]:
+    for library, noise, setup, name in product(libraries, levels, setups, names):
+        yield Case(study, name, noise, setup, library, **shape)
+
+
+def _structure() -> Iterator[Case]:
+    yield from _grid("structure", systems.names(), (0.0, 0.01, 0.1, 0.3, 0.5), libraries=("large",))
+    yield from _grid("structure", systems.names(), (0.01, 0.1), rate=20.0)
+
+
+def _faults() -> Iterator[Case]:
+    for noise, (setup, names) in product((0.01, 0.1), SETUPS.items()):
+        yield from _grid("faults", names, (noise,), (setup,))
+
+
+PLANS = {
+    "structure": Plan(10, 1800.0, tuple(_structure())),
+    "single": Plan(10, 900.0, tuple(_grid("single", systems.names(), (0.01, 0.1), trajectories=1))),
+    "calibration": Plan(200, 600.0, tuple(_grid("calibration", systems.names(), (0.01, 0.1)))),
+    "faults": Plan(3, 900.0, tuple(_faults())),
+    "noise": Plan(3, 900.0, tuple(_grid("noise", systems.names(), (0.01, 0.05), tuple(KINDS)))),
+    "further": Plan(
+        3,
+        1800.0,
+        tuple(_grid("further", systems.further_names(), (0.01, 0.1), libraries=("compact", "large"))),
+    ),
+}
+
+
+def cases(study: str, trials: int | None = None, **chosen) -> list[Case]:
+    """Return the cases of a study; `chosen` maps a field of `Case` to the values that are wanted."""
+    plan = PLANS[study]
+    first = [c for c in plan.first if all(not v or getattr(c, k) in v for k, v in chosen.items())]
+    return [replace(c, trial=k) for k in range(trials or plan.trials) for c in first]

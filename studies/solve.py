@@ -1,0 +1,168 @@
+"""One case from the motions to what is kept of the discovery."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+import leastaction as la
+from leastaction import systems
+from studies.case import Case
+from studies.faults import FAULTS, Question, causes_named
+from studies.noises import measured
+
+__all__ = ["pose", "solve"]
+
+# Studies whose tables set the error beside the Cramér–Rao bound, which takes about as long as a discovery.
+_WITH_BOUND = ("structure", "single", "further")
+_COULOMB = re.compile(r"sqrt\((\w+_dot)\*\*2 ?\+ ?[^()]*\)")
+
+
+def pose(case: Case) -> tuple[Question, np.ndarray]:
+    """Return what a user would pass to discover(), and the noise of each coordinate."""
+    usual, system = systems.get(case.system), _moving(case.setup, case.system)
+    fault = FAULTS.get(case.setup)
+    truth = systems.simulate_truth(system, case.trajectories, case.duration, case.rate, case.seed)
+    sigma = systems.noise_std(system, truth, case.noise)
+    if case.study == "noise":
+        data, sigma = measured(case.setup, truth, sigma, system.coordinates, case.seed)
+    else:
+        data = systems.measure(system, truth, sigma, case.seed)
+    # friction that is a fault is not among the candidates; that of a further system is
+    library = systems.large_library(usual) if case.library == "large" else systems.compact_library(usual)
+    if usual.dissipation:
+        library = library.with_dissipation(friction_candidates(system))
+    known = dict(system.known)
+    if fault is None:
+        return Question(system, truth, data, library, known), sigma
+    known |= {text: system.lagrangian[text] for text in fault.given.get(case.system, ())}
+    return fault.ask(Question(system, truth, data, library, known)), sigma
+
+
+@lru_cache(maxsize=8)
+def _moving(setup: str, name: str) -> systems.MechanicalSystem:
+    """The system that really moves; its equations are derived once."""
+    fault = FAULTS.get(setup)
+    return systems.get(name) if fault is None else fault.nature(systems.get(name))
+
+
+def friction_candidates(system: systems.MechanicalSystem) -> list[str]:
+    """Viscous and Coulomb friction in every coordinate, as a user would write them."""
+    coulomb = {_COULOMB.sub(r"abs(\1)", text): text for text in system.dissipation}
+    own = [coulomb.get(f"abs({v})", f"abs({v})") for v in system.velocities]
+    return [*(f"{v}**2/2" for v in system.velocities), *own]
+
+
+def solve(case: Case) -> dict:
+    """Return everything that is kept of one discovery; an error of the user's kind is an answer too."""
+    question, sigma = pose(case)
+    wall, cpu = time.perf_counter(), time.process_time()
+    try:
+        model = la.discover(question.data, question.library, known=question.known)
+    except (la.InputError, la.DataError) as error:
+        return {
+            "status": "no model",
+            "warnings": [str(error)],
+            "notes": [],
+            "causes": causes_named([str(error)]),
+            "exact": False,
+            "wall_s": time.perf_counter() - wall,
+            "cpu_s": time.process_time() - cpu,
+        }
+    cost = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    diagnostics = model.diagnostics
+    notes = list(diagnostics.notes) if diagnostics else []
+    said = {
+        "status": model.fit.status,
+        "warnings": list(model.fit.warnings),
+        "notes": notes,
+        "causes": causes_named(model.fit.warnings),
+        "causes_in_notes": causes_named(notes),
+        "chi2_per_sample": model.fit.chi2_per_sample,
+        "noise_ratio": np.divide(model.noise_std, sigma) if np.all(sigma > 0) else None,
+        "knots_per_second": model.provenance.get("knots_per_second"),
+        "n_candidates": model.provenance.get("n_candidates"),
+        "seconds": diagnostics.timings if diagnostics else None,
+    }
+    return said | cost | score(case, question, model)
+
+
+class _Places:
+    """Place of a term in a library, however it is written; terms outside keep their text."""
+
+    def __init__(self, library: la.Library) -> None:
+        self._library = library
+
+    def of(self, text: str, kind: str) -> str:
+        if kind == "dissipation":  # |v| is smoothed by discover(), near zero velocity only
+            return "ψ " + _COULOMB.sub(r"abs(\1)", text).replace(" ", "")
+        try:
+            return self._library[self._library.index(text)].text
+        except la.InputError:
+            return text.replace(" ", "")
+
+
+def _truth(question: Question, places: _Places) -> dict[str, float]:
+    """Place → true coefficient: of the terms as the library writes them, or as the textbook does."""
+    system = question.system
+    try:
+        found = systems.truth_for(system, question.library)
+        true = {question.library[k].text: value for k, value in found.items()}
+    except la.InputError:
+        true = {places.of(text, "lagrangian"): value for text, value in system.lagrangian.items()}
+    if question.library.dissipation:
+        true |= {places.of(text, "dissipation"): value for text, value in system.dissipation.items()}
+    return true
+
+
+def score(case: Case, question: Question, model: la.LagrangianModel) -> dict:
+    """Compare with the truth; known coefficients are left out of every score."""
+    places = _Places(question.library)
+    true = _truth(question, places)
+    known = {places.of(text, "lagrangian") for text in question.known}
+    free = {place: value for place, value in true.items() if place not in known}
+    terms = [*((t, "lagrangian") for t in model.terms), *((t, "dissipation") for t in model.dissipation)]
+    found = {places.of(t.expression, kind): t for t, kind in terms if not t.known}
+    estimates = {place: t.coefficient for place, t in found.items()}
+    out = {
+        "exact": set(found) == set(free),
+        "precision": la.metrics.precision(estimates, free),
+        "recall": la.metrics.recall(estimates, free),
+        "l2": la.metrics.l2_error(estimates, free),
+        "spurious": {p: _term(found[p], 0.0) for p in found if p not in free},
+        "missed": {p: v for p, v in free.items() if p not in found},
+        "terms": {p: _term(found[p], v) for p, v in free.items() if p in found},
+        "known": dict(question.known),
+    }
+    out["covered"] = sum(term["covered"] for term in out["terms"].values())
+    if case.study in _WITH_BOUND and case.noise > 0:
+        out["crb"] = case.noise * _bound(replace(case, noise=1.0))
+        out["l2_over_crb"] = out["l2"] / out["crb"]
+    return out
+
+
+def _term(term, true: float) -> dict:
+    error = term.standard_error
+    return {
+        "true": true,
+        "estimate": term.coefficient,
+        "standard_error": error,
+        "z": (term.coefficient - true) / error if error > 0 else None,
+        "covered": bool(term.lower <= true <= term.upper),
+    }
+
+
+@lru_cache(maxsize=4)
+def _bound(case: Case) -> float:
+    """√trace(F⁻¹)/‖Λ‖ at noise level 1 of the truth as this library writes it; it is linear in the level."""
+    system = systems.get(case.system)
+    library = systems.large_library(system) if case.library == "large" else systems.compact_library(system)
+    true = {library[k].text: float(v) for k, v in systems.truth_for(system, library).items()}
+    known = {library[library.index(text)].text: float(value) for text, value in system.known.items()}
+    truth = systems.simulate_truth(system, case.trajectories, case.duration, case.rate, case.seed)
+    written = replace(system, lagrangian=true, known=known)
+    return la.metrics.cramer_rao_bound(written, truth, systems.noise_std(system, truth, 1.0)).relative

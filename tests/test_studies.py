@@ -1,0 +1,406 @@
+"""The studies: what is done to the data, the runner that loses nothing, the tables."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import leastaction as la
+from leastaction import systems
+from studies import collate, run
+from studies._pool import Options, solved
+from studies._record import ROOT, record, write
+from studies._study_tables import tables
+from studies.case import Case
+from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
+from studies.noises import KINDS, measured
+from studies.plans import PLANS, cases
+from studies.solve import pose, solve
+
+# ------------------------------------------------------------------------------------------ the plans
+
+
+def test_cases_are_told_apart_and_trials_come_in_turn():
+    for study, plan in PLANS.items():
+        everything = cases(study, trials=3)
+        assert len({c.key for c in everything}) == len(everything) == 3 * len(plan.first) > 0
+        assert [c.trial for c in everything] == sorted(c.trial for c in everything)
+        assert all(c.system in (*systems.names(), *systems.further_names()) for c in everything)
+    chosen = cases("structure", trials=2, system=("double_pendulum",), noise=(0.3,), setup=())
+    assert [(c.trial, c.library, c.seed) for c in chosen] == [(0, "large", 1000), (1, "large", 1001)]
+    assert len(cases("calibration")) == 200 * 7 * 2
+
+
+# ------------------------------------------------------------------------------------------ noise
+
+
+@pytest.fixture(scope="module")
+def long_truth():
+    return systems.simulate_truth("double_pendulum", trials=2, duration=20.0, seed=3)
+
+
+def noise_of(kind, truth, sigma):
+    data, rms = measured(kind, truth, sigma, ("theta1", "theta2"), seed=5)
+    error = [t.q - m.q for t, m in zip(data, truth, strict=True)]
+    assert np.allclose(rms, np.sqrt(np.mean(np.concatenate(error) ** 2, axis=0)))
+    assert all(np.array_equal(t.forces, m.forces) for t, m in zip(data, truth, strict=True))
+    return data, error
+
+
+def lag_one(x):
+    return np.sum(x[1:] * x[:-1]) / np.sum(x**2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_noise_has_its_size_and_shape(kind, long_truth):
+    sigma = np.array([0.01, 0.03])
+    data, errors = noise_of(kind, long_truth, sigma)
+    relative = np.concatenate(errors) / sigma
+    size = {"quantised": 1 / np.sqrt(12), "outliers": np.sqrt(1 + 0.02 * 100)}.get(kind, 1.0)
+    expected = np.array([np.sqrt(10), 1 / np.sqrt(10)]) if kind == "unequal" else size
+    assert np.allclose(relative.std(axis=0), expected, rtol=0.2 if kind == "student3" else 0.08)
+    lags = [lag_one(e[:, i]) for e in errors for i in range(2)]
+    assert np.allclose(lags, 0.8 if kind == "coloured" else 0.0, atol=0.12)
+    if kind == "quantised":
+        steps = data[0].q / sigma
+        assert np.allclose(steps, np.round(steps), atol=1e-9)
+    far = np.mean(np.abs(relative / expected) > 5)
+    assert (0.015 < far < 0.025) if kind == "outliers" else far < (0.01 if kind == "student3" else 0.001)
+
+
+# ------------------------------------------------------------------------------------------ faults
+
+
+def faulty(setup: str, system: str, **shape):
+    case = Case("faults", system, 0.01, setup, **{"trajectories": 2, "duration": 5.0, **shape})
+    right, _ = pose(Case("faults", system, 0.01, "correct", **{"trajectories": 2, "duration": 5.0, **shape}))
+    wrong, _ = pose(case)
+    return wrong, right
+
+
+@pytest.mark.parametrize(("setup", "system"), [(s, names[-1]) for s, names in SETUPS.items()])
+def test_a_fault_changes_something_and_poses_a_problem(setup, system):
+    wrong, right = faulty(setup, system, duration=3.0)
+    assert wrong.data.coordinates == right.data.coordinates == wrong.library.coordinates
+    same = (
+        wrong.data.digest() == right.data.digest()
+        and wrong.library == right.library
+        and wrong.known == right.known
+    )
+    assert same == (setup == "correct")
+    assert FAULTS[setup].cause in ("", *CAUSES)
+
+
+def test_faults_of_the_question():
+    wrong, right = faulty("term-missing", "double_pendulum")
+    (lost,) = {t.text for t in right.library} - {t.text for t in wrong.library}
+    assert lost == "theta1_dot*theta2_dot*cos(theta1-theta2)"
+    wrong, right = faulty("pole", "henon_heiles")
+    assert {t.text for t in wrong.library} - {t.text for t in right.library} == {"1/x"}
+    wrong, right = faulty("known-1.2", "cart_spring_pendulum")
+    assert wrong.known == pytest.approx({"cos(theta)": 9.81, "x_dot**2": 1.2 * 1.5})
+    wrong, right = faulty("only-known-sign", "chaotic_pendulum")
+    assert wrong.known == {k: -v for k, v in right.known.items()}
+
+
+def test_faults_of_the_columns():
+    wrong, right = faulty("columns", "cart_spring_pendulum")
+    assert np.array_equal(wrong.data[0].q, right.data[0].q[:, ::-1])
+    wrong, right = faulty("degrees", "single_pendulum")
+    assert np.allclose(wrong.data[1].q, np.degrees(right.data[1].q))
+    wrong, right = faulty("wrapped", "spherical_pendulum", duration=20.0)
+    assert np.ptp(right.data[0].q[:, 1]) > 2 * np.pi
+    assert np.abs(wrong.data[0].q[:, 1]).max() <= np.pi
+    assert np.allclose(np.exp(1j * wrong.data[0].q), np.exp(1j * right.data[0].q))
+    assert (wrong.library.angles, right.library.angles) == ((), ("theta", "phi"))
+    wrong, right = faulty("sampling", "double_pendulum")
+    ratio = len(right.data[0].t) / len(wrong.data[0].t)
+    assert ratio > 10
+    assert np.array_equal(
+        wrong.data[0].q[1], right.data[0].q[np.searchsorted(right.data[0].t, wrong.data[0].t[1])]
+    )
+
+
+def test_faults_of_the_forces():
+    def pushed(setup):
+        wrong, right = faulty(setup, "double_pendulum")
+        assert np.array_equal(wrong.data[0].q, right.data[0].q)
+        return wrong.data[0].forces, right.data[0].forces
+
+    wrong, right = pushed("force-sign")
+    assert np.array_equal(wrong, -right)
+    wrong, right = pushed("force-sign-one")
+    assert np.array_equal(wrong, right * [-1, 1])
+    wrong, right = pushed("force-missing")
+    assert np.array_equal(wrong, right * [1, 0])
+    wrong, right = pushed("force-scale-known")
+    assert np.allclose(wrong, 1.3 * right)
+    wrong, right = pushed("force-delay")
+    assert np.allclose(wrong[5:], right[:-5])
+
+
+@pytest.mark.parametrize("name", ["chaotic_pendulum", "cart_spring_pendulum"])
+def test_friction_takes_its_share_of_the_energy(name):
+    system = FAULTS["friction-1"].nature(systems.get(name))
+    motions = systems.simulate_truth(system, 2, 20.0, 100.0, seed=2)
+    q, qdot = (np.concatenate([getattr(m, k) for m in motions]) for k in ("q", "qdot"))
+    twice_kinetic = np.einsum("ni,nij,nj->n", qdot, system.mass_matrix(q, qdot), qdot).mean()
+    power = (qdot**2 @ np.array(list(system.dissipation.values()))).mean()
+    period = 2 * np.pi / np.max(np.sqrt(np.mean(qdot**2, axis=0)) / q.std(axis=0))
+    assert 0.005 < power * period / twice_kinetic < 0.02
+
+
+def test_small_motions_are_small():
+    wrong, right = faulty("excitation", "cart_spring_pendulum")
+    assert np.abs(wrong.truth[0].q - [0.5, 0.0]).max() < 0.05
+    assert np.abs(right.truth[0].q - [0.5, 0.0]).max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("text", "causes"),
+    [
+        ("a term, a force or friction may be missing", ["term", "friction", "force"]),
+        ("a kinetic term is missing or the sign of a known coefficient is wrong", ["term", "known"]),
+        (
+            "check the sign of forces and known coefficients, or a missing term",
+            ["term", "known", "sign", "force"],
+        ),
+        ("record larger or different motions, or fix one of the coefficients with known", ["excitation"]),
+        ("the forces seem to be late by 50 ms", ["delay"]),
+        ("coefficients still moved; sample faster", ["sampling"]),
+        ("theta jumps by about 2π 3 times", ["wrapped"]),
+    ],
+)
+def test_words_of_causes(text, causes):
+    assert causes_named([text]) == causes
+
+
+# ------------------------------------------------------------------------------------------ the runner
+
+FAKE = """
+import os, signal, sys, time, types
+from pathlib import Path
+
+from studies import _worker
+
+HERE = Path(__file__).parent
+
+
+def solve(case):
+    with open(HERE / "log", "a") as file:
+        file.write(f"{case.system} {case.trial} {os.getpid()}\\n")
+    if case.system == "dies":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if case.system == "raises":
+        raise ValueError("no luck")
+    if case.system == "hangs":
+        time.sleep(600)
+    print("a library that talks")
+    return {"status": "ok", "value": float("nan"), "threads": os.environ["OMP_NUM_THREADS"]}
+
+
+sys.modules["studies.solve"] = types.SimpleNamespace(solve=solve)
+_worker.main()
+"""
+
+
+class Fake:
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        (folder / "fake_worker.py").write_text(FAKE)
+
+    def log(self) -> list[tuple[str, int, int]]:
+        """System, trial and process of every run that began."""
+        path = self.folder / "log"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return [(name, int(trial), int(pid)) for name, trial, pid in (line.split() for line in lines)]
+
+
+@pytest.fixture
+def fake(tmp_path, monkeypatch) -> Fake:
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return Fake(tmp_path)
+
+
+def named(*names: str) -> list[Case]:
+    return [Case("single", name, 0.0, trial=k) for k, name in enumerate(names)]
+
+
+def alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_crashes_and_late_runs_cost_nothing_but_themselves(fake):
+    everything = named("good", "dies", "good", "raises", "hangs", "good", "good")
+    answers = dict(solved(everything, Options(jobs=2, timeout=6.0, worker="fake_worker")))
+    assert sorted(answers, key=lambda c: c.trial) == everything
+    status = {c.system: answers[c]["status"] for c in everything}
+    assert status == {"good": "ok", "dies": "failed", "raises": "failed", "hangs": "timed out"}
+    by_name = {c.system: r for c, r in answers.items()}
+    assert by_name["good"]["threads"] == "1"
+    assert by_name["good"]["value"] is None
+    assert "SIGSEGV" in by_name["dies"]["reason"]
+    assert by_name["raises"]["reason"] == "ValueError: no luck"
+    assert by_name["hangs"]["reason"] == "no result after 6 s"
+    assert set(Counter((n, t) for n, t, _ in fake.log()).values()) == {1}
+    assert not any(alive(pid) for _, _, pid in fake.log())
+
+
+def test_a_worker_serves_many_runs_and_is_renewed(fake):
+    list(solved(named(*["good"] * 5), Options(worker="fake_worker", renew=3)))
+    processes = [pid for _, _, pid in fake.log()]
+    assert len(set(processes[:3])) == len(set(processes[3:])) == 1
+    assert processes[0] != processes[3]
+
+
+def test_leaving_early_ends_what_is_under_way(fake):
+    iteration = solved(named("good", "hangs", "good"), Options(worker="fake_worker"))
+    next(iteration)
+    end = time.monotonic() + 30
+    while len(fake.log()) < 2 and time.monotonic() < end:
+        time.sleep(0.02)
+    iteration.close()
+    assert [name for name, _, _ in fake.log()] == ["good", "hangs"]
+    assert not any(alive(pid) for _, _, pid in fake.log())
+
+
+def test_a_worker_ends_with_its_master(fake):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "fake_worker"],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{fake.folder}", "OMP_NUM_THREADS": "1"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    with process:
+        process.stdin.write(json.dumps(vars(named("hangs")[0])).encode() + b"\n")
+        process.stdin.flush()
+        end = time.monotonic() + 30
+        while not fake.log() and time.monotonic() < end:
+            time.sleep(0.02)
+        assert process.poll() is None
+        process.stdin.close()
+        process.wait(10)
+
+
+def test_what_has_a_record_is_not_run_again(tmp_path):
+    first, second, third = named("a", "b", "c")
+    write(run.path_of(first, tmp_path), record(first, {"finished": True}, 1))
+    write(run.path_of(second, tmp_path), record(second, {"finished": False}, 1))
+    assert run.open_cases([first, second, third], tmp_path) == [third]
+    assert run.open_cases([first, second, third], tmp_path, retry_failed=True) == [second, third]
+    kept = json.loads(run.path_of(first, tmp_path).read_text())
+    assert {"config", "result", "versions", "machine", "commit", "date"} <= set(kept)
+    assert Case(**{k: v for k, v in kept["config"].items() if k != "seed"}) == first
+
+
+# ------------------------------------------------------------------------------------------ tables
+
+
+def test_one_run_is_scored_against_the_truth():
+    case = Case("structure", "rotary_pendulum", 0.01, trajectories=2, duration=10.0)
+    result = solve(case)
+    assert result["exact"]
+    assert result["status"] == "ok"
+    assert result["terms"]["ψ abs(phi_dot)"]["true"] == 0.1
+    assert abs(result["terms"]["theta_dot**2"]["z"]) < 5
+    assert np.allclose(result["noise_ratio"], 1.0, atol=0.1)
+    assert 0.05 < result["l2_over_crb"] < 5
+    assert result["crb"] == pytest.approx(0.01 * crb_at_one(case), rel=1e-6)
+
+
+def crb_at_one(case: Case) -> float:
+    system = systems.get(case.system)
+    truth = systems.simulate_truth(system, case.trajectories, case.duration, case.rate, case.seed)
+    sigma = systems.noise_std(system, truth, 1.0)
+    return la.metrics.cramer_rao_bound(system, truth, sigma).relative
+
+
+def test_a_refused_question_is_an_answer():
+    result = solve(Case("faults", "single_pendulum", 0.01, "sampling", duration=0.1, trajectories=1))
+    assert result["status"] == "no model"
+    assert "samples" in result["warnings"][0]
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("results")
+    shape = {"trajectories": 1, "duration": 5.0}
+    wanted = [
+        Case("faults", "cart_spring_pendulum", 0.01, "correct", **shape),
+        Case("faults", "cart_spring_pendulum", 0.01, "term-missing", **shape),
+    ]
+    for case in wanted:
+        write(run.path_of(case, folder), record(case, {"finished": True, **solve(case)}, 1))
+    lost = {"finished": False, "status": "timed out", "reason": "no result after 1 s"}
+    case = Case("faults", "cart_spring_pendulum", 0.01, "columns", **shape)
+    write(run.path_of(case, folder), record(case, lost, 1))
+    return folder
+
+
+def test_tables_say_what_the_records_hold(records, tmp_path):
+    answer = CliRunner().invoke(
+        collate.main, ["faults", "--results", str(records), "--output", str(tmp_path)], catch_exceptions=False
+    )
+    assert answer.exit_code == 0
+    text = (tmp_path / "faults.md").read_text()
+    rows = {
+        cells[1]: cells
+        for cells in ([c.strip() for c in x.split("|")] for x in text.split("\n## ")[1].splitlines())
+        if len(cells) > 2
+    }
+    assert rows["correct"][2:4] == ["1", "1"]
+    missing = rows[FAULTS["term-missing"].title]
+    assert missing[2:4] == ["1", "0"]
+    assert rows[FAULTS["columns"].title][2:9] == ["1", "0", "0", "0", "0", "0", "1"]
+
+
+@pytest.mark.parametrize("study", PLANS)
+def test_every_study_has_tables_whatever_failed(study, records):
+    found = collate.read(records / "faults")
+    for r in found:
+        r["config"]["study"] = study
+    for table in tables(study, found):
+        assert all(len(row) == len(table.head) for row in table.rows)
+        assert table.markdown().startswith(f"## {table.title}")
+
+
+def test_without_records_there_is_one_readable_line(tmp_path):
+    answer = CliRunner().invoke(collate.main, ["single", "--results", str(tmp_path)])
+    assert answer.exit_code == 1
+    assert "holds no such records" in answer.output
+    answer = CliRunner().invoke(run.main, ["single", "--system", "no_such_system"])
+    assert answer.exit_code == 2
+    assert "has no such case" in answer.output
+
+
+def test_dry_run_only_names_the_cases(tmp_path):
+    options = [
+        "structure",
+        "--system",
+        "single_pendulum",
+        "--trials",
+        "1",
+        "--dry-run",
+        "--results",
+        str(tmp_path / "r"),
+    ]
+    answer = CliRunner().invoke(run.main, options)
+    assert answer.exit_code == 0
+    assert "7 cases, 0 of them done already" in answer.output
+    assert cases("structure", 1, system=("single_pendulum",))[0].key in answer.output
+    assert not (tmp_path / "r").exists()
