@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from leastaction import _metrics as metrics
-    from leastaction import io, systems
+    from leastaction import casadi, control, io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
     from leastaction._euler_lagrange import euler_lagrange
-    from leastaction._export import export
+    from leastaction._export._write import export
     from leastaction._fit.adam_options import AdamOptions
     from leastaction._library import Library
     from leastaction._model import LagrangianModel, load
@@ -36,7 +36,7 @@ _HOMES = {
     "Trajectory": "_trajectory",
     "discover": "_discover",
     "euler_lagrange": "_euler_lagrange",
-    "export": "_export",
+    "export": "_export._write",
     "from_frame": "io",
     "load": "_model",
     "read": "io",
@@ -49,7 +49,13 @@ _HOMES = {
     "write_report": "_report",
 }
 
-_MODULES = {"io": "io", "metrics": "_metrics", "systems": "systems"}
+_MODULES = {
+    "casadi": "casadi",
+    "control": "control",
+    "io": "io",
+    "metrics": "_metrics",
+    "systems": "systems",
+}
 
 __all__ = [
     "AdamOptions",
