@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sympy as sp
+
 from leastaction._export._shared import PythonPrinter, about, assignments, equations
 from leastaction._model import LagrangianModel
 
@@ -20,8 +22,10 @@ class CasadiPrinter(PythonPrinter):
     def _print_RealSign(self, expr):
         return f"casadi.sign({self._print(expr.args[0])})"
 
-    def _print_Rational(self, expr):
-        return f"({expr.p}/{expr.q})"
+    def _print_Pow(self, expr, rational=False):
+        if expr.exp.is_Integer or abs(expr.exp) == sp.S.Half:
+            return super()._print_Pow(expr, rational)
+        return f"({self._print(expr.base)})**({self._print(expr.exp)})"
 
 
 _FUNCTIONS = '''

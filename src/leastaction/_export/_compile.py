@@ -51,6 +51,8 @@ def compile_library(sources: Mapping[str, str], options: Sequence[str] = ()) -> 
             (folder / path).write_text(text, encoding="utf-8")
         units = sorted(path for path in sources if path.endswith(".c"))
         position = [] if sys.platform == "win32" else ["-fPIC", "-fvisibility=hidden"]
+        if sys.platform == "linux":  # elsewhere a missing function is an error anyway
+            position.append("-Wl,--no-undefined")
         command = [compiler, "-std=c99", "-O2", *position, *options, "-shared", "-o", f"library{suffix}"]
         try:
             done = subprocess.run(

@@ -68,7 +68,7 @@ def source_files(model: LagrangianModel, version: int, name: str, token: str) ->
     terms = (*model.terms, *model.dissipation)
     # A name with brackets is an element of an array in C, and no coordinate can have it.
     symbols = [sp.Symbol(f"p[{k}]", real=True) for k in range(len(terms))]
-    n = len(model.terms)
+    n, n_dof = len(model.terms), model.n_dof
     mechanics = Mechanics(
         sp.Add(*(s * e for s, e in zip(symbols[:n], model.expressions, strict=True))),
         sp.Add(*(s * e for s, e in zip(symbols[n:], model.dissipation_expressions, strict=True))),
@@ -80,16 +80,19 @@ def source_files(model: LagrangianModel, version: int, name: str, token: str) ->
         f"{comment}\n#ifndef MODEL_H\n#define MODEL_H\n\n"
         f'#define MODEL_PREFIX {name}_\n#define MODEL_TOKEN "{token}"\n'
         f"#define START_MAX_STEP {_max_step(model)!r}\n\n"
-        f"enum {{ N_DOF = {model.n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
+        f"enum {{ N_DOF = {n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
         f"#define START_COEFFICIENTS {{{numbers}}}\n\n"
         "/* Several FMUs in one program must not meet. */\n"
         + "".join(f"#define {function} {name}_{function}\n" for function in _SHARED_NAMES)
         + "\n"
-        "void leastaction_acceleration(const double p[], const double q[], const double qdot[],\n"
-        "                              const double forces[], double qddot[]);\n"
-        "double leastaction_energy(const double p[], const double q[], const double qdot[]);\n\n#endif\n"
+        f"void leastaction_acceleration(const double p[], const double q[{n_dof}], "
+        f"const double qdot[{n_dof}],\n"
+        f"                              const double forces[{n_dof}], double qddot[{n_dof}]);\n"
+        f"double leastaction_energy(const double p[], const double q[{n_dof}], const double qdot[{n_dof}]);\n"
+        "\n#endif\n"
     )
-    out["model.c"] = f"{comment}\n#include <math.h>\n#include <stddef.h>\n\n{_c.definitions(mechanics, 'p')}"
+    includes = '#include <math.h>\n#include <stddef.h>\n\n#include "model.h"\n'
+    out["model.c"] = f"{comment}\n{includes}\n{_c.definitions(mechanics, 'p')}"
     return out
 
 

@@ -181,7 +181,9 @@ EXPORT fmi2Status NAME(fmi2FreeFMUstate)(fmi2Component c, fmi2FMUstate *state)
 EXPORT fmi2Status NAME(fmi2DoStep)(fmi2Component c, fmi2Real from, fmi2Real size, fmi2Boolean no_way_back)
 {
     (void)no_way_back;
-    return report(c, fmi2Discard, motion_step(&((Instance *)c)->motion, from, size));
+    Motion *const motion = &((Instance *)c)->motion;
+    const char *const wrong = motion_step(motion, from, size);
+    return report(c, motion->stuck ? fmi2Discard : fmi2Error, wrong);
 }
 
 EXPORT fmi2Status NAME(fmi2CancelStep)(fmi2Component c)
@@ -212,7 +214,7 @@ EXPORT fmi2Status NAME(fmi2GetIntegerStatus)(fmi2Component c, fmi2StatusKind kin
 EXPORT fmi2Status NAME(fmi2GetBooleanStatus)(fmi2Component c, fmi2StatusKind kind, fmi2Boolean *value)
 {
     if (kind != fmi2Terminated) return report(c, fmi2Discard, "there is no such Boolean status");
-    *value = 0;
+    *value = ((Instance *)c)->motion.stuck;
     return fmi2OK;
 }
 

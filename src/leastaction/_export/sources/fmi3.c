@@ -186,9 +186,10 @@ EXPORT fmi3Status NAME(fmi3DoStep)(fmi3Instance c, fmi3Float64 from, fmi3Float64
     (void)no_way_back;
     Motion *const motion = &((Instance *)c)->motion;
     const char *const wrong = motion_step(motion, from, size);
-    *event = *terminate = *early = false;
+    *event = *early = false;
+    *terminate = motion->stuck;
     *last_time = motion->value[TIME];
-    return report(c, fmi3Discard, wrong);
+    return report(c, motion->stuck ? fmi3Discard : fmi3Error, wrong);
 }
 
 /* All variables are of type Float64, and the model description says what else this FMU cannot do. The
@@ -243,8 +244,21 @@ CANNOT(fmi3GetOutputDerivatives, REFERENCES, const fmi3Int32 degree[], fmi3Float
 CANNOT(fmi3UpdateDiscreteStates, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
        fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
 
+/* Of the other kinds of FMU; importers look for them. */
+CANNOT(fmi3SetTime, fmi3Float64 time)
+CANNOT(fmi3SetContinuousStates, const fmi3Float64 value[], size_t n)
+CANNOT(fmi3GetContinuousStates, fmi3Float64 value[], size_t n)
+CANNOT(fmi3GetContinuousStateDerivatives, fmi3Float64 value[], size_t n)
+CANNOT(fmi3GetNominalsOfContinuousStates, fmi3Float64 value[], size_t n)
+CANNOT(fmi3GetEventIndicators, fmi3Float64 value[], size_t n)
+CANNOT(fmi3GetNumberOfContinuousStates, size_t *n)
+CANNOT(fmi3GetNumberOfEventIndicators, size_t *n)
+CANNOT(fmi3CompletedIntegratorStep, fmi3Boolean no_way_back, fmi3Boolean *event, fmi3Boolean *terminate)
+CANNOT(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 time)
+
 static fmi3Status no_such_mode(fmi3Instance c) { return report(c, fmi3Error, "this FMU has no such mode"); }
 EXPORT fmi3Status NAME(fmi3EnterEventMode)(fmi3Instance c) { return no_such_mode(c); }
 EXPORT fmi3Status NAME(fmi3EnterConfigurationMode)(fmi3Instance c) { return no_such_mode(c); }
 EXPORT fmi3Status NAME(fmi3ExitConfigurationMode)(fmi3Instance c) { return no_such_mode(c); }
+EXPORT fmi3Status NAME(fmi3EnterContinuousTimeMode)(fmi3Instance c) { return no_such_mode(c); }
 EXPORT fmi3Status NAME(fmi3EvaluateDiscreteStates)(fmi3Instance c) { return no_such_mode(c); }

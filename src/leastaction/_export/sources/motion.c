@@ -66,6 +66,7 @@ const char *motion_step(Motion *motion, double from, double size)
 {
     double *const v = motion->value;
     double state[2 * N_DOF];
+    motion->stuck = 0;
     if (motion->phase != STEPPING) return "a step is possible after the initialisation only";
     if (!isfinite(from) || !(size > 0.0) || !isfinite(size)) return "the step size must be positive";
     const double count = fmax(1.0, ceil(size / v[MAX_STEP] - 1e-9));
@@ -74,9 +75,11 @@ const char *motion_step(Motion *motion, double from, double size)
     for (long k = 0; k < (long)count; k++) {
         runge_kutta(v + COEFFICIENTS, v + FORCES, size / count, state);
         for (int i = 0; i < 2 * N_DOF; i++)
-            if (!isfinite(state[i]))
+            if (!isfinite(state[i])) {
+                motion->stuck = 1;
                 return "the motion cannot be followed: the mass matrix is singular, a function is not "
                        "defined here, or the motion diverges";
+            }
     }
     memcpy(v + Q, state, sizeof state);
     v[TIME] = from + size;

@@ -22,6 +22,7 @@ typedef enum { BEFORE, INITIALISING, STEPPING, ENDED } Phase;
 
 typedef struct {
     Phase phase;
+    int stuck; /* The last step could not be done, and a shorter one would only come closer to the end. */
     double value[N_VALUES];
 } Motion;
 
