@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from leastaction import casadi, control, io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
+    from leastaction._estimator import SparseLagrangian
     from leastaction._euler_lagrange import euler_lagrange
     from leastaction._export._write import export
     from leastaction._fit.adam_options import AdamOptions
@@ -32,6 +33,7 @@ _HOMES = {
     "LagrangianModel": "_model",
     "Library": "_library",
     "SimulationResult": "_simulate",
+    "SparseLagrangian": "_estimator",
     "Trajectories": "_trajectory",
     "Trajectory": "_trajectory",
     "discover": "_discover",
