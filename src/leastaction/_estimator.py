@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import issparse
 
 try:
     from sklearn.base import BaseEstimator
@@ -71,19 +72,20 @@ class SparseLagrangian(BaseEstimator):
     Examples
     --------
     >>> from leastaction import systems
-    >>> runs = systems.generate("single_pendulum", noise=0.01, trials=3, duration=8.0, seed=0)
+    >>> runs = systems.generate("single_pendulum", noise=0.01, trials=3, duration=4.0, seed=0)
     >>> pendulum = SparseLagrangian(["theta_dot**2", "cos(theta)", "sin(theta)", "theta_dot**4"])
-    >>> pendulum.fit(list(runs)).model_
-    <LagrangianModel of theta: L = 0.5*theta_dot**2 + 9.81*cos(theta); fit ok>
-    >>> pendulum.predict([[0.1]], [[0.0]]).round(2).tolist()
+    >>> pendulum.fit(list(runs)).model_.lagrangian
+    0.5*theta_dot**2 + 9.8*cos(theta)
+    >>> pendulum.predict([[0.1]]).round(2).tolist()
     [[-0.98]]
     >>> pendulum.score(list(runs)) > 0.99
     True
 
-    Relevance by cross-validation over trajectories:
+    Options by cross-validation over trajectories (arrays go with their times,
+    ``search.fit(list_of_q, list_of_t)``):
 
     >>> from sklearn.model_selection import GridSearchCV
-    >>> search = GridSearchCV(pendulum, {"relevance": [0.0, 0.05]}, cv=3).fit(list(runs))
+    >>> search = GridSearchCV(pendulum, {"degree": [4, 5]}, cv=3).fit(list(runs))
     >>> len(search.best_estimator_.model_.terms)
     2
     """
@@ -169,15 +171,19 @@ class SparseLagrangian(BaseEstimator):
         self.coef_ = np.array([term.coefficient for term in terms])
         self.coordinates_ = self.model_.coordinates
         self.n_features_in_ = self.model_.n_dof
-        self.t_ = None if t is None or _one_each(t) else np.array(t, dtype=float)
+        self.t_ = None if t is None or _one_each(t, 1) else np.array(t, dtype=float)
         return self
 
-    def predict(self, q: ArrayLike, qdot: ArrayLike, forces: ArrayLike | None = None) -> np.ndarray:
+    def predict(
+        self, q: ArrayLike, qdot: ArrayLike | None = None, forces: ArrayLike | None = None
+    ) -> np.ndarray:
         """Accelerations of given states: what a model of motion predicts of a state is its derivative.
 
         Parameters
         ----------
-        q, qdot : array_like, shape (..., n_dof)
+        q : array_like, shape (..., n_dof)
+        qdot : array_like, shape (..., n_dof), optional
+            Zero by default: the acceleration from rest.
         forces : array_like, shape (..., n_dof), optional
 
         Returns
@@ -186,7 +192,7 @@ class SparseLagrangian(BaseEstimator):
             q̈, as `LagrangianModel.acceleration`. For motions over time there is `simulate`.
         """
         check_is_fitted(self)
-        return self.model_.acceleration(q, qdot, forces)
+        return self.model_.acceleration(q, np.zeros(self.n_features_in_) if qdot is None else qdot, forces)
 
     def simulate(self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None) -> SimulationResult:
         """Motion from a start, as `LagrangianModel.simulate`.
@@ -255,68 +261,66 @@ def _forecast_r2(result: ForecastResult) -> float:
     return float(np.mean(scores))
 
 
-def _one_each(values: Any) -> bool:
-    """Whether there is an entry for each trajectory, rather than numbers for all of them."""
-    try:
-        return len(values) > 0 and (values[0] is None or np.ndim(values[0]) > 0)
-    except TypeError:
-        return False
-
-
 def _gather(
     q: Any, t: Any, forces: Any, coordinates: Sequence[str] | None, of_fit: bool = False
 ) -> Trajectories:
     """Decide what was given, once: everything behind this works on trajectories."""
-    listed = [q] if isinstance(q, Trajectory) else list(q) if isinstance(q, (Trajectories, list, tuple)) else []
-    if any(isinstance(item, Trajectory) for item in listed):
+    runs = _runs(q)
+    if any(isinstance(run, Trajectory) for run in runs):
         if forces is not None or not (t is None or of_fit):
             raise InputError("a Trajectory has its own times and forces; give t and forces with arrays only")
-        return Trajectories(listed)
-    if not isinstance(q, (list, tuple)):
-        array = np.asarray(q)
-        many = array.ndim == 3 or array.dtype == object and array.ndim == 1
-        listed = list(array) if many else [array]
-        if not many and not _missing(forces):
-            forces = [forces]
-    if not listed:
-        raise InputError("q is empty; expected an array of coordinates, or a sequence of them")
-    if _missing(t):
+        return Trajectories(runs)
+    if t is None:
         raise InputError(
             "t is missing; give the sampling interval in seconds, the times, or Trajectory objects, which have "
             "their own (scikit-learn passes the t of fit on to score only where all trajectories share it)"
         )
-    count = len(listed)
-    times = _each("t", t, count, 1)
-    pushes = [None] * count if _missing(forces) else _each("forces", forces, count, 2)
+    times = _each("t", t, len(runs), 1)
+    pushes = _each("forces", forces, len(runs), 2)
     return Trajectories(
-        Trajectory(_times(a, x), x, f, coordinates) for x, a, f in zip(listed, times, pushes, strict=True)
+        Trajectory(_times(a, x), x, f, coordinates) for x, a, f in zip(runs, times, pushes, strict=True)
     )
 
 
-def _missing(value: Any) -> bool:
-    return value is None
+def _runs(q: Any) -> list[Any]:
+    """One entry per trajectory."""
+    if isinstance(q, Trajectory):
+        return [q]
+    if not isinstance(q, (Trajectories, list, tuple)):
+        if issparse(q):
+            raise InputError("q is a sparse matrix; sparse data are not supported: expected an array of numbers")
+        q = np.asarray(q)
+        if np.iscomplexobj(q):
+            raise InputError("Complex data not supported: q must be real numbers")
+        if not (q.ndim == 3 or (q.dtype == object and q.ndim == 1)):
+            return [q]
+    if len(q) == 0:
+        raise InputError("q is empty; expected an array of coordinates, or a sequence of them")
+    return list(q)
+
+
+def _one_each(values: Any, ndim: int) -> bool:
+    """Whether there is an entry for each trajectory, rather than numbers for all of them."""
+    if isinstance(values, (list, tuple, np.ndarray)) and np.ndim(values[:1]) > 0:
+        return any(value is None or np.ndim(value) >= ndim for value in values)
+    return False
 
 
 def _each(label: str, values: Any, count: int, ndim: int) -> list[Any]:
     """One entry per trajectory: those given, or the same one for all."""
-    try:
-        own = len(values) > 0 and any(v is None or np.ndim(v) >= ndim for v in values)
-    except TypeError:
-        own = False
-    if not own:
+    if not _one_each(values, ndim):
         return [values] * count
     if len(values) != count:
-        raise InputError(f"{label} has {len(values)} entries for {count} trajectories; give one for each")
+        raise InputError(
+            f"{label} has {len(values)} entries for {count} trajectories; give one for each, or one array for all"
+        )
     return list(values)
 
 
 def _times(t: Any, q: Any) -> Any:
     if np.ndim(t) > 0:
         return t
-    try:
-        step = float(t)
-    except (TypeError, ValueError):
-        step = 0.0
+    step = t if isinstance(t, (int, float, np.integer, np.floating)) else 0.0
     if not 0.0 < step < np.inf:
         raise InputError(f"t is {quoted(t)}; expected a positive sampling interval in seconds, or the times")
-    return step * np.arange(len(np.atleast_1d(q)))
+    return float(step) * np.arange(len(np.atleast_1d(q)))
