@@ -1,7 +1,7 @@
-"""The little of MATLAB that an exported file uses: parsed by whitelist, run on NumPy columns.
+r"""The little of MATLAB that an exported file uses: parsed by whitelist, run on NumPy columns.
 
 There is no MATLAB or Octave where the tests run. What is checked with this is the grammar of the file and
-its numbers, by the rules of MATLAB (``^`` binds from the left, arrays start at 1, ``\\`` solves); anything
+its numbers, by the rules of MATLAB (``^`` binds from the left, arrays start at 1, ``\`` solves); anything
 that is not in the whitelist is an error.
 """
 
@@ -16,7 +16,9 @@ _TOKEN = re.compile(
     r"\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|(?P<name>[A-Za-z][A-Za-z0-9_]*)"
     r"|(?P<text>'[^']*')|(?P<op>[-+*/\\^()\[\],;:@.]))"
 )
-_DEFINITION = re.compile(r"function (?:\[(?P<many>[\w, ]+)\]|(?P<one>\w+)) = (?P<name>\w+)\((?P<args>[\w, ]*)\)")
+_DEFINITION = re.compile(
+    r"function (?:\[(?P<many>[\w, ]+)\]|(?P<one>\w+)) = (?P<name>\w+)\((?P<args>[\w, ]*)\)"
+)
 _ASSIGNMENT = re.compile(r"(?:\[(?P<many>[\w, ]+)\]|(?P<one>\w+(?:\.\w+)?)) = (?P<value>.+);")
 
 
@@ -150,7 +152,7 @@ class Expression:
 
     def value(self):
         result = self.sum()
-        assert self.tokens[self.place][0] == "end", f"left over: {self.tokens[self.place:]}"
+        assert self.tokens[self.place][0] == "end", f"left over: {self.tokens[self.place :]}"
         return result
 
     def take(self, *operators: str) -> str | None:
@@ -161,7 +163,7 @@ class Expression:
         return None
 
     def need(self, operator: str) -> None:
-        assert self.take(operator), f"{operator} expected before {self.tokens[self.place:]}"
+        assert self.take(operator), f"{operator} expected before {self.tokens[self.place :]}"
 
     def sum(self):
         result = self.product()

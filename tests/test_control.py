@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from export_models import MODELS, states
-from helpers import finite_difference
 
 import leastaction as la
+from export_models import MODELS, states
+from helpers import finite_difference
 from leastaction._errors import InputError
 from leastaction._model import LagrangianModel, ModelTerm
 
@@ -91,7 +91,7 @@ def test_feedback_found_on_the_linear_system_holds_the_nonlinear_one():
     def force(time, state):
         return np.array([float((-gain @ (state - target))[0]), 0.0])
 
-    state = target + [0.05, 0.1, 0.0, 0.0]
+    state = target + np.array([0.05, 0.1, 0.0, 0.0])
     for _ in range(400):  # held over 20 ms, as a controller would
         push = force(0.0, state)
         run = model.simulate(state[:2], state[2:], [0.0, 0.02], lambda time, push=push: push)
@@ -105,7 +105,7 @@ def test_wrong_use():
         la.control.state_space(model, actuated=["theta3"])
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         la.control.state_space("model.json")
-    with pytest.raises(InputError, match="q is .* expected 2 finite number"):
+    with pytest.raises(InputError, match=r"q is .* expected 2 finite number"):
         la.control.linearize(model, [0.0])
     singular = LagrangianModel(["x", "y"], [ModelTerm("x**2*x_dot**2", 1.0), ModelTerm("y_dot**2", 1.0)])
     with pytest.raises(InputError, match=r"cannot be linearised at q = \[0.0, 0.0\].*singular"):

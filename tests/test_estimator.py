@@ -56,9 +56,7 @@ EXPECTED_FAILURES = {
 }
 
 
-@parametrize_with_checks(
-    [la.SparseLagrangian()], expected_failed_checks=lambda estimator: EXPECTED_FAILURES
-)
+@parametrize_with_checks([la.SparseLagrangian()], expected_failed_checks=lambda estimator: EXPECTED_FAILURES)
 def test_scikit_learn_checks(estimator, check):
     check(estimator)
 
@@ -87,7 +85,9 @@ CART = {
 
 def test_importing_the_package_does_not_import_scikit_learn():
     code = "import sys, leastaction, leastaction.cli; leastaction.discover; print('sklearn' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
     assert done.stdout.split() == ["False"]
 
 
@@ -98,7 +98,9 @@ def test_without_scikit_learn_the_message_names_the_extra():
         "try: leastaction.SparseLagrangian\n"
         "except ImportError as error: print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
     assert "leastaction[sklearn]" in done.stdout
 
 
@@ -116,7 +118,12 @@ def test_it_is_discover(runs, fitted):
 
 
 def test_arguments_reach_discover(runs):
-    options = {"known": {"theta_dot**2": 0.5}, "dissipation": ["theta_dot**2/2"], "relevance": 0.01, "seed": 3}
+    options = {
+        "known": {"theta_dot**2": 0.5},
+        "dissipation": ["theta_dot**2/2"],
+        "relevance": 0.01,
+        "seed": 3,
+    }
     model = la.SparseLagrangian(LIBRARY, degree=4, angles=["theta"], **options).fit(runs).model_
     given = model.provenance["options"]
     assert {name: given[name] for name in options} == options
@@ -135,10 +142,16 @@ def test_arrays_and_trajectories_give_the_same(runs, fitted):
         (q, 0.02, forces),
         (np.array(q), np.array(t), np.array(forces)),
         (np.array(q), t[0], forces),
+        ([x[:, 0] for x in q], t, [f[:, 0] for f in forces]),
+        (q, t[0].tolist(), forces),
+        (q, np.float64(0.02), forces),
     ]
     for way in ways:
         np.testing.assert_allclose(estimator.fit(*way).coef_, fitted.coef_, rtol=1e-6)
-    one = clone(estimator).fit(q[0], t[0], forces[0])
+    shared = clone(estimator).fit(q, t, forces[0])
+    same = [la.Trajectory(a, x, forces[0], ["theta"]) for a, x in zip(t, q, strict=True)]
+    np.testing.assert_array_equal(shared.coef_, estimator.fit(same).coef_)
+    one = clone(estimator).fit(q[0], t[0].tolist(), forces[0].tolist())
     np.testing.assert_array_equal(one.coef_, estimator.fit(runs[0]).coef_)
     assert one.n_features_in_ == 1
 
@@ -242,6 +255,18 @@ def test_score_is_r2_of_the_forecasts(runs, fitted):
     expected = sklearn.metrics.r2_score(measured, forecast)
     assert fitted.score(runs) == pytest.approx(expected, rel=1e-12)
     assert 0.99 < expected < 1.0
+
+
+def test_score_without_times_uses_those_that_the_trajectories_of_fit_shared(runs, fitted):
+    q, t, forces = [r.q for r in runs], [r.t for r in runs], [r.forces for r in runs]
+    estimator = la.SparseLagrangian(LIBRARY, coordinates=["theta"])
+    for shared in (0.02, t[0]):
+        estimator.fit(q, shared, forces)
+        assert np.all(estimator.t_ == shared)
+        assert estimator.score(q, forces=forces) == pytest.approx(fitted.score(runs), rel=1e-6)
+    assert estimator.fit(q, t, forces).t_ is None
+    with pytest.raises(InputError, match="t is missing"):
+        estimator.score(q, forces=forces)
 
 
 def test_score_leaves_missing_samples_out(runs, fitted):

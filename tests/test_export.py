@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import sympy as sp
 from click.testing import CliRunner
-from export_models import COMPILER, MODELS, states
 
+from export_models import COMPILER, MODELS, states
 from leastaction._errors import InputError
 from leastaction._export._formats import FORMATS
 from leastaction._export._write import export
 from leastaction._model import LagrangianModel, ModelTerm
 from leastaction.cli import program
+
 
 @pytest.fixture(params=MODELS, scope="module")
 def model(request):
@@ -101,12 +102,16 @@ def test_text_is_written_to_the_path(format, tmp_path):
 def test_every_format_has_a_line_in_the_help():
     result = CliRunner().invoke(program, ["export", "--help"])
     assert result.exit_code == 0
-    listed = [line.split()[0] for line in result.output.splitlines() if line.split()[:1] and line[:4] == "    "]
+    listed = [
+        line.split()[0] for line in result.output.splitlines() if line.split()[:1] and line[:4] == "    "
+    ]
     assert [name for name in listed if name in FORMATS] == list(FORMATS)
 
 
 def test_wrong_use():
-    with pytest.raises(InputError, match="expected one of sympy, latex, python, c, .* did you mean 'python'"):
+    with pytest.raises(
+        InputError, match=r"expected one of sympy, latex, python, c, .* did you mean 'python'"
+    ):
         export(MODELS["free"](), "Pythn")
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         export("model.json", "c")

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from export_models import MODELS, states
-from helpers import finite_difference
 
 import leastaction as la
+from export_models import MODELS, states
+from helpers import finite_difference
 from leastaction._errors import InputError
 from leastaction._model import LagrangianModel, ModelTerm
 

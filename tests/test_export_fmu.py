@@ -6,9 +6,9 @@ import zipfile
 
 import numpy as np
 import pytest
-from export_models import COMPILER, MODELS, states
 
 import leastaction as la
+from export_models import COMPILER, MODELS, states
 from leastaction._errors import InputError
 from leastaction._export import _compile
 from leastaction._export._fmu import source_files
@@ -312,7 +312,7 @@ def test_library_exports_the_interface_only(version, tmp_path):
 
 def test_no_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(InputError, match="no C compiler on the PATH .*install one"):
+    with pytest.raises(InputError, match=r"no C compiler on the PATH .*install one"):
         la.export(MODELS["free"](), "fmu2", tmp_path / "a.fmu")
     assert not (tmp_path / "a.fmu").exists()
 

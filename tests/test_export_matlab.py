@@ -1,4 +1,4 @@
-"""The exported function file, run by a small interpreter (`matlab_subset`), and by Octave where there is one."""
+"""The exported function file, run by a small interpreter (`matlab_subset`), and by Octave if there is one."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import subprocess
 
 import numpy as np
 import pytest
-from export_models import MODELS, states
-from matlab_subset import Program
 
+from export_models import MODELS, states
 from leastaction._errors import InputError
 from leastaction._export._write import export
 from leastaction._model import LagrangianModel, ModelTerm
+from matlab_subset import Program
 
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")
 
@@ -43,7 +43,9 @@ def test_numbers_agree(model):
             made["acceleration"](column(q), column(v)), column(model.acceleration(q, v)), **close
         )
         np.testing.assert_allclose(made["energy"](column(q), column(v)), model.energy(q, v), **close)
-        np.testing.assert_allclose(made["mass_matrix"](column(q), column(v)), model.mass_matrix(q, v), **close)
+        np.testing.assert_allclose(
+            made["mass_matrix"](column(q), column(v)), model.mass_matrix(q, v), **close
+        )
         np.testing.assert_allclose(made["mass_matrix"](column(q)), model.mass_matrix(q), **close)
 
 

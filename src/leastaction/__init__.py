@@ -1,7 +1,8 @@
 """leastaction: the Lagrangian of a mechanical system from noisy measured coordinates.
 
 The names below are public, and only these.  They are loaded when first used, so that
-``leastaction --help`` does not wait for SymPy.
+``leastaction --help`` does not wait for SymPy.  What needs an extra is public too, but not in ``__all__``, so
+that ``from leastaction import *`` works without: `SparseLagrangian`, `casadi` and `control`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from leastaction import _metrics as metrics
-    from leastaction import casadi, control, io, systems
+    from leastaction import casadi as casadi
+    from leastaction import control as control
+    from leastaction import io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
-    from leastaction._estimator import SparseLagrangian
+    from leastaction._estimator import SparseLagrangian as SparseLagrangian
     from leastaction._euler_lagrange import euler_lagrange
     from leastaction._export._write import export
     from leastaction._fit.adam_options import AdamOptions

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import issparse
 
 try:
     from sklearn.base import BaseEstimator
@@ -19,13 +18,11 @@ except ImportError:
     ) from None
 
 from leastaction._discover import discover
-from leastaction._errors import InputError
 from leastaction._fit.adam_options import AdamOptions
 from leastaction._forecast import ForecastResult
+from leastaction._gather import gather, one_each
 from leastaction._library import Library
-from leastaction._names import quoted
 from leastaction._simulate import SimulationResult
-from leastaction._trajectory import Trajectories, Trajectory
 
 if TYPE_CHECKING:
     from leastaction._model import LagrangianModel
@@ -91,9 +88,9 @@ class SparseLagrangian(BaseEstimator):
     """
 
     # Only these names may be routed to the methods as metadata; q and the like are always given.
-    __metadata_request__fit = {"q": UNUSED}
-    __metadata_request__score = {"q": UNUSED}
-    __metadata_request__predict = {"q": UNUSED, "qdot": UNUSED}
+    __metadata_request__fit: ClassVar = {"q": UNUSED}
+    __metadata_request__score: ClassVar = {"q": UNUSED}
+    __metadata_request__predict: ClassVar = {"q": UNUSED, "qdot": UNUSED}
 
     def __init__(
         self,
@@ -151,7 +148,7 @@ class SparseLagrangian(BaseEstimator):
         names = self.coordinates
         if names is None and isinstance(self.library, Library):
             names = self.library.coordinates
-        data = _gather(q, t, forces, names)
+        data = gather(q, t, forces, names)
         library = self.library
         if library is None:
             library = Library.mechanical(data.coordinates, self.angles or ())
@@ -171,7 +168,9 @@ class SparseLagrangian(BaseEstimator):
         self.coef_ = np.array([term.coefficient for term in terms])
         self.coordinates_ = self.model_.coordinates
         self.n_features_in_ = self.model_.n_dof
-        self.t_ = None if t is None or _one_each(t, 1) else np.array(t, dtype=float)
+        self.t_: float | np.ndarray | None = None
+        if t is not None and not one_each(t):
+            self.t_ = float(t) if np.ndim(t) == 0 else np.array(t, dtype=float)
         return self
 
     def predict(
@@ -235,7 +234,7 @@ class SparseLagrangian(BaseEstimator):
             Wrong arguments, or trajectories too short for one forecast.
         """
         check_is_fitted(self)
-        data = _gather(q, self.t_ if t is None else t, forces, self.coordinates_, of_fit=t is None)
+        data = gather(q, t, forces, self.coordinates_, self.t_)
         return _forecast_r2(self.model_.validate(data, self.horizon))
 
     def __sklearn_tags__(self):
@@ -259,68 +258,3 @@ def _forecast_r2(result: ForecastResult) -> float:
         error = np.minimum(error, limit)
         scores.append(1.0 - np.sum(error**2) / max(np.sum(deviation**2), np.finfo(float).tiny))
     return float(np.mean(scores))
-
-
-def _gather(
-    q: Any, t: Any, forces: Any, coordinates: Sequence[str] | None, of_fit: bool = False
-) -> Trajectories:
-    """Decide what was given, once: everything behind this works on trajectories."""
-    runs = _runs(q)
-    if any(isinstance(run, Trajectory) for run in runs):
-        if forces is not None or not (t is None or of_fit):
-            raise InputError("a Trajectory has its own times and forces; give t and forces with arrays only")
-        return Trajectories(runs)
-    if t is None:
-        raise InputError(
-            "t is missing; give the sampling interval in seconds, the times, or Trajectory objects, which have "
-            "their own (scikit-learn passes the t of fit on to score only where all trajectories share it)"
-        )
-    times = _each("t", t, len(runs), 1)
-    pushes = _each("forces", forces, len(runs), 2)
-    return Trajectories(
-        Trajectory(_times(a, x), x, f, coordinates) for x, a, f in zip(runs, times, pushes, strict=True)
-    )
-
-
-def _runs(q: Any) -> list[Any]:
-    """One entry per trajectory."""
-    if isinstance(q, Trajectory):
-        return [q]
-    if not isinstance(q, (Trajectories, list, tuple)):
-        if issparse(q):
-            raise InputError("q is a sparse matrix; sparse data are not supported: expected an array of numbers")
-        q = np.asarray(q)
-        if np.iscomplexobj(q):
-            raise InputError("Complex data not supported: q must be real numbers")
-        if not (q.ndim == 3 or (q.dtype == object and q.ndim == 1)):
-            return [q]
-    if len(q) == 0:
-        raise InputError("q is empty; expected an array of coordinates, or a sequence of them")
-    return list(q)
-
-
-def _one_each(values: Any, ndim: int) -> bool:
-    """Whether there is an entry for each trajectory, rather than numbers for all of them."""
-    if isinstance(values, (list, tuple, np.ndarray)) and np.ndim(values[:1]) > 0:
-        return any(value is None or np.ndim(value) >= ndim for value in values)
-    return False
-
-
-def _each(label: str, values: Any, count: int, ndim: int) -> list[Any]:
-    """One entry per trajectory: those given, or the same one for all."""
-    if not _one_each(values, ndim):
-        return [values] * count
-    if len(values) != count:
-        raise InputError(
-            f"{label} has {len(values)} entries for {count} trajectories; give one for each, or one array for all"
-        )
-    return list(values)
-
-
-def _times(t: Any, q: Any) -> Any:
-    if np.ndim(t) > 0:
-        return t
-    step = t if isinstance(t, (int, float, np.integer, np.floating)) else 0.0
-    if not 0.0 < step < np.inf:
-        raise InputError(f"t is {quoted(t)}; expected a positive sampling interval in seconds, or the times")
-    return float(step) * np.arange(len(np.atleast_1d(q)))

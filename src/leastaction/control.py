@@ -119,7 +119,7 @@ def linearize(
     state = [checked_start(model.coordinates, zero if x is None else x, label) for label, x in given]
     mass = model.mass_matrix(state[0], state[1])
     qddot = model.acceleration(*state)
-    slopes = _slopes(model, *state[:2], qddot)
+    slopes = _slopes(model, state[0], state[1], qddot)
     if not (np.isfinite(qddot).all() and np.isfinite(slopes).all()):
         raise InputError(
             f"the equations cannot be linearised at q = {quoted(state[0].tolist())}: the mass matrix is "
@@ -152,7 +152,9 @@ def _control():
     try:
         import control
     except ImportError:
-        raise InputError("this needs python-control; install it with: pip install 'leastaction[control]'") from None
+        raise InputError(
+            "this needs python-control; install it with: pip install 'leastaction[control]'"
+        ) from None
     return control
 
 

@@ -28,7 +28,7 @@ class CasadiPrinter(PythonPrinter):
         return f"({self._print(expr.base)})**({self._print(expr.exp)})"
 
 
-_FUNCTIONS = '''
+_FUNCTIONS = """
 
 def _functions():
     q = casadi.SX.sym("q", N_DOF)
@@ -48,7 +48,7 @@ def _functions():
 
 
 acceleration, energy, mass_matrix = _functions()
-'''
+"""
 
 
 def write(model: LagrangianModel) -> str:

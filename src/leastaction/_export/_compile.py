@@ -62,7 +62,9 @@ def compile_library(sources: Mapping[str, str], options: Sequence[str] = ()) -> 
             reason = f"not done after {_SECONDS} s" if isinstance(error, subprocess.TimeoutExpired) else error
             raise InputError(f"the C compiler {compiler} cannot be used: {reason}") from None
         if done.returncode != 0:
-            said = done.stderr.decode(errors="replace").strip().splitlines() or [f"exit code {done.returncode}"]
+            said = done.stderr.decode(errors="replace").strip().splitlines() or [
+                f"exit code {done.returncode}"
+            ]
             first = next((line for line in said if "error" in line.lower()), said[0])
             raise InputError(f"the C compiler {compiler} failed: {first[:200]}; try another one, such as GCC")
         return (folder / f"library{suffix}").read_bytes(), suffix

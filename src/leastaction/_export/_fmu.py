@@ -1,4 +1,4 @@
-"""A model as an FMU for co-simulation: description, C sources, and a shared library of them, in one archive."""
+"""A model as an FMU for co-simulation: an archive of a description, C sources and a library made of them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ def source_files(model: LagrangianModel, version: int, name: str, token: str) ->
     """File name -> text: what is the same for every model, and the equations with parameters."""
     ours = files("leastaction._export") / "sources"
     out = {
-        path: (ours / path).read_text(encoding="utf-8") for path in (f"fmi{version}.c", "motion.c", "motion.h")
+        path: (ours / path).read_text(encoding="utf-8")
+        for path in (f"fmi{version}.c", "motion.c", "motion.h")
     }
     terms = (*model.terms, *model.dissipation)
     # A name with brackets is an element of an array in C, and no coordinate can have it.

@@ -168,15 +168,15 @@ MODEL is a model.json of discover. What is written needs nothing of leastaction.
     help=_EXPORT_HELP,
     short_help="Write a model for other programs: C, MATLAB, FMU, ...",
     epilog="""\b
-Examples:
-  leastaction export found/model.json --format latex --output model.tex
+Example:
   leastaction export found/model.json --format fmu3 --output pendulum.fmu
 """,
 )
 @click.argument("model", metavar="MODEL")
 @click.option("--format", "kind", required=True, metavar="FORMAT", help="One of the formats above.")
 @click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
-def export(model: str, kind: str, output: str) -> None:  # noqa: D103 (its help is above)
+def export(model: str, kind: str, output: str) -> None:
+    """Write a model for other programs."""
     import leastaction
 
     with blame("--format"):
