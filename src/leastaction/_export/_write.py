@@ -61,9 +61,9 @@ def export(model, format, path=None):
                   compiler on the PATH. Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
                   ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
                   first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
-                  ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms, or a
-                  tenth of a knot interval of the discovery if that is shorter; Coulomb friction can need
-                  less). Inputs are held over a communication step
+                  ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms,
+                  or a tenth of a knot interval of the discovery if that is shorter; Coulomb friction can
+                  need less). Inputs are held over a communication step
     ``"fmu3"``    the same for FMI 3.0
     ============  =========================================================================================
 
