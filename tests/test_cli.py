@@ -8,9 +8,11 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
+import zipfile
 
 import numpy as np
 import pandas as pd
@@ -248,11 +250,26 @@ def test_validate_puts_coordinates_in_the_order_of_the_model():
 
 @pytest.mark.parametrize(
     ("kind", "text"),
-    [("sympy", "lagrangian = "), ("latex", r"\dot{\theta}"), ("python", "def acceleration"), ("c", "math.h")],
+    [
+        ("sympy", "lagrangian = "),
+        ("latex", r"\dot{\theta}"),
+        ("python", "def acceleration"),
+        ("c", "math.h"),
+        ("casadi", "import casadi"),
+        ("matlab", "function model = out()"),
+    ],
 )
 def test_export(model, tmp_path, kind, text):
-    run("export", model, "--format", kind, "--output", tmp_path / "sub" / "out.txt")
-    assert text in (tmp_path / "sub" / "out.txt").read_text(encoding="utf-8")
+    run("export", model, "--format", kind, "--output", tmp_path / "sub" / "out.m")
+    assert text in (tmp_path / "sub" / "out.m").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+@pytest.mark.parametrize("kind", ["fmu2", "fmu3"])
+def test_export_of_an_fmu(model, tmp_path, kind):
+    result = run("export", model, "--format", kind, "--output", tmp_path / "pendulum.fmu")
+    assert result.stdout.startswith(f"{kind}: ")
+    assert zipfile.ZipFile(tmp_path / "pendulum.fmu").testzip() is None
 
 
 def test_generate_and_the_command_that_it_proposes(tmp_path, monkeypatch):

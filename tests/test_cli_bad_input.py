@@ -441,6 +441,20 @@ def test_model_of_other_columns():
 
 def test_unknown_format_and_system():
     fails(2, "export", "model.json", "--format", "fortran", "-o", "m.f", says=("'fortran'", "latex"))
+    fails(2, "export", "model.json", "--format", "fmu", "-o", "m.fmu", says="did you mean 'fmu")
+    assert not Path("m.fmu").exists()
+
+
+def test_file_names_that_matlab_cannot_call():
+    for name in ("model.txt", "my-model.m", "end.m"):
+        fails(2, "export", "model.json", "--format", "matlab", "-o", name, says=(name, "MATLAB"))
+        assert not Path(name).exists()
+
+
+def test_fmu_without_a_compiler(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    fails(2, "export", "model.json", "--format", "fmu2", "-o", "m.fmu", says=("no C compiler", "install one"))
+    assert not Path("m.fmu").exists()
     fails(2, "generate", "triple_pendulum", "-o", "a.csv", says=("'triple_pendulum'", "double_pendulum"))
     fails(2, "demo", "--system", "triple", says=("triple", "double"))
 

@@ -1,61 +1,24 @@
 from __future__ import annotations
 
 import ctypes
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
 import sympy as sp
+from click.testing import CliRunner
 
-from leastaction import systems
+from export_models import COMPILER, MODELS, states
 from leastaction._errors import InputError
-from leastaction._export import FORMATS, export
+from leastaction._export._formats import FORMATS
+from leastaction._export._write import export
 from leastaction._model import LagrangianModel, ModelTerm
-
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-
-
-def pendulum(name):
-    system = systems.get(name)
-    damping = [ModelTerm(f"{c}_dot**2*abs({c}_dot)", 0.1) for c in system.coordinates]
-    return LagrangianModel(
-        system.coordinates, [ModelTerm(k, c) for k, c in system.lagrangian.items()], damping
-    )
-
-
-def odd():
-    """Every function of the grammar, Greek names, and names that occur in generated code."""
-    names = ["θ1", "math", "n"]
-    terms = [
-        ModelTerm("(θ1_dot**2 + math_dot**2 + n_dot**2)*exp(sin(θ1)/3)", 1 / 3),
-        ModelTerm("θ1_dot*n_dot*tan(θ1/2)*sqrt(2)/10", 0.1),
-        ModelTerm("log(2 + cos(math))*sqrt(1 + n**2)*exp(1)", -1.7),
-        ModelTerm("(1 + n**2)**(-3/2)*abs(θ1)**2.5", 0.7),
-        ModelTerm("abs(math)*pi*θ1**5/(1 + math**4)", 123456.789e-5),
-    ]
-    return LagrangianModel(names, terms, [ModelTerm("abs(n_dot) + sqrt(1 + n_dot**2)", 0.3)])
-
-
-MODELS = {
-    "odd": odd,
-    "single": lambda: pendulum("single_pendulum"),
-    "chaotic": lambda: pendulum("chaotic_pendulum"),
-    "spherical": lambda: pendulum("spherical_spring_pendulum"),
-    "magnetic": lambda: pendulum("magnetic_pendulum"),
-    # The diagonal is zero: elimination without pivoting would fail.
-    "swapped": lambda: LagrangianModel(["x", "y"], [ModelTerm("x_dot*y_dot", 1.0), ModelTerm("x*y", 2.0)]),
-    "free": lambda: LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.5)]),
-}
+from leastaction.cli import program
 
 
 @pytest.fixture(params=MODELS, scope="module")
 def model(request):
     return MODELS[request.param]()
-
-
-def states(model):
-    return np.random.default_rng(4).uniform(0.2, 1.5, size=(5, 3, model.n_dof))
 
 
 def test_python_agrees(model):
@@ -129,15 +92,28 @@ def test_latex():
     assert text == "% Written by leastaction; needs amsmath.\n\\[\nL = 1.5 \\, \\dot{x}^{2}\n\\]\n"
 
 
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("format", [name for name in FORMATS if not name.startswith("fmu")])
 def test_text_is_written_to_the_path(format, tmp_path):
-    text = export(MODELS["single"](), format, tmp_path / "out")
-    assert (tmp_path / "out").read_bytes().decode() == text
+    text = export(MODELS["single"](), format, tmp_path / "out.m")
+    assert (tmp_path / "out.m").read_bytes().decode() == text
     assert text.endswith("\n")
 
 
+def test_every_format_has_a_line_in_the_help():
+    result = CliRunner().invoke(program, ["export", "--help"])
+    assert result.exit_code == 0
+    listed = [
+        line.split()[0] for line in result.output.splitlines() if line.split()[:1] and line[:4] == "    "
+    ]
+    assert [name for name in listed if name in FORMATS] == list(FORMATS)
+
+
 def test_wrong_use():
-    with pytest.raises(InputError, match="expected one of sympy, latex, python, c; did you mean 'python'"):
+    with pytest.raises(
+        InputError, match=r"expected one of sympy, latex, python, c, .* did you mean 'python'"
+    ):
         export(MODELS["free"](), "Pythn")
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         export("model.json", "c")
+    with pytest.raises(InputError, match="a path is expected, not 3"):
+        export(MODELS["free"](), "matlab", 3)

@@ -262,3 +262,10 @@ def test_price_of_a_term_is_the_extended_bic():
     assert term_penalty(1000, 1) == pytest.approx(np.log(1000.0))
     assert term_penalty(1000, 50) == pytest.approx(np.log(1000.0) + 2.0 * np.log(50.0))
     assert np.isfinite(term_penalty(0, 0))
+
+
+def test_search_ends_where_no_cost_is_a_number():
+    """Noise instead of a motion can do that; the search once ran for ever."""
+    model = QuadraticModel(np.full((4, 4), np.nan), np.zeros(4), np.ones(4))
+    levels = search_subsets(model, (0, 1), 1.0)
+    assert np.isnan(levels[2][0].cost)

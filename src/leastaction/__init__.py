@@ -1,7 +1,8 @@
 """leastaction: the Lagrangian of a mechanical system from noisy measured coordinates.
 
 The names below are public, and only these.  They are loaded when first used, so that
-``leastaction --help`` does not wait for SymPy.
+``leastaction --help`` does not wait for SymPy.  What needs an extra is public too, but not in ``__all__``, so
+that ``from leastaction import *`` works without: `SparseLagrangian`, `casadi` and `control`.
 """
 
 from __future__ import annotations
@@ -11,11 +12,14 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from leastaction import _metrics as metrics
+    from leastaction import casadi as casadi
+    from leastaction import control as control
     from leastaction import io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
+    from leastaction._estimator import SparseLagrangian as SparseLagrangian
     from leastaction._euler_lagrange import euler_lagrange
-    from leastaction._export import export
+    from leastaction._export._write import export
     from leastaction._fit.adam_options import AdamOptions
     from leastaction._library import Library
     from leastaction._model import LagrangianModel, load
@@ -32,11 +36,12 @@ _HOMES = {
     "LagrangianModel": "_model",
     "Library": "_library",
     "SimulationResult": "_simulate",
+    "SparseLagrangian": "_estimator",
     "Trajectories": "_trajectory",
     "Trajectory": "_trajectory",
     "discover": "_discover",
     "euler_lagrange": "_euler_lagrange",
-    "export": "_export",
+    "export": "_export._write",
     "from_frame": "io",
     "load": "_model",
     "read": "io",
@@ -49,7 +54,13 @@ _HOMES = {
     "write_report": "_report",
 }
 
-_MODULES = {"io": "io", "metrics": "_metrics", "systems": "systems"}
+_MODULES = {
+    "casadi": "casadi",
+    "control": "control",
+    "io": "io",
+    "metrics": "_metrics",
+    "systems": "systems",
+}
 
 __all__ = [
     "AdamOptions",

@@ -130,17 +130,19 @@ class Mechanics:
     @cached_property
     def _equations_function(self) -> Callable[..., list]:
         upper = [self.mass[i][j] for i in range(self.n_dof) for j in range(i, self.n_dof)]
-        return self._compile([*upper, *self.right])
+        return self.compile([*upper, *self.right])
 
     @cached_property
     def _energy_function(self) -> Callable[..., list]:
-        return self._compile([self.energy_expression])
+        return self.compile([self.energy_expression])
 
-    def _compile(self, expressions: list[sp.Expr]) -> Callable[..., list]:
+    def compile(self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()) -> Callable[..., list]:
+        """Return a function of the entries of `q`, those of `qdot`, and `more`, to a list of values."""
         printer = _Printer(
             {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
         )
-        return sp.lambdify([*self.q, *self.qdot], expressions, modules="numpy", printer=printer, cse=True)
+        symbols = [*self.q, *self.qdot, *more]
+        return sp.lambdify(symbols, list(expressions), modules="numpy", printer=printer, cse=True)
 
     def _columns(self, q: np.ndarray, qdot: np.ndarray) -> list[np.ndarray]:
         return [x[..., i] for x in (q, qdot) for i in range(self.n_dof)]

@@ -162,6 +162,7 @@ def _swap_until_best(model: QuadraticModel, kept: list[Choice], width: int) -> l
         seen |= swapped
         better = model.best(swapped, width)
         merged = sorted([*kept, *better], key=lambda c: c.cost)[:width]
-        if merged[0].cost >= kept[0].cost - _NO_BETTER:
+        # Costs that are not numbers are no better either.
+        if not merged[0].cost < kept[0].cost - _NO_BETTER:
             return merged
         kept = merged

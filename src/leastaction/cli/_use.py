@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import gzip
 import json
-from pathlib import Path
 
 import click
 
 from leastaction._errors import DataError, InputError
+from leastaction._export._formats import FORMATS, check_format
 from leastaction._names import quoted
 from leastaction.cli._options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli._output import check_file
@@ -156,28 +156,31 @@ def validate(
         say(f"errors: {shown(file)}")
 
 
+_EXPORT_HELP = """Write a model for other programs.
+
+MODEL is a model.json of discover. What is written needs nothing of leastaction. The formats:
+
+\b
+""" + "\n".join(f"  {name:<8}{text}" for name, text in FORMATS.items())
+
+
 @click.command(
-    short_help="Write a model as SymPy, LaTeX, Python or C.",
+    help=_EXPORT_HELP,
+    short_help="Write a model for other programs: C, MATLAB, FMU, ...",
     epilog="""\b
 Example:
-  leastaction export found/model.json --format latex --output model.tex
+  leastaction export found/model.json --format fmu3 --output pendulum.fmu
 """,
 )
 @click.argument("model", metavar="MODEL")
-@click.option("--format", "kind", required=True, metavar="sympy|latex|python|c", help="What to write.")
+@click.option("--format", "kind", required=True, metavar="FORMAT", help="One of the formats above.")
 @click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
 def export(model: str, kind: str, output: str) -> None:
-    """Write a model as a SymPy script, LaTeX formula, Python module or C file.
-
-    MODEL is a model.json of discover. The exported code needs nothing of leastaction.
-    """
+    """Write a model for other programs."""
     import leastaction
 
-    file: Path = check_file(output)
-    found = leastaction.load(model)
     with blame("--format"):
-        text = leastaction.export(found, kind)
-    from leastaction.io import write_text
-
-    write_text(file, text)
+        check_format(kind)
+    file = check_file(output)
+    leastaction.export(leastaction.load(model), kind, file)
     say(f"{kind}: {shown(output)}")

@@ -1,0 +1,1 @@
+"""A model for other programs: `_write.export` and one module a format."""

@@ -1,0 +1,175 @@
+"""A model as a system of the python-control package.
+
+Needs ``pip install 'leastaction[control]'``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike
+
+from leastaction._errors import InputError
+from leastaction._model import LagrangianModel
+from leastaction._model_checks import checked_start
+from leastaction._names import quoted
+
+if TYPE_CHECKING:
+    import control
+
+__all__ = ["linearize", "state_space"]
+
+
+def state_space(
+    model: LagrangianModel, actuated: Sequence[str] | None = None, name: str | None = None
+) -> control.NonlinearIOSystem:
+    """Nonlinear system ẋ = (q̇, q̈) with the state x = (q, q̇).
+
+    Parameters
+    ----------
+    model : LagrangianModel
+    actuated : sequence of str, optional
+        Coordinates whose generalised force is an input; by default all of them.
+    name : str, optional
+        Name of the system.
+
+    Returns
+    -------
+    control.NonlinearIOSystem
+        Inputs ``<coordinate>_force``; states and outputs ``<coordinate>`` ... and
+        ``<coordinate>_dot`` ....
+
+    Raises
+    ------
+    InputError
+        If python-control is not installed, or an actuated coordinate is not in the model.
+
+    Examples
+    --------
+    >>> from leastaction._model import LagrangianModel, ModelTerm
+    >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+    >>> system = state_space(spring)
+    >>> system.input_labels, system.output_labels
+    (['x_force'], ['x', 'x_dot'])
+    >>> system.dynamics(0.0, [1.0, 0.0], [3.0]).tolist()
+    [0.0, -1.0]
+    """
+    control = _control()
+    columns = _actuated(model, actuated)
+    n, mechanics = model.n_dof, model.mechanics
+
+    def rates(t, x, u, params):
+        forces = np.zeros(n)
+        forces[columns] = u
+        q, qdot = np.split(np.asarray(x, dtype=float), 2)
+        return np.concatenate([qdot, mechanics.acceleration(q, qdot, forces)])
+
+    return control.NonlinearIOSystem(rates, lambda t, x, u, params: x, name=name, **_labels(model, columns))
+
+
+def linearize(
+    model: LagrangianModel,
+    q: ArrayLike,
+    qdot: ArrayLike | None = None,
+    forces: ArrayLike | None = None,
+    actuated: Sequence[str] | None = None,
+    name: str | None = None,
+) -> control.StateSpace:
+    r"""Linear system of small deviations from a state, by exact derivatives.
+
+    With M q̈ = r + f, a deviation δ of q or q̇ changes the acceleration by
+    M⁻¹ (∂r/∂x − (∂M/∂x) q̈) δ, and one of the forces by M⁻¹ δf.
+
+    Parameters
+    ----------
+    model : LagrangianModel
+    q : array_like, shape (n_dof,)
+        Where to linearise; an equilibrium if the result is to be a motion by itself.
+    qdot, forces : array_like, shape (n_dof,), optional
+        Zero by default. A force that holds the system belongs here.
+    actuated, name
+        As for `state_space`.
+
+    Returns
+    -------
+    control.StateSpace
+        With the inputs, states and outputs of `state_space`.
+
+    Raises
+    ------
+    InputError
+        As for `state_space`; if the shapes are wrong; if the equations cannot be linearised there, because
+        the mass matrix is singular or a function is not defined.
+
+    Examples
+    --------
+    >>> from leastaction._model import LagrangianModel, ModelTerm
+    >>> pendulum = LagrangianModel("theta", [ModelTerm("theta_dot**2", 0.5), ModelTerm("cos(theta)", 9.81)])
+    >>> linearize(pendulum, [np.pi]).A.round(9).tolist()
+    [[0.0, 1.0], [9.81, 0.0]]
+    """
+    control = _control()
+    columns = _actuated(model, actuated)
+    n = model.n_dof
+    zero = np.zeros(n)
+    given = (("q", q), ("qdot", qdot), ("forces", forces))
+    state = [checked_start(model.coordinates, zero if x is None else x, label) for label, x in given]
+    mass = model.mass_matrix(state[0], state[1])
+    qddot = model.acceleration(*state)
+    slopes = _slopes(model, state[0], state[1], qddot)
+    if not (np.isfinite(qddot).all() and np.isfinite(slopes).all()):
+        raise InputError(
+            f"the equations cannot be linearised at q = {quoted(state[0].tolist())}: the mass matrix is "
+            "singular or a function is not defined there; choose another state"
+        )
+    lower = np.linalg.solve(mass, slopes)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [lower[:, :n], lower[:, n:]]])
+    b = np.concatenate([np.zeros((n, n)), np.linalg.inv(mass)])[:, columns]
+    return control.StateSpace(
+        a, b, np.eye(2 * n), np.zeros((2 * n, len(columns))), name=name, **_labels(model, columns)
+    )
+
+
+def _slopes(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
+    """∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (n_dof, 2 n_dof)."""
+    mechanics = model.mechanics
+    held = [sp.Symbol(f"a_{i}", real=True) for i in range(model.n_dof)]
+    rows = [
+        right - sp.Add(*(m * a for m, a in zip(row, held, strict=True)))
+        for row, right in zip(mechanics.mass, mechanics.right, strict=True)
+    ]
+    state = [*mechanics.q, *mechanics.qdot]
+    slopes = mechanics.compile([sp.diff(row, x) for row in rows for x in state], held)
+    with np.errstate(all="ignore"):
+        values = slopes(*q, *qdot, *qddot)
+    return np.reshape(values, (model.n_dof, 2 * model.n_dof))
+
+
+def _control():
+    try:
+        import control
+    except ImportError:
+        raise InputError(
+            "this needs python-control; install it with: pip install 'leastaction[control]'"
+        ) from None
+    return control
+
+
+def _actuated(model: LagrangianModel, actuated: Sequence[str] | None) -> list[int]:
+    """Check the arguments, and return the places of the coordinates with an input."""
+    if not isinstance(model, LagrangianModel):
+        raise InputError(f"model is of type {type(model).__name__}; expected a LagrangianModel")
+    names = model.coordinates if actuated is None else (actuated,) if isinstance(actuated, str) else actuated
+    for name in names:
+        if name not in model.coordinates:
+            known = ", ".join(model.coordinates)
+            raise InputError(f"actuated: {quoted(name)} is not a coordinate of the model; it has {known}")
+    return [model.coordinates.index(name) for name in dict.fromkeys(names)]
+
+
+def _labels(model: LagrangianModel, columns: list[int]) -> dict[str, list[str]]:
+    states = [*model.coordinates, *(f"{c}_dot" for c in model.coordinates)]
+    return {"inputs": [f"{model.coordinates[k]}_force" for k in columns], "states": states, "outputs": states}

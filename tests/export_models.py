@@ -1,0 +1,65 @@
+"""Models that the exports are tried with, and states to try them at."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+
+from leastaction import systems
+from leastaction._model import LagrangianModel, ModelTerm
+
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+def pendulum(name):
+    system = systems.get(name)
+    damping = [ModelTerm(f"{c}_dot**2*abs({c}_dot)", 0.1) for c in system.coordinates]
+    return LagrangianModel(
+        system.coordinates, [ModelTerm(k, c) for k, c in system.lagrangian.items()], damping
+    )
+
+
+def passive(name):
+    system = systems.get(name)
+    return LagrangianModel(system.coordinates, [ModelTerm(k, c) for k, c in system.lagrangian.items()])
+
+
+def driven():
+    """Double pendulum with Coulomb friction, smoothed as `discover` does, and viscous friction."""
+    system = systems.get("double_pendulum")
+    friction = [ModelTerm("sqrt(theta1_dot**2 + 9/10000)", 0.2), ModelTerm("theta2_dot**2/2", 0.05)]
+    return LagrangianModel(
+        system.coordinates, [ModelTerm(k, c) for k, c in system.lagrangian.items()], friction
+    )
+
+
+def odd():
+    """Every function of the grammar, Greek names, and names that occur in generated code."""
+    names = ["θ1", "math", "n"]
+    terms = [
+        ModelTerm("(θ1_dot**2 + math_dot**2 + n_dot**2)*exp(sin(θ1)/3)", 1 / 3),
+        ModelTerm("θ1_dot*n_dot*tan(θ1/2)*sqrt(2)/10", 0.1),
+        ModelTerm("log(2 + cos(math))*sqrt(1 + n**2)*exp(1)", -1.7),
+        ModelTerm("(1 + n**2)**(-3/2)*abs(θ1)**2.5", 0.7),
+        ModelTerm("abs(math)*pi*θ1**5/(1 + math**4)", 123456.789e-5),
+    ]
+    return LagrangianModel(names, terms, [ModelTerm("abs(n_dot) + sqrt(1 + n_dot**2)", 0.3)])
+
+
+MODELS = {
+    "odd": odd,
+    "single": lambda: pendulum("single_pendulum"),
+    "chaotic": lambda: pendulum("chaotic_pendulum"),
+    "spherical": lambda: pendulum("spherical_spring_pendulum"),
+    "magnetic": lambda: pendulum("magnetic_pendulum"),
+    "passive": lambda: passive("cart_spring_pendulum"),
+    "driven": lambda: driven(),
+    # The diagonal is zero: elimination without pivoting would fail.
+    "swapped": lambda: LagrangianModel(["x", "y"], [ModelTerm("x_dot*y_dot", 1.0), ModelTerm("x*y", 2.0)]),
+    "free": lambda: LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.5)]),
+}
+
+
+def states(model):
+    return np.random.default_rng(4).uniform(0.2, 1.5, size=(5, 3, model.n_dof))
