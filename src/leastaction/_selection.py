@@ -20,7 +20,15 @@ from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
-__all__ = ["EXPLAINED", "Progress", "Selection", "confirm_structure", "propose_supports", "select_structure"]
+__all__ = [
+    "EXPLAINED",
+    "Progress",
+    "Refiner",
+    "Selection",
+    "confirm_structure",
+    "propose_supports",
+    "select_structure",
+]
 
 Progress = Callable[[str, dict], None]
 
@@ -52,12 +60,15 @@ class Selection:
         Price of a term in units of χ².
     knots_settled : bool
         Whether finer knots changed nothing any more.
+    vibrates : bool
+        Whether finer knots made a large equation error larger.
     """
 
     structure: StructureFit
     levels: dict[int, list[Choice]]
     penalty: float
     knots_settled: bool
+    vibrates: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +143,7 @@ def _settle(
     return Proposal(members, start, value)
 
 
-class _Refiner:
+class Refiner:
     """Alternates fits and searches on the quadratic model of the likelihood."""
 
     def __init__(self, workspace: Workspace, progress: Progress) -> None:
@@ -243,9 +254,9 @@ def select_structure(
     Parameters
     ----------
     relevance : float
-        Share of the equation error's variance that a term has to remove; see :meth:`_Refiner.prune`.
+        Share of the equation error's variance that a term has to remove; see :meth:`Refiner.prune`.
     """
-    refiner = _Refiner(workspace, progress)
+    refiner = Refiner(workspace, progress)
     best: StructureFit | None = None
     for proposal in propose_supports(workspace, smooth, progress, seed):
         if best is not None and not np.isfinite(proposal.evidence):
@@ -257,12 +268,12 @@ def select_structure(
         if agreed:
             break
     assert best is not None
-    structure, settled = refine_knots(workspace, best, progress)
+    structure, settled, vibrates = refine_knots(workspace, best, progress)
     again = refiner.refine(structure, rounds=4)
     if again.members != structure.members:
-        again, settled = refine_knots(workspace, again, progress)
+        again, settled, vibrates = refine_knots(workspace, again, progress)
     pruned = refiner.prune(again, relevance)
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled)
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates)
 
 
 def confirm_structure(
@@ -273,7 +284,7 @@ def confirm_structure(
     The knots stay: with a factor of 1.4 between grids and errors that fall with a high power of the spacing,
     what still moves by a tenth of a standard error leaves a bias of some hundredths.
     """
-    structure, refiner = found.structure, _Refiner(workspace, progress)
+    structure, refiner = found.structure, Refiner(workspace, progress)
     there = structure.fit.weights
     longer = workspace.grid.n_ctrl / len(structure.fit.control_points)
     weights = replace(there, slack=longer * there.slack)
@@ -291,7 +302,7 @@ def refine_knots(
     progress: Progress,
     max_rounds: int = 6,
     factor: float = 1.4,
-) -> tuple[StructureFit, bool]:
+) -> tuple[StructureFit, bool, bool]:
     """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %.
 
     Where the library is not exact, finer splines may follow vibrations that it knows nothing of: refinement
@@ -302,18 +313,18 @@ def refine_knots(
     for _ in range(max_rounds):
         before = workspace.knots_per_second
         if not structure.fit.converged or before > 3.0 * rate:
-            return structure, False
+            return structure, False, False
         left = workspace.equation_error(structure)[0]
         start = workspace.refine_knots(factor, structure, growth)
         progress("knots", {"knots_per_second": workspace.knots_per_second})
         finer = workspace.fit(structure.members, start)
         if not finer.fit.converged or not np.isfinite(finer.evidence):
             workspace.set_knots(before)
-            return structure, False
+            return structure, False, False
         off = workspace.equation_error(finer)[0]
         if np.any((off > EXPLAINED) & (off > _GROWN * left)):
             workspace.set_knots(before)
-            return structure, True
+            return structure, True, True
         # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
         least = _DIGITS * np.abs(finer.estimates)
         spread = np.maximum(structure.standard_errors, np.maximum(least, 1e-150))
@@ -325,5 +336,5 @@ def refine_knots(
         growth[finer.fit.weights.slack < _SLACK_LEFT] = 1.0
         structure = finer
         if np.all(moved < 0.1) and np.all(shrunk > 0.97):
-            return structure, True
-    return structure, False
+            return structure, True, False
+    return structure, False, False

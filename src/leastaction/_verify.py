@@ -8,9 +8,10 @@ from typing import Literal
 import numpy as np
 import sympy as sp
 
-from leastaction._causes import likely_cause
+from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import Workspace
+from leastaction._hidden import hidden_friction, wrong_known
 from leastaction._rivals import rival_warnings
 from leastaction._selection import EXPLAINED, Selection
 from leastaction._smoothing import Smooth
@@ -59,15 +60,17 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     if not fit.converged:
         doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
     unexplained = [i for i in range(len(names)) if share[i] > EXPLAINED or chi2[i] > _NOISE_RATIO**2]
-    cause = likely_cause(workspace, structure) if fit.converged and np.any(share > _HIDDEN) else None
+    causes = []
+    if fit.converged and np.isfinite(structure.evidence):
+        causes = hidden_friction(workspace, selection) + wrong_known(workspace, selection)
+        causes += doubts_about_forces(workspace, structure) if np.any(share > _HIDDEN) else []
     for i in unexplained:
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
             f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
-            + (_ANY_CAUSE if cause is None else "see the likely cause")
+            + ("see the likely cause below" if causes else _ANY_CAUSE)
         )
-    if cause is not None:
-        doubts.append(f"likely cause ({100 * cause.share:.0f} % of the equation error): {cause.text}")
+    doubts += causes
     for i in range(len(names)):
         if share[i] > _WORTH_KNOWING and i not in unexplained:
             notes.append(
