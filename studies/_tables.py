@@ -80,7 +80,7 @@ def title_of(name: str) -> str:
 
 _SUPPORT = (
     *("system", "noise", "exact", "precision %", "recall %", "median ℓ2", "median ℓ2 / CRB", "covered"),
-    *("ok", "ok and wrong", "no model", "failed", "median s", "longest s"),
+    *("ok", "ok and wrong", "no model", "failed", "median s", "longest s", "median CPU s"),
 )
 
 
@@ -111,6 +111,7 @@ def _support_row(records: Records) -> tuple[str, ...]:
         str(sum(not r["finished"] for r in run)),
         number(median(seconds), ".1f"),
         number(max(seconds, default=None), ".1f"),
+        number(median(r.get("cpu_s") for r in run), ".1f"),
     )
 
 

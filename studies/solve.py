@@ -156,7 +156,7 @@ def _term(term, true: float) -> dict:
     }
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=256)
 def _bound(case: Case) -> float:
     """√trace(F⁻¹)/‖Λ‖ at noise level 1 of the truth as this library writes it; it is linear in the level."""
     system = systems.get(case.system)
