@@ -29,6 +29,8 @@ __all__ = [
 FloatArray = NDArray[np.float64]
 
 # A jump must exceed pi by this much: without it, rounding could turn a jump of exactly pi back and forth.
+_NOISY_STEP = 0.5  # rad from sample to sample: six times as much is pi
+_TREND = 16
 _WRAP_TOLERANCE = 1e-9
 
 
@@ -195,9 +197,33 @@ def unwrap_in_place(angle: FloatArray) -> int:
     # The rounding error of large angles counts too, or a second call could find a jump of pi again.
     limit = np.pi + _WRAP_TOLERANCE + 16 * np.finfo(np.float64).eps * np.abs(samples).max()
     turns = np.where(np.abs(jumps) > limit, np.round(jumps / (2 * np.pi)), 0.0)
+    wrapped = jumps - 2 * np.pi * np.round(jumps / (2 * np.pi))
+    noise = 1.4826 * float(np.median(np.abs(wrapped)))
+    if noise > _NOISY_STEP and turns.any():
+        if np.ptp(samples) > 2 * np.pi + 6 * noise:  # a wrapped angle stays within one turn
+            return 0
+        turns = np.diff(_turns_from_trend(samples), prepend=0.0)[1:]
     samples[1:] -= 2 * np.pi * np.cumsum(turns)
     angle[valid] = samples
     return int(np.count_nonzero(turns))
+
+
+def _turns_from_trend(samples: FloatArray) -> FloatArray:
+    """Turns to take off each sample so that it is nearest to the trend of those before it.
+
+    Noise of more than half a radian makes steps of more than pi by itself, which would add up.
+    """
+    turns = np.zeros(samples.size)
+    past = np.full(_TREND, samples[0])
+    for k in range(1, samples.size):
+        half = min(k, _TREND) // 2
+        recent = past[-half:].mean() if half else past[-1]
+        before = past[-2 * half : -half].mean() if half else recent
+        predicted = recent + (0.5 * (half + 1) / half * (recent - before) if half > 2 else 0.0)
+        turns[k] = np.round((samples[k] - predicted) / (2 * np.pi))
+        past[:-1] = past[1:]
+        past[-1] = samples[k] - 2 * np.pi * turns[k]
+    return turns
 
 
 def _check_objects(array: NDArray[np.object_], label: str) -> None:

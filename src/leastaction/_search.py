@@ -19,7 +19,7 @@ import numpy as np
 
 from leastaction._weak import WeakGram
 
-__all__ = ["Support", "beam_search", "solve_support", "support_score"]
+__all__ = ["Support", "beam_search", "grow_bases", "solve_support", "support_score"]
 
 _RIDGE = 1e-12
 _SMALLEST = 1e-13
@@ -132,6 +132,40 @@ def beam_search(
         best, since = (value, 0) if value < best else (best, since + 1)
         if since == _PATIENCE:
             break
+    return levels
+
+
+def grow_bases(
+    gram: WeakGram,
+    error: float,
+    penalty: float,
+    n_rows: float,
+    max_size: int,
+    bases: list[tuple[int, ...]],
+    width: int = 3,
+) -> list[list[Support]]:
+    """Supports grown from each of several bases, which stay in them; all sizes, best first in each.
+
+    Ends when no base has been improved by four more terms.
+    """
+    scaled = _Scaled(gram, error)
+    kept = [{base} for base in bases]
+    best, since = np.full(len(bases), np.inf), 0
+    levels: list[list[Support]] = []
+    while since < _PATIENCE:
+        level, values = [], np.full(len(bases), np.inf)
+        for b, supports in enumerate(kept):
+            if max(map(len, supports)) >= min(max_size, scaled.known):
+                continue
+            found = _best_extensions(scaled, supports, width)
+            kept[b] = {support.members for support in found}
+            values[b] = support_score(found[0], penalty, n_rows)
+            level += found
+        if not level:
+            break
+        levels.append(sorted({s.members: s for s in level}.values(), key=lambda s: s.ratio))
+        since = 0 if np.any(values < best) else since + 1
+        best = np.minimum(best, values)
     return levels
 
 

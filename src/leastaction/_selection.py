@@ -15,7 +15,8 @@ import numpy as np
 
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
-from leastaction._search import beam_search, solve_support, support_score
+from leastaction._kinetic import kinetic_bases
+from leastaction._search import beam_search, grow_bases, solve_support, support_score
 from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
@@ -83,7 +84,11 @@ class Proposal:
 def propose_supports(
     workspace: Workspace, smooth: Smooth, progress: Progress, seed: int = 0
 ) -> list[Proposal]:
-    """Proposals of several test-function widths, distinct, best first; stops when two widths agree."""
+    """Proposals of several test-function widths, distinct, best first; stops when two widths agree.
+
+    Where no proposal has equations that can be solved for q̈, supports are grown again from kinetic energies
+    that can: with much noise, near-identities of a large library explain the rows as well as the law does.
+    """
     _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
     rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
     period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
@@ -94,23 +99,33 @@ def propose_supports(
     floor = workspace.observations.noise_floor
     replicates = smooth.replicates(_REPLICATES, np.random.default_rng(seed), floor)
     found: list[Proposal] = []
-    for gram in form.grams(smooth.control_points, replicates):
-        proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram))
-        progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
-        if any(proposal.members == p.members for p in found):
+    grams = form.grams(smooth.control_points, replicates)
+    for bases in (None, kinetic_bases(workspace, smooth)):
+        for gram in grams:
+            proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram, bases))
+            progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
+            if any(proposal.members == p.members for p in found):
+                break
+            found.append(proposal)
+        if any(np.isfinite(p.evidence) for p in found):
             break
-        found.append(proposal)
     return sorted(found, key=lambda p: -p.evidence)
 
 
-def _best_support(workspace: Workspace, smooth: Smooth, gram: WeakGram) -> tuple[tuple[int, ...], np.ndarray]:
+def _best_support(
+    workspace: Workspace, smooth: Smooth, gram: WeakGram, bases: list[tuple[int, ...]] | None
+) -> tuple[tuple[int, ...], np.ndarray]:
     """Best support of one width whose mass matrix is positive definite, and coefficients of all columns."""
     free = workspace.free
     n_rows = max(gram.n_rows / _OVERLAP, 4.0)
     penalty = term_penalty(int(n_rows), free.size)
     first = None
     for error in _EQUATION_ERRORS:  # the smallest that lets some support explain the rows
-        levels = beam_search(gram, error, penalty, n_rows, min(free.size, _MAX_SIZE))
+        most = min(free.size, _MAX_SIZE)
+        if bases is None:
+            levels = beam_search(gram, error, penalty, n_rows, most)
+        else:
+            levels = grow_bases(gram, error, penalty, n_rows, most, bases)
         ranked = sorted(
             (s for level in levels for s in level), key=lambda s: support_score(s, penalty, n_rows)
         )
@@ -152,8 +167,11 @@ class Refiner:
         self.penalty = term_penalty(int(workspace.observations.counts.sum()), workspace.free.size)
 
     def value(self, structure: StructureFit) -> float:
-        """Evidence less the price of the terms; −inf for a fit that failed or has lost its scale."""
-        if not structure.fit.converged or not np.isfinite(structure.evidence):
+        """Evidence less the price of the terms; −inf for a fit that failed or has lost its scale.
+
+        A fit that is still moving counts: the next structure is begun from it.
+        """
+        if not structure.fit.usable or not np.isfinite(structure.evidence):
             return -np.inf
         # candidates that imitate the known term let the scale of L run away from it
         if np.all(np.abs(structure.estimates) < _LOST * structure.standard_errors):
@@ -163,7 +181,7 @@ class Refiner:
     def refine(self, structure: StructureFit, rounds: int = 8) -> StructureFit:
         for _ in range(rounds):
             self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
-            if not structure.fit.converged:
+            if not structure.fit.usable:
                 break
             proposal = self._propose(structure)
             if proposal is None:

@@ -147,7 +147,7 @@ def _mass_matrix(workspace: Workspace, structure) -> list[str]:
         return []
     return [
         f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is "
-        "missing or the sign of a known coefficient is wrong"
+        "missing, or the sign of forces or of a known coefficient is wrong"
     ]
 
 

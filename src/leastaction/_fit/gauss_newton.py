@@ -57,6 +57,11 @@ class JointFit:
     def converged(self) -> bool:
         return self.status in ("converged", "stalled")
 
+    @property
+    def usable(self) -> bool:
+        """Whether there is something to go on from, converged or not."""
+        return self.status != "not finite"
+
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
