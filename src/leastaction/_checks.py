@@ -198,9 +198,12 @@ def unwrap_in_place(angle: FloatArray) -> int:
     limit = np.pi + _WRAP_TOLERANCE + 16 * np.finfo(np.float64).eps * np.abs(samples).max()
     turns = np.where(np.abs(jumps) > limit, np.round(jumps / (2 * np.pi)), 0.0)
     wrapped = jumps - 2 * np.pi * np.round(jumps / (2 * np.pi))
-    noise = 1.4826 * float(np.median(np.abs(wrapped)))
+    # steps of white noise, from how they change: a fast rotation is no noise
+    noise = (
+        1.4826 * float(np.median(np.abs(np.diff(wrapped)))) / np.sqrt(3.0) if wrapped.size > _TREND else 0.0
+    )
     if noise > _NOISY_STEP and turns.any():
-        if np.ptp(samples) > 2 * np.pi + 6 * noise:  # a wrapped angle stays within one turn
+        if np.ptp(samples) > 2 * np.pi * (1 + 1e-9):  # a wrapped angle stays within one turn
             return 0
         turns = np.diff(_turns_from_trend(samples), prepend=0.0)[1:]
     samples[1:] -= 2 * np.pi * np.cumsum(turns)

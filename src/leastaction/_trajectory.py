@@ -267,7 +267,8 @@ class Trajectories(Sequence[Trajectory]):
 
         Between successive measured (not NaN) samples of a trajectory, a jump of more than pi is taken as
         a wrap: the multiple of 2 pi nearest to it is taken off all later samples. Doing it again changes
-        nothing.
+        nothing. Where noise alone makes such steps (more than half a radian), an angle that spans more than
+        2 pi is taken as it is, and any other is compared with the trend of the samples before.
 
         Parameters
         ----------
