@@ -38,6 +38,7 @@ def discover(
     *,
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
+    force_offset: Iterable[str] = (),
     degree: int | None = None,
     relevance: float = 0.05,
     seed: int = 0,
@@ -72,6 +73,10 @@ def discover(
         less accurate, with thresholds that depend on units, and without standard errors (NaN).
     angles : iterable of str, optional
         Coordinates from which jumps of 2π are removed; default: those of the library.
+    force_offset : iterable of str, optional
+        Coordinates on which a constant force of unknown size may act beside the known ones, such as the bias
+        of an actuator or of its sensor. Each adds the coordinate itself as a candidate of L, whose
+        coefficient is the force.
     degree : int
         Degree of the splines, at least 3; by default 5, and 3 for ``method="adam"`` as in the paper.
     relevance : float
@@ -125,7 +130,8 @@ def discover(
     clock.start("prepare")
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
     most = None if method == "adam" else _ENOUGH
-    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most)
+    offsets = [force_offset] if isinstance(force_offset, str) else list(force_offset)
+    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, offsets)
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     _check_columns(workspace, prepared)
     if method == "adam":

@@ -77,6 +77,7 @@ def prepare(
     angles: Iterable[str] | None,
     degree: int,
     most_samples: int | None = None,
+    force_offset: Iterable[str] = (),
 ) -> Prepared:
     """Check and complete everything that a search needs.
 
@@ -100,7 +101,7 @@ def prepare(
     angles = library.angles if angles is None else tuple(angles)
     trajectories = trajectories.unwrap(angles)
     _check_data(trajectories)
-    library = library.with_dissipation(dissipation)
+    library = _with_offsets(library.with_dissipation(dissipation), force_offset)
     known_terms = _resolve_known(library, dict(known or {}))
     if not known_terms and not trajectories.driven:
         raise InputError(
@@ -150,6 +151,20 @@ def prepare(
         tuple(notes),
         tuple(doubts),
     )
+
+
+def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:
+    """A constant force c on q is the term c q of L."""
+    present, added = {str(term.expr) for term in library.terms}, []
+    for name in coordinates:
+        if name not in library.coordinates:
+            raise InputError(
+                f"force_offset names {name!r}, which is not a coordinate; the coordinates are "
+                f"{', '.join(library.coordinates)}"
+            )
+        if name not in present:
+            added.append(name)
+    return library.replace(terms=[*library.terms, *added]) if added else library
 
 
 def _is_smoothed(term: Term, velocity: str) -> bool:

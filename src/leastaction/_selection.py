@@ -45,6 +45,7 @@ _FASTEST_GROWTH = 10.0
 _SLACK_LEFT = 30.0
 EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
 _GROWN = 1.1
+_NEGATIVE = -3.0  # standard errors
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
 
@@ -63,6 +64,8 @@ class Selection:
         Whether finer knots changed nothing any more.
     vibrates : bool
         Whether finer knots made a large equation error larger.
+    feeding : tuple of int
+        Columns of dissipation that were left out because they would have fed energy in.
     """
 
     structure: StructureFit
@@ -70,6 +73,7 @@ class Selection:
     penalty: float
     knots_settled: bool
     vibrates: bool = False
+    feeding: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +223,36 @@ class Refiner:
             self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
         return structure
 
+    def dissipate(self, structure: StructureFit) -> tuple[StructureFit, tuple[int, ...]]:
+        """Leave out dissipation with a negative coefficient: friction cannot feed energy in.
+
+        Returns
+        -------
+        StructureFit
+        tuple of int
+            Columns left out, those significantly negative.
+        """
+        out: list[int] = []
+        terms = self.workspace.columns.terms
+        while structure.fit.usable:
+            z = structure.estimates / np.maximum(structure.standard_errors, 1e-300)
+            is_friction = [terms[m].kind == "dissipation" for m in structure.members]
+            negative = [m for m, s, f in zip(structure.members, z, is_friction, strict=True) if f and s < 0]
+            if not negative:
+                break
+            out += [m for m, s in zip(structure.members, z, strict=True) if m in negative and s < _NEGATIVE]
+            self.workspace.known = self.workspace.known.copy()
+            self.workspace.known[negative] = 0.0
+            members = tuple(m for m in structure.members if m not in negative)
+            structure = self.refine(
+                self.workspace.fit(
+                    members,
+                    Start(structure.fit.control_points, structure.coefficients, structure.fit.weights),
+                ),
+                rounds=4,
+            )
+        return structure, tuple(out)
+
     def levels(self, structure: StructureFit) -> dict[int, list[Choice]]:
         """Supports of every size about a structure, by the quadratic model there."""
         if not structure.fit.converged:
@@ -290,8 +324,8 @@ def select_structure(
     again = refiner.refine(structure, rounds=4)
     if again.members != structure.members:
         again, settled, vibrates = refine_knots(workspace, again, progress)
-    pruned = refiner.prune(again, relevance)
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates)
+    pruned, feeding = refiner.dissipate(refiner.prune(again, relevance))
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates, feeding)
 
 
 def confirm_structure(
@@ -310,8 +344,8 @@ def confirm_structure(
         structure.members, Start(smooth.control_points, structure.coefficients, weights)
     )
     refined = refiner.refine(workspace.fit(structure.members, start), rounds=4)
-    pruned = refiner.prune(refined, relevance)
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled)
+    pruned, feeding = refiner.dissipate(refiner.prune(refined, relevance))
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled, feeding=feeding)
 
 
 def refine_knots(

@@ -85,7 +85,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
     doubts += rival_warnings(workspace, selection)
     doubts += _mass_matrix(workspace, structure)
-    doubts += _friction(workspace, structure)
+    doubts += _friction(workspace, selection)
     notes += _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
@@ -151,18 +151,12 @@ def _mass_matrix(workspace: Workspace, structure) -> list[str]:
     ]
 
 
-def _friction(workspace: Workspace, structure) -> list[str]:
-    out = []
-    for m, value, error in zip(
-        structure.members, structure.estimates, structure.standard_errors, strict=True
-    ):
-        term = workspace.columns.terms[m]
-        if term.kind == "dissipation" and value < -3.0 * error:
-            out.append(
-                f"the dissipation term {term.text} has a negative coefficient and would feed energy in: "
-                "check the sign of forces and known coefficients, or a missing term"
-            )
-    return out
+def _friction(workspace: Workspace, selection: Selection) -> list[str]:
+    return [
+        f"the dissipation term {workspace.columns.terms[m].text} came out negative and was left out, "
+        "since it would feed energy in: check the sign of forces and known coefficients, or a missing term"
+        for m in selection.feeding
+    ]
 
 
 def _zero_offsets(workspace: Workspace, structure) -> list[str]:

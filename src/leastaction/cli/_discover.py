@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from leastaction._errors import InputError
-from leastaction._names import quoted
+from leastaction._names import check_coordinate_names, quoted
 from leastaction.cli._options import (
     DataOptions,
     blame,
@@ -17,6 +17,7 @@ from leastaction.cli._options import (
     expression_list,
     known_coefficients,
     method_options,
+    name_list,
 )
 from leastaction.cli._output import check_folder, write_together
 from leastaction.cli._show import live_progress, say, show_forecast, show_model, warn
@@ -55,6 +56,11 @@ Example:
 )
 @click.option(
     "--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'."
+)
+@click.option(
+    "--force-offset",
+    metavar="A,B",
+    help="Coordinates on which an unknown constant force may act: the bias of an actuator or sensor.",
 )
 @click.option(
     "--method",
@@ -96,6 +102,7 @@ def discover(
     library: str,
     known: tuple[str, ...],
     dissipation: str | None,
+    force_offset: str | None,
     method: str,
     settings: tuple[str, ...],
     seed: int,
@@ -111,6 +118,8 @@ def discover(
     with blame("--option"):
         chosen = method_options(settings)
     options = DataOptions.of(data, coordinates, time, trial, forces, angles)
+    with blame("--force-offset"):
+        offsets = check_coordinate_names(name_list(force_offset)) if force_offset else ()
     with blame("--known"):
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)
@@ -125,7 +134,14 @@ def discover(
 
     with live_progress("prepare") as progress:
         model = leastaction.discover(
-            fitted, candidates, known=given, method=method, seed=seed, options=chosen, progress=progress
+            fitted,
+            candidates,
+            known=given,
+            force_offset=offsets,
+            method=method,
+            seed=seed,
+            options=chosen,
+            progress=progress,
         )
         progress("forecast", {})
         forecast = _forecast(model, held_out)
