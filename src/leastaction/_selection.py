@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,7 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._kinetic import kinetic_bases
 from leastaction._search import beam_search, grow_bases, solve_support, support_score
 from leastaction._smoothing import Smooth
+from leastaction._smoothing import smooth as smooth_again
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
@@ -39,7 +40,9 @@ _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to 
 _EXPLAINED = 3.0
 _MAX_SIZE = 24  # largest support that the weak search proposes; the likelihood may add to it
 _LOST = 5.0
+_PROPOSED = 2  # supports fitted a round, at most
 _TRIED = 60  # supports whose mass matrix is looked at
+_REGULAR = 0.999
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _SLACK_LEFT = 30.0
@@ -86,12 +89,13 @@ class Proposal:
 
 
 def propose_supports(
-    workspace: Workspace, smooth: Smooth, progress: Progress, seed: int = 0
+    workspace: Workspace, smooth: Smooth, progress: Progress, seed: int = 0, thorough: bool = False
 ) -> list[Proposal]:
     """Proposals of several test-function widths, distinct, best first; stops when two widths agree.
 
     Where no proposal has equations that can be solved for q̈, supports are grown again from kinetic energies
     that can: with much noise, near-identities of a large library explain the rows as well as the law does.
+    A thorough search does so in any case.
     """
     _, qdot, qddot = workspace.grid.at_quadrature(smooth.control_points)
     rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
@@ -111,7 +115,7 @@ def propose_supports(
             if any(proposal.members == p.members for p in found):
                 break
             found.append(proposal)
-        if any(np.isfinite(p.evidence) for p in found):
+        if not thorough and any(np.isfinite(p.evidence) for p in found):
             break
     return sorted(found, key=lambda p: -p.evidence)
 
@@ -187,15 +191,24 @@ class Refiner:
             self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
             if not structure.fit.usable:
                 break
-            proposal = self._propose(structure)
-            if proposal is None:
-                break
-            members, start = proposal
-            better = self.workspace.fit(members, start)
-            if self.value(better) <= self.value(structure):
+            better = self._better(structure)
+            if better is None:
                 break
             structure = better
         return structure
+
+    def _better(self, structure: StructureFit) -> StructureFit | None:
+        """The first proposal that converges to a higher value; else the best that is still moving."""
+        value, moving = self.value(structure), None
+        for members, start in self._propose(structure):
+            fit = self.workspace.fit(members, start)
+            if self.value(fit) <= value:
+                continue
+            if fit.fit.converged:
+                return fit
+            if moving is None or self.value(fit) > self.value(moving):
+                moving = fit
+        return moving
 
     def prune(self, structure: StructureFit, relevance: float) -> StructureFit:
         """Drop terms that hardly lower the equation error.
@@ -263,14 +276,15 @@ class Refiner:
             for size, level in trade_off(model, current).items()
         }
 
-    def _propose(self, structure: StructureFit) -> tuple[tuple[int, ...], Start] | None:
-        """A better support by the quadratic model, with its start; None when there is none."""
+    def _propose(self, structure: StructureFit) -> Iterator[tuple[tuple[int, ...], Start]]:
+        """Better supports by the quadratic model, with their starts: the best of a few sizes."""
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
-        best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
-        if best.members == current:
-            return None
-        return self._columns(best.members), self._start(structure, model.solution(best.members))
+        ranked = sorted((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
+        for choice in ranked[:_PROPOSED]:
+            if choice.members == current:
+                break
+            yield self._columns(choice.members), self._start(structure, model.solution(choice.members))
 
     def _model(self, structure: StructureFit) -> tuple[QuadraticModel, tuple[int, ...]]:
         """Quadratic model over the free columns about a fit, and where its members are among them."""
@@ -309,23 +323,41 @@ def select_structure(
         Share of the equation error's variance that a term has to remove; see :meth:`Refiner.prune`.
     """
     refiner = Refiner(workspace, progress)
-    best: StructureFit | None = None
-    for proposal in propose_supports(workspace, smooth, progress, seed):
+    best = _best_structure(refiner, propose_supports(workspace, smooth, progress, seed), None)
+    structure, settled, vibrates = refine_knots(workspace, best, progress)
+    if not vibrates and not _explains(refiner, structure):
+        curve = smooth_again(workspace.grid, workspace.times, workspace.values, smooth.penalty)
+        proposals = propose_supports(workspace, curve, progress, seed + 1, thorough=True)
+        structure = _best_structure(refiner, proposals, structure)
+        structure, settled, vibrates = refine_knots(workspace, structure, progress)
+    again = refiner.refine(structure, rounds=4)
+    if again.members != structure.members:
+        again, settled, vibrates = refine_knots(workspace, again, progress)
+    pruned, feeding = refiner.dissipate(refiner.prune(again, relevance))
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates, feeding)
+
+
+def _best_structure(refiner: Refiner, proposals: list[Proposal], best: StructureFit | None) -> StructureFit:
+    """Refine the proposals, the best first, until two of them lead to the same structure."""
+    for proposal in proposals:
         if best is not None and not np.isfinite(proposal.evidence):
             continue
-        structure = refiner.refine(workspace.fit(proposal.members, proposal.start))
+        structure = refiner.refine(refiner.workspace.fit(proposal.members, proposal.start))
         agreed = best is not None and structure.members == best.members
         if best is None or refiner.value(structure) > refiner.value(best):
             best = structure
         if agreed:
             break
     assert best is not None
-    structure, settled, vibrates = refine_knots(workspace, best, progress)
-    again = refiner.refine(structure, rounds=4)
-    if again.members != structure.members:
-        again, settled, vibrates = refine_knots(workspace, again, progress)
-    pruned, feeding = refiner.dissipate(refiner.prune(again, relevance))
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates, feeding)
+    return best
+
+
+def _explains(refiner: Refiner, structure: StructureFit) -> bool:
+    """Whether the equations hold to one per cent and can be solved; if not, look for a better structure."""
+    if not structure.fit.converged or not np.isfinite(refiner.value(structure)):
+        return False
+    off = refiner.workspace.equation_error(structure)[0]
+    return bool(np.all(off <= EXPLAINED)) and structure.fit.linearisation.regular > _REGULAR
 
 
 def confirm_structure(
@@ -362,7 +394,7 @@ def refine_knots(
     """
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
     growth = np.ones(workspace.observations.n_dof)
-    for _ in range(max_rounds):
+    for done in range(max_rounds):
         before = workspace.knots_per_second
         if not structure.fit.converged or before > 3.0 * rate:
             return structure, False, False
@@ -377,6 +409,8 @@ def refine_knots(
         if np.any((off > EXPLAINED) & (off > _GROWN * left)):
             workspace.set_knots(before)
             return structure, True, True
+        if done and np.any(off > EXPLAINED):  # not for want of knots
+            return finer, False, False
         # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
         least = _DIGITS * np.abs(finer.estimates)
         spread = np.maximum(structure.standard_errors, np.maximum(least, 1e-150))

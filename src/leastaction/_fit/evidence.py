@@ -122,7 +122,7 @@ def fit_weights(
     best_evidence = evidence(observations, best)
     steps = best.n_steps
     for _ in range(max_rounds):
-        if not best.usable or steps > _MOST_STEPS:
+        if not best.converged or steps > _MOST_STEPS:
             break
         weights = _accelerate(best.weights, update_weights(observations, best))
         for _ in range(_HALVINGS):
