@@ -18,7 +18,6 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._kinetic import kinetic_bases
 from leastaction._search import beam_search, grow_bases, solve_support, support_score
 from leastaction._smoothing import Smooth
-from leastaction._smoothing import smooth as smooth_again
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
@@ -323,13 +322,18 @@ def select_structure(
         Share of the equation error's variance that a term has to remove; see :meth:`Refiner.prune`.
     """
     refiner = Refiner(workspace, progress)
+    first = workspace.knots_per_second
     best = _best_structure(refiner, propose_supports(workspace, smooth, progress, seed), None)
     structure, settled, vibrates = refine_knots(workspace, best, progress)
     if not vibrates and not _explains(refiner, structure):
-        curve = smooth_again(workspace.grid, workspace.times, workspace.values, smooth.penalty)
-        proposals = propose_supports(workspace, curve, progress, seed + 1, thorough=True)
-        structure = _best_structure(refiner, proposals, structure)
-        structure, settled, vibrates = refine_knots(workspace, structure, progress)
+        fine = workspace.knots_per_second
+        workspace.set_knots(first)
+        proposals = propose_supports(workspace, smooth, progress, seed + 1, thorough=True)
+        other = _best_structure(refiner, proposals, best)
+        if other is best:
+            workspace.set_knots(fine)
+        else:
+            structure, settled, vibrates = refine_knots(workspace, other, progress)
     again = refiner.refine(structure, rounds=4)
     if again.members != structure.members:
         again, settled, vibrates = refine_knots(workspace, again, progress)
