@@ -21,6 +21,7 @@ __all__ = ["Notation", "Number", "number_parts"]
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
+_SHORT = 16  # letters of a name
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
 _SUM, _PRODUCT, _POWER = 1, 2, 3
@@ -58,7 +59,7 @@ class Notation:
         tail = (
             subscript.translate(_SUBSCRIPTS)
             if subscript.isdecimal()
-            else f"_{subscript}"
+            else f"_{subscript.replace(',', '_')}"
             if subscript
             else ""
         )
@@ -67,6 +68,13 @@ class Notation:
     def symbol(self, coordinate: str, derivative: int = 0) -> Markup:
         """Name of a coordinate, or of its derivative with dots, as one ``<math>`` element."""
         return _math(self._symbol(coordinate, derivative))
+
+    def heading(self, coordinate: str) -> Markup:
+        """Name of a coordinate as mathematics, or as text that can be wrapped if it is long."""
+        text = self.text(coordinate)
+        if len(text) <= _SHORT:
+            return self.symbol(coordinate)
+        return Markup(f'<span class="wrap">{escape(text)}</span>')
 
     def term(self, text: str) -> Markup:
         """One term, for example ``theta1_dot**2``, as one ``<math>`` element."""
@@ -249,7 +257,10 @@ def _letter(word: str) -> str:
 
 
 def _math(body: str) -> Markup:
-    return Markup(f"<math><mrow>{body}</mrow></math>")
+    # Mathematics cannot be wrapped: what is long is written smaller.
+    length = len(re.sub(r"<[^>]*>|&#?\w+;", "", body))
+    size = ' class="longer"' if length > 44 else ' class="long"' if length > 28 else ""
+    return Markup(f"<math{size}><mrow>{body}</mrow></math>")
 
 
 def _number(text: str) -> str:
