@@ -332,3 +332,40 @@ def test_template_and_style_are_in_the_package():
     here = files("leastaction._report")
     parts = {f"{name}.html.j2" for name in ("page", "macros", "evidence", "provenance")}
     assert parts | {"style.css"} <= {item.name for item in here.iterdir()}
+
+
+def test_forty_terms_of_long_names_can_wrap_or_scroll(tmp_path):
+    """What cannot be broken into lines lies in a box that scrolls; the rest may break anywhere."""
+    model = spring()
+    diagnostics = model.diagnostics
+    names = ["shoulder_flexion_of_the_left_arm_measured", "elbow_flexion_of_the_left_arm_measured"]
+    trial = diagnostics.trajectories[0]
+    a, b = names
+    texts = [f"{a}_dot**2", f"{b}_dot**2"]
+    texts += [f"{x}**{k}*cos({m}*{a}-{b})" for x in names for k in range(1, 6) for m in (1, 2, 3, 4)][:38]
+    data = Trajectories([Trajectory(trial.t, np.tile(trial.q, (1, 2)), coordinates=names, name="n" * 90)])
+    diagnostics = replace(
+        diagnostics,
+        trajectories=data,
+        control_points=np.tile(diagnostics.control_points, (1, 2)),
+        noise_std=np.full(2, 0.01),
+        physics_weight=np.ones(2),
+        equation_error=np.ones(2),
+        dropped=tuple(Dropped(make_term("x", ["x", "x_dot"]), "null", a * 3) for _ in range(40)),
+        path=(),
+    )
+    terms = [ModelTerm(text, 1.0 / (k + 1), 0.3) for k, text in enumerate(texts)]
+    source = written(tmp_path, LagrangianModel(names, terms, noise_std=[0.01] * 2, diagnostics=diagnostics))
+    assert len(source.encode()) < 300_000
+    page = Page(source)
+    assert len(page.by_id("coefficients").all("svg", class_="whisker")) == 40 + 1
+    assert [s.text for s in page.root.one("h1").all(class_="wrap")] == names
+    boxes = {"scroll", "formula", "term", "small"}
+    for element in page.root.all("math", "table"):
+        around = {c for e in element.ancestors for c in (e.attributes.get("class") or "").split()}
+        assert around & boxes or element.attributes.get("class") == "bars"
+    fold = page.by_id("dropped").one("details")
+    assert fold.one("summary").text.startswith("40 candidates")
+    for text in page.root.all("text", class_="label"):
+        (svg,) = [e for e in text.ancestors if e.tag == "svg"]
+        assert 7 * len(text.text) < float(str(svg.attributes["viewbox"]).split()[2])

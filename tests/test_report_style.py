@@ -1,4 +1,4 @@
-"""The colours of the report, read from its style sheet and computed: contrast, and vision without one kind of cone."""
+"""Colours of the report, read from its style sheet: contrast, and vision without one kind of cone."""
 
 from __future__ import annotations
 

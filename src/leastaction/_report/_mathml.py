@@ -22,6 +22,7 @@ _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _SHORT = 16  # letters of a name
+_LONGER = ' class="longer"'
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
 _SUM, _PRODUCT, _POWER = 1, 2, 3
@@ -79,6 +80,10 @@ class Notation:
     def term(self, text: str) -> Markup:
         """One term, for example ``theta1_dot**2``, as one ``<math>`` element."""
         return _math(self._expression(text, 0))
+
+    def is_long(self, text: str) -> bool:
+        """Whether a term needs a line of its own."""
+        return _LONGER in self.term(text)
 
     def addend(self, text: str, coefficient: float, standard_error: float, note: str, first: bool) -> Markup:
         """Sign, coefficient with its error (or `note`) below, and the term, as one ``<math>`` element."""
@@ -259,7 +264,7 @@ def _letter(word: str) -> str:
 def _math(body: str) -> Markup:
     # Mathematics cannot be wrapped: what is long is written smaller.
     length = len(re.sub(r"<[^>]*>|&#?\w+;", "", body))
-    size = ' class="longer"' if length > 44 else ' class="long"' if length > 28 else ""
+    size = _LONGER if length > 44 else ' class="long"' if length > 28 else ""
     return Markup(f"<math{size}><mrow>{body}</mrow></math>")
 
 

@@ -64,13 +64,15 @@ def _context(
     angles = options.get("angles") or ()
     units = tuple("rad" if c in angles else "units" for c in model.coordinates)
     trials = tables.trial_rows(series)
+    groups = tables.coefficient_groups(model, notation)
     return {
         "model": model,
         "symbols": [notation.heading(c) for c in model.coordinates],
         "names": [notation.text(c) for c in model.coordinates],
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
-        "groups": tables.coefficient_groups(model, notation),
+        "groups": groups,
+        "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
         "data": series.trajectories,
         "shown": series.trajectories.names[series.trial],

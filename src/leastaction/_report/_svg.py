@@ -42,7 +42,7 @@ _NUMBER = re.compile(r"-?\d+\.\d+")
 _TICK, _LABEL = 11.0, 12.0  # px
 # Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
 _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
-_DIGIT, _LETTER = 8.5, 9.0
+_DIGIT, _LETTER = 8.5, 10.5
 _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "leastaction",
@@ -139,8 +139,8 @@ def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> Non
         (left / width, _BOTTOM / height, (width - left - _RIGHT) / width, (height - _TOP - _BOTTOM) / height)
     )
     style = {"fontsize": _LABEL, "color": COLOURS["ink"], "transform": None}
-    longest = int(width / _LETTER)
-    x, y = shortened(x, longest), shortened(y, longest)
+    room = int(width / _LETTER)
+    x, y = shortened(x, room - len(x_unit)), shortened(y, room - len(y_unit))
     axes.text(2, height - 12, _with_unit(y, y_power, y_unit), ha="left", va="center", **style)
     axes.text(width - _RIGHT, 8, _with_unit(x, x_power, x_unit), ha="right", va="center", **style)
 

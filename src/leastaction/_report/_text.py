@@ -35,11 +35,11 @@ def percent(share: float) -> str:
 
     Examples
     --------
-    >>> percent(0.0092), percent(1.234), percent(float("inf")), percent(float("nan"))
-    ('0.92 %', '123 %', '∞', '–')
+    >>> percent(0.0092), percent(0.04), percent(1.234), percent(float("inf")), percent(float("nan"))
+    ('0.92 %', '4.0 %', '123 %', '∞', '–')
     """
     value = 100 * share
-    return plain(value, 3 if abs(value) >= 100 else 2) + (" %" if math.isfinite(value) else "")
+    return plain(value, 3 if abs(value) >= 100 else 2, full=True) + (" %" if math.isfinite(value) else "")
 
 
 def typeset(text: str) -> str:

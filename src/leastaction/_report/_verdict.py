@@ -51,7 +51,9 @@ def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any
         weakest = min(free, key=lambda t: abs(t.z))
         share = (weakest.upper - weakest.coefficient) / abs(weakest.coefficient)
         value = f"±{percent(share)}" if share < 10 else "open"
-        facts.append({"name": "Least sure term", "value": value, "note": notation.term(weakest.expression)})
+        text = weakest.expression
+        note = text if notation.is_long(text) else notation.term(text)
+        facts.append({"name": "Least sure term", "value": value, "note": note})
     return facts
 
 
