@@ -14,7 +14,7 @@ from leastaction._report._text import plain
 
 __all__ = ["DataFigures"]
 
-_OVERVIEW_DOTS, _OVERVIEW_LINE = 900, 1000
+_POINTS, _ZOOM_POINTS = 3200, 960  # of all panels of one kind, which bounds the size of the page
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +32,12 @@ class DataFigures:
         start, stop = self.series.zoom
         axes.axvspan(start, stop, color=COLOURS["shade"], lw=0, zorder=0)
         noise = float(self.series.model.noise_std[i])
-        seen_t, seen, quiet = legible_samples(trial.t, trial.q[:, i], noise, _OVERVIEW_DOTS)
+        seen_t, seen, quiet = legible_samples(trial.t, trial.q[:, i], noise, self._share(_POINTS))
         dots(axes, seen_t, seen, "measured", 4.0 if quiet else 2.6, above=quiet)
         t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
-        axes.plot(*thin_line(t, self.series.curve(t)[:, i], _OVERVIEW_LINE), color=COLOURS["fit"], lw=1.1)
+        axes.plot(
+            *thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), color=COLOURS["fit"], lw=1.1
+        )
         label(axes, "t (s)", name, y_unit=self._unit(i))
         said = (
             f"{trial.n_samples} samples as dots, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
@@ -47,7 +49,7 @@ class DataFigures:
         name, trial = self._name(i, derivative), self.series.shown
         start, stop = self.series.zoom
         axes = panel(HALF)
-        t = sample_times(start, stop, 400)
+        t = sample_times(start, stop, self._share(_ZOOM_POINTS))
         if derivative == 0:
             inside = (trial.t >= start) & (trial.t <= stop)
             noise = float(self.series.model.noise_std[i])
@@ -67,7 +69,12 @@ class DataFigures:
         name, trial = self._name(i), self.series.shown
         sigma = float(self.series.model.noise_std[i])
         axes = panel()
-        dots(axes, *thin_points(trial.t, self.series.residuals[self.series.trial][:, i]), "measured", 2.2)
+        dots(
+            axes,
+            *thin_points(trial.t, self.series.residuals[self.series.trial][:, i], self._share(_POINTS)),
+            "measured",
+            2.2,
+        )
         for end in (-1.96 * sigma, 1.96 * sigma):
             axes.axhline(end, color=COLOURS["fit"], lw=1.0, dashes=(4, 3))
         axes.set_xlim(trial.t[0], trial.t[-1])
@@ -84,7 +91,7 @@ class DataFigures:
         counts, _ = np.histogram(z, edges)
         density = counts / max(z.size, 1) / np.diff(edges)
         axes.stairs(density, edges, fill=True, color=COLOURS["measured"], alpha=0.45, lw=0)
-        x = np.linspace(-4.5, 4.5, 120)
+        x = np.linspace(-4.5, 4.5, 61)
         axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=COLOURS["fit"])
         axes.set_ylim(bottom=0)
         label(axes, "residual / σ", f"density, {self._name(i)}")
@@ -107,6 +114,10 @@ class DataFigures:
         label(axes, "lag (samples)", f"autocorrelation, {self._name(i)}")
         said = f"Lags of 1 to {values.size} samples; white noise stays within ±{bound:.2g}"
         return inline(axes, f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
+
+    def _share(self, points: int) -> int:
+        """Points of one panel: fewer where there are many coordinates."""
+        return points // min(max(len(self.units), 4), 6)
 
     def _range(self, values: np.ndarray, i: int, derivative: int = 0) -> str:
         there = values[np.isfinite(values)]
