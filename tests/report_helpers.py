@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from html.parser import HTMLParser
 
 import numpy as np
@@ -18,30 +20,86 @@ from leastaction._spline import SplineGrid, uniform_space
 _VOID = {"meta", "br", "img", "link", "input", "hr"}
 
 
+@dataclass(eq=False)
+class Node:
+    """An element of the page."""
+
+    tag: str
+    attributes: dict[str, str | None]
+    parent: Node | None = None
+    children: list[Node | str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        return "".join(c if isinstance(c, str) else c.text for c in self.children)
+
+    @property
+    def ancestors(self) -> Iterator[Node]:
+        node = self.parent
+        while node is not None:
+            yield node
+            node = node.parent
+
+    def elements(self) -> Iterator[Node]:
+        for child in self.children:
+            if isinstance(child, Node):
+                yield child
+                yield from child.elements()
+
+    def all(self, *tags: str, **attributes: str) -> list[Node]:
+        """Elements below this one with one of these tags, and with these attributes; class_ is one class."""
+        kind = attributes.pop("class_", None)
+        return [
+            e
+            for e in self.elements()
+            if (not tags or e.tag in tags)
+            and all(e.attributes.get(k) == v for k, v in attributes.items())
+            and (kind is None or kind in (e.attributes.get("class") or "").split())
+        ]
+
+    def one(self, *tags: str, **attributes: str) -> Node:
+        (found,) = self.all(*tags, **attributes)
+        return found
+
+
 class Page(HTMLParser):
-    """Checks nesting; collects tags with their attributes, and the text."""
+    """Checks nesting; holds the tree, all tags with their attributes, and the text."""
 
     def __init__(self, source: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.open: list[str] = []
+        self.root = self._at = Node("", {})
         self.text = ""
         self.feed(source)
         assert not self.open
 
     def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
+        node = self._add(tag, attrs)
         if tag not in _VOID:
             self.open.append(tag)
+            self._at = node
 
     def handle_startendtag(self, tag, attrs):
+        self._add(tag, attrs)
+
+    def _add(self, tag, attrs) -> Node:
         self.tags.append((tag, dict(attrs)))
+        node = Node(tag, dict(attrs), self._at)
+        self._at.children.append(node)
+        return node
 
     def handle_endtag(self, tag):
         assert self.open.pop() == tag
+        assert self._at.parent is not None
+        self._at = self._at.parent
 
     def handle_data(self, data):
         self.text += data
+        self._at.children.append(data)
+
+    def by_id(self, name: str) -> Node:
+        return self.root.one(id=name)
 
     def attributes(self, name: str) -> list[str]:
         return [

@@ -29,11 +29,12 @@ def rounded(
     ----------
     value : float
     standard_error : float
-        The number ends at the second significant digit of its error. Zero or NaN: six significant digits.
+        The number ends at the second significant digit of its error; one that would then read as zero
+        keeps two digits of its own. Zero or NaN: six significant digits.
     digits : int, optional
         Significant digits, whatever the error.
     uncertainty : bool
-        Append the error in units of the last digits.
+        Append the error in units of the last digits, on the scale of the error even if the number reads zero.
 
     Examples
     --------
@@ -43,14 +44,20 @@ def rounded(
     ('-1.2346e-07', '1234', '2.00')
     >>> rounded(12345.0, 1900.0, uncertainty=True)
     '12300(1900)'
+    >>> rounded(0.0312, 2.3e6), rounded(-0.0312, 0.4), rounded(0.0, 2.3e6)
+    ('0.031', '-0.03', '0')
     """
-    size = _exponent(value)
     known_error = math.isfinite(standard_error) and standard_error > 0
+    size = _exponent(value or (standard_error if known_error else 0.0))
     if digits is None and not known_error:
         return f"{value:.6g}"
     # Position of the last digit, as a power of ten; a double has no more than 15 digits.
     last = _exponent(standard_error) - 1 if digits is None else size - digits + 1
     last = max(last, size - 14)
+    if digits is None and not uncertainty and abs(value) <= 0.5 * 10.0**last:
+        # A row of zeros would hide the number that the model computes with.
+        decimals = -last if -6 < last < 0 else 0
+        return rounded(value, digits=2) if value else f"{0.0:.{decimals}f}"
     if known_error:
         # A value far below its error is written on the scale of the error.
         size = max(size, _exponent(standard_error))

@@ -9,11 +9,12 @@ from markupsafe import Markup
 
 from leastaction._report._mathml import Notation
 from leastaction._report._series import Series, legible_samples, sample_times, thin_line, thin_points
-from leastaction._report._svg import COLOURS, dots, inline, label, panel
+from leastaction._report._svg import COLOURS, HALF, dots, inline, label, panel
+from leastaction._report._text import plain
 
 __all__ = ["DataFigures"]
 
-_WIDE = (1040, 150)
+_POINTS, _ZOOM_POINTS = 3200, 960  # of all panels of one kind, which bounds the size of the page
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,43 +28,59 @@ class DataFigures:
     def overview(self, i: int) -> Markup:
         """The whole trial: samples and curve; the stretch of the zoom is shaded."""
         name, trial = self._name(i), self.series.shown
-        axes = panel(*_WIDE)
+        axes = panel(HALF)
         start, stop = self.series.zoom
         axes.axvspan(start, stop, color=COLOURS["shade"], lw=0, zorder=0)
-        dots(axes, *thin_points(trial.t, trial.q[:, i]), "measured", 2.6)
+        noise = float(self.series.model.noise_std[i])
+        seen_t, seen, quiet = legible_samples(trial.t, trial.q[:, i], noise, self._share(_POINTS))
+        dots(axes, seen_t, seen, "measured", 4.0 if quiet else 2.6, above=quiet)
         t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
-        axes.plot(*thin_line(t, self.series.curve(t)[:, i], 1600), color=COLOURS["fit"], lw=1.1)
+        axes.plot(
+            *thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), color=COLOURS["fit"], lw=1.1
+        )
         label(axes, "t (s)", name, y_unit=self._unit(i))
-        alt = f"{name} over the whole trial: {trial.n_samples} samples as dots, the fitted curve as a line"
-        return inline(axes, f"overview{i}", alt)
+        said = (
+            f"{trial.n_samples} samples as dots, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
+        )
+        return inline(axes, f"overview{i}", f"{name} over the whole trial {trial.name}", said)
 
     def zoom(self, i: int, derivative: int) -> Markup:
         """A stretch of the curve, or of its derivative, with the samples of the coordinate."""
         name, trial = self._name(i, derivative), self.series.shown
         start, stop = self.series.zoom
-        axes = panel()
-        t = sample_times(start, stop, 400)
+        axes = panel(HALF)
+        t = sample_times(start, stop, self._share(_ZOOM_POINTS))
         if derivative == 0:
             inside = (trial.t >= start) & (trial.t <= stop)
             noise = float(self.series.model.noise_std[i])
             seen_t, seen, quiet = legible_samples(trial.t[inside], trial.q[inside, i], noise)
             dots(axes, seen_t, seen, "measured", 4.5 if quiet else 3.2, above=quiet)
-        axes.plot(t, self.series.curve(t, derivative)[:, i], color=COLOURS["fit"])
+        curve = self.series.curve(t, derivative)[:, i]
+        axes.plot(t, curve, color=COLOURS["fit"])
         label(axes, "t (s)", name, y_unit=self._unit(i, derivative))
-        what = "samples as dots and the fitted curve" if derivative == 0 else "the fitted curve"
-        return inline(axes, f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s: {what}")
+        what = (
+            "Samples as dots and the fitted curve" if derivative == 0 else "The fitted curve; never measured"
+        )
+        said = f"{what}. {self._range(curve, i, derivative)}"
+        return inline(axes, f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s", said)
 
     def residuals(self, i: int) -> Markup:
         """Residuals of the shown trial over time, with the band that should hold 95 % of them."""
         name, trial = self._name(i), self.series.shown
         sigma = float(self.series.model.noise_std[i])
         axes = panel()
-        dots(axes, *thin_points(trial.t, self.series.residuals[self.series.trial][:, i]), "measured", 2.2)
+        dots(
+            axes,
+            *thin_points(trial.t, self.series.residuals[self.series.trial][:, i], self._share(_POINTS)),
+            "measured",
+            2.2,
+        )
         for end in (-1.96 * sigma, 1.96 * sigma):
             axes.axhline(end, color=COLOURS["fit"], lw=1.0, dashes=(4, 3))
         axes.set_xlim(trial.t[0], trial.t[-1])
         label(axes, "t (s)", f"{name}, measured − fitted", y_unit=self._unit(i))
-        return inline(axes, f"residual{i}", f"Residuals of {name} over time with the ±1.96 σ band")
+        said = f"Dots, and dashed lines at ±1.96 σ, where σ is {plain(sigma)} {self._unit(i)}"
+        return inline(axes, f"residual{i}", f"Residuals of {name} over time", said)
 
     def histogram(self, i: int) -> Markup:
         """Residuals of all trials in units of σ against the normal density."""
@@ -74,14 +91,12 @@ class DataFigures:
         counts, _ = np.histogram(z, edges)
         density = counts / max(z.size, 1) / np.diff(edges)
         axes.stairs(density, edges, fill=True, color=COLOURS["measured"], alpha=0.45, lw=0)
-        x = np.linspace(-4.5, 4.5, 120)
+        x = np.linspace(-4.5, 4.5, 61)
         axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=COLOURS["fit"])
         axes.set_ylim(bottom=0)
         label(axes, "residual / σ", f"density, {self._name(i)}")
-        alt = (
-            f"Histogram of the residuals of {self._name(i)} in units of the noise, beside the normal density"
-        )
-        return inline(axes, f"histogram{i}", alt)
+        said = f"Beside the normal density; {100 * float(np.mean(np.abs(z) > 3)):.2f} % lie beyond 3 σ"
+        return inline(axes, f"histogram{i}", f"Histogram of the residuals of {self._name(i)} over σ", said)
 
     def correlation(self, i: int) -> Markup:
         """Autocorrelation of the residuals, with the band of white noise."""
@@ -97,7 +112,18 @@ class DataFigures:
         axes.set_ylim(-reach, reach)
         axes.set_xlim(0, max(values.size, 1) + 1)
         label(axes, "lag (samples)", f"autocorrelation, {self._name(i)}")
-        return inline(axes, f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}")
+        said = f"Lags of 1 to {values.size} samples; white noise stays within ±{bound:.2g}"
+        return inline(axes, f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
+
+    def _share(self, points: int) -> int:
+        """Points of one panel: fewer where there are many coordinates."""
+        return points // min(max(len(self.units), 4), 6)
+
+    def _range(self, values: np.ndarray, i: int, derivative: int = 0) -> str:
+        there = values[np.isfinite(values)]
+        if not there.size:
+            return "Nothing measured"
+        return f"From {plain(float(there.min()))} to {plain(float(there.max()))} {self._unit(i, derivative)}"
 
     def _name(self, i: int, derivative: int = 0) -> str:
         return self.notation.text(self.series.model.coordinates[i], derivative)

@@ -11,17 +11,19 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from leastaction._diagnostics import PathPoint
 from leastaction._forecast import ForecastTrace
 from leastaction._report._series import Energy, legible_samples, thin_line
-from leastaction._report._svg import COLOURS, dots, inline, label, panel
+from leastaction._report._svg import COLOURS, HALF, dots, inline, label, panel
+from leastaction._report._text import plain, signed
 
 __all__ = ["energy_of_trial", "energy_of_trials", "forecast_panel", "path_figure"]
 
 _LINEAR = 10.0  # the axis of the path is linear within this and logarithmic beyond
 _MOST_TRIALS = 60
+_OTHER_POINTS = 200  # of a trial that is one line among many
 
 
 def path_figure(path: Sequence[PathPoint]) -> Markup:
     """ΔBIC and −2 Δ log likelihood against the number of terms."""
-    axes = panel(500, 300)
+    axes = panel((HALF[0], 320.0))
     chosen = next(p for p in path if p.chosen)
     best: dict[int, PathPoint] = {}
     for point in path:
@@ -45,8 +47,12 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: _unfolded(round(v))))
     axes.set_ylim(low - 0.3, high + 0.3)
     label(axes, "number of free terms", "difference from the chosen structure")
+    said = ", ".join(f"{n}: {signed(best[n].bic)}" for n in sizes if n != chosen.n_terms)
     return inline(
-        axes, "path", "BIC and likelihood of the best structure of each size; the chosen one is marked"
+        axes,
+        "path",
+        f"ΔBIC against the number of free terms; {chosen.n_terms} are chosen",
+        f"BIC of the best structure of each size, from the chosen one: {said or 'no other size'}",
     )
 
 
@@ -68,34 +74,37 @@ def _unfolded(level: int) -> str:
 
 def energy_of_trial(energy: Energy, balance: bool) -> Markup:
     """Kinetic and potential energy and their sum, counted from the lowest potential energy."""
-    axes = panel(510, 270)
+    axes = panel((HALF[0], 270.0))
     floor = float(energy.potential.min())
+    total = energy.total - floor
+    if balance:
+        # A band below the line of the total: where the balance holds, the line lies in it.
+        axes.plot(*thin_line(energy.t, energy.expected - floor), color=COLOURS["measured"], lw=5.0)
     for values, colour, width in (
-        (energy.kinetic, "kinetic", 1.1),
-        (energy.potential - floor, "potential", 1.1),
-        (energy.total - floor, "fit", 2.2),
+        (energy.kinetic, "forecast", 1.2),
+        (energy.potential - floor, "fit", 1.2),
+        (total, "ink", 1.6),
     ):
         axes.plot(*thin_line(energy.t, values), color=COLOURS[colour], lw=width)
-    if balance:
-        axes.plot(*thin_line(energy.t, energy.expected - floor), color=COLOURS["ink"], lw=1.4, dashes=(2, 4))
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     label(axes, "t (s)", "energy (units of L)")
-    alt = "Kinetic, potential and total energy along the fitted curve of one trial"
-    return inline(axes, "energy", alt)
+    said = f"The total goes from {plain(float(total[0]))} to {plain(float(total[-1]))}, in units of L"
+    return inline(axes, "energy", "Kinetic, potential and total energy along the fitted curve", said)
 
 
 def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
     """Total energy of every trial; the one of the other panel in full colour."""
-    axes = panel(510, 270)
+    axes = panel((HALF[0], 270.0))
     floor = min(float(e.potential.min()) for e in energies)
     for k, energy in enumerate(energies[:_MOST_TRIALS]):
-        t, total = thin_line(energy.t - energy.t[0], energy.total - floor, 400)
-        axes.plot(
-            t, total, color=COLOURS["fit"], lw=2.2 if k == shown else 1.1, alpha=1.0 if k == shown else 0.5
-        )
+        t, total = thin_line(energy.t - energy.t[0], energy.total - floor, _OTHER_POINTS)
+        bold = k == shown
+        axes.plot(t, total, color=COLOURS["ink" if bold else "measured"], lw=1.8 if bold else 1.1)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
     label(axes, "time from the start of the trial (s)", "total energy (units of L)")
-    return inline(axes, "energies", "Total energy along the fitted curves of all trials")
+    starts = [float(e.total[0]) - floor for e in energies]
+    said = f"{len(energies)} trials, which begin between {plain(min(starts))} and {plain(max(starts))}"
+    return inline(axes, "energies", "Total energy along the fitted curves of all trials", said)
 
 
 def forecast_panel(trace: ForecastTrace, i: int, noise_std: float, name: str, unit: str, key: str) -> Markup:
@@ -117,4 +126,6 @@ def forecast_panel(trace: ForecastTrace, i: int, noise_std: float, name: str, un
     axes.plot(*thin_line(trace.t[there], run[there]), color=COLOURS["forecast"])
     axes.set_xlim(trace.t[0], trace.t[-1])
     label(axes, "t (s)", name, y_unit=unit)
-    return inline(axes, key, f"{name}: measured samples as dots, the forecast as a line")
+    far = "no error known" if np.isnan(trace.rms[i]) else f"rms error {plain(float(trace.rms[i]))} {unit}"
+    title = f"{name} of trial {trace.trial} from {trace.origin:.4g} s: forecast and samples"
+    return inline(axes, key, title, f"Measured samples as dots, the free run as a line; {far}")

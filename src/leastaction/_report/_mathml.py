@@ -10,15 +10,19 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from html import escape
+from typing import NamedTuple
 
 from markupsafe import Markup
 
 from leastaction._notation import rounded
 
-__all__ = ["Notation", "number_parts"]
+__all__ = ["Notation", "Number", "number_parts"]
 
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+_SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
+_SHORT = 16  # letters of a name
+_LONGER = ' class="longer"'
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
 _SUM, _PRODUCT, _POWER = 1, 2, 3
@@ -56,7 +60,7 @@ class Notation:
         tail = (
             subscript.translate(_SUBSCRIPTS)
             if subscript.isdecimal()
-            else f"_{subscript}"
+            else f"_{subscript.replace(',', '_')}"
             if subscript
             else ""
         )
@@ -66,23 +70,36 @@ class Notation:
         """Name of a coordinate, or of its derivative with dots, as one ``<math>`` element."""
         return _math(self._symbol(coordinate, derivative))
 
+    def heading(self, coordinate: str) -> Markup:
+        """Name of a coordinate as mathematics, or as text that can be wrapped if it is long."""
+        text = self.text(coordinate)
+        if len(text) <= _SHORT:
+            return self.symbol(coordinate)
+        return Markup(f'<span class="wrap">{escape(text)}</span>')
+
     def term(self, text: str) -> Markup:
         """One term, for example ``theta1_dot**2``, as one ``<math>`` element."""
         return _math(self._expression(text, 0))
 
+    def is_long(self, text: str) -> bool:
+        """Whether a term needs a line of its own."""
+        return _LONGER in self.term(text)
+
     def addend(self, text: str, coefficient: float, standard_error: float, note: str, first: bool) -> Markup:
         """Sign, coefficient with its error (or `note`) below, and the term, as one ``<math>`` element."""
         sign = "−" if coefficient < 0 else "" if first else "+"
-        value, error, exponent = number_parts(abs(coefficient), standard_error)
-        below = f"± {error}" if error else note
-        number = f"<mn>{escape(value)}</mn>"
+        number = number_parts(abs(coefficient), standard_error)
+        body, power = f"<mn>{escape(number.value)}</mn>", ""
+        if number.power:
+            power = f"<mo>×</mo><msup><mn>10</mn><mn>{number.power}</mn></msup>"
+        if number.apart:
+            body, power = f"<mrow>{body}{power}</mrow>", ""
+        below = f"± {number.error}" if number.error else note
         if below:
-            number = f'<munder><mrow>{number}</mrow><mtext class="error">{escape(below)}</mtext></munder>'
-        if exponent:
-            number += f"<mo>×</mo><msup><mn>10</mn><mn>{exponent}</mn></msup>"
+            body = f'<munder><mrow>{body}</mrow><mtext class="error">{escape(below)}</mtext></munder>'
         lead = f'<mo form="infix">{sign}</mo>' if sign and not first else f"<mo>{sign}</mo>" if sign else ""
         between = "<mo>·</mo>" if re.match(r"[\d.]+(?!\d*/)", text) else _THIN
-        return _math(f"{lead}{number}{between}{self._expression(text, _PRODUCT)}")
+        return _math(f"{lead}{body}{power}{between}{self._expression(text, _PRODUCT)}")
 
     def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
         head, subscript = self._parts[coordinate]
@@ -169,22 +186,60 @@ class Notation:
         return f"<msup><mrow>{self._at(_POWER + 1, base)}</mrow>{power}</msup>"
 
 
-def number_parts(value: float, standard_error: float) -> tuple[str, str, str]:
-    """Number, error and power of ten as text, rounded to the error; empty where there is none.
+class Number(NamedTuple):
+    """A number and its error as text; empty where there is none.
+
+    `power` is the power of ten of the number, and of the error too unless that is `apart`: an error far above
+    the number is written out by itself.
+    """
+
+    value: str
+    error: str
+    power: str
+    apart: bool = False
+
+    @property
+    def text(self) -> str:
+        """The number for a table."""
+        return self.value + _times_ten(self.power)
+
+    @property
+    def error_text(self) -> str:
+        """The error for a table."""
+        return self.error + ("" if self.apart or not self.error else _times_ten(self.power))
+
+
+def number_parts(value: float, standard_error: float) -> Number:
+    """Round a number to its error.
 
     Examples
     --------
-    >>> number_parts(0.557712, 0.0012), number_parts(-1.23456e-7, 4e-10), number_parts(2.0, 0.0)
+    >>> number_parts(0.557712, 0.0012)[:3], number_parts(-1.23456e-7, 4e-10)[:3], number_parts(2.0, 0.0)[:3]
     (('0.5577', '0.0012', ''), ('−1.2346', '0.0040', '−7'), ('2', '', ''))
+    >>> number_parts(0.0312, 2.3e6).text, number_parts(0.0312, 2.3e6).error_text
+    ('0.031', '2.3 × 10⁶')
     """
     text = rounded(value, standard_error, uncertainty=True)
     match = re.fullmatch(r"(-?)(\d+)(?:\.(\d+))?(?:\((\d+)\))?(?:e([+-]?\d+))?", text)
     if match is None:
-        return text, "", ""
-    minus, whole, decimals, error, exponent = match.groups(default="")
+        return Number(text, "", "")
+    minus, whole, decimals, error, power = match.groups(default="")
+    if error and not float(f"{whole}.{decimals}"):
+        mantissa, _, power = rounded(value, standard_error).partition("e")
+        size, _, error_power = rounded(standard_error, standard_error).partition("e")
+        error = size + _times_ten(_exponent(error_power))
+        return Number(mantissa.replace("-", "−"), error, _exponent(power), apart=True)
     value_text = f"{'−' if minus else ''}{whole}{f'.{decimals}' if decimals else ''}"
     error_text = f"{int(error) * 10.0 ** -len(decimals):.{len(decimals)}f}" if error else ""
-    return value_text, error_text, str(int(exponent)).replace("-", "−") if exponent else ""
+    return Number(value_text, error_text, _exponent(power))
+
+
+def _exponent(text: str) -> str:
+    return str(int(text)).replace("-", "−") if text else ""
+
+
+def _times_ten(power: str) -> str:
+    return f" × 10{power.translate(_SUPERSCRIPTS)}" if power else ""
 
 
 def _split(name: str) -> tuple[str, str]:
@@ -207,7 +262,10 @@ def _letter(word: str) -> str:
 
 
 def _math(body: str) -> Markup:
-    return Markup(f"<math><mrow>{body}</mrow></math>")
+    # Mathematics cannot be wrapped: what is long is written smaller.
+    length = len(re.sub(r"<[^>]*>|&#?\w+;", "", body))
+    size = _LONGER if length > 44 else ' class="long"' if length > 28 else ""
+    return Markup(f"<math{size}><mrow>{body}</mrow></math>")
 
 
 def _number(text: str) -> str:

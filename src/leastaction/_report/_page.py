@@ -15,30 +15,42 @@ from markupsafe import Markup
 
 from leastaction._forecast import ForecastResult, ForecastTrace
 from leastaction._model import LagrangianModel
+from leastaction._report import _captions as captions
 from leastaction._report import _figures_model as figures
 from leastaction._report import _tables as tables
 from leastaction._report._figures_data import DataFigures
 from leastaction._report._mathml import Notation
 from leastaction._report._series import Energy, Series
 from leastaction._report._svg import drawing
+from leastaction._report._text import percent, plain, plural
+from leastaction._report._verdict import verdict
+from leastaction._report._whisker import axis as whisker_axis
 
 __all__ = ["render"]
 
 _MOST_DRAWN = 6  # coordinates with figures
 _MOST_ROWS = 30  # trials listed
 _MOST_ENERGIES = 60
+_MOST_OPEN = 10  # rows of a table that need no folding away
 
 
 def render(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> str:
     """Return the page as text; the model has diagnostics."""
     here = files("leastaction._report")
+
+    def source(name: str) -> str:
+        return here.joinpath(name).read_text(encoding="utf-8")
+
     environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(source),
     )
-    template = environment.from_string(here.joinpath("template.html.j2").read_text(encoding="utf-8"))
-    style = Markup(here.joinpath("style.css").read_text(encoding="utf-8"))
+    template = environment.get_template("page.html.j2")
     with drawing():
-        return template.render(style=style, **_context(model, validation, command))
+        return template.render(style=Markup(source("style.css")), **_context(model, validation, command))
 
 
 def _context(
@@ -52,16 +64,27 @@ def _context(
     angles = options.get("angles") or ()
     units = tuple("rad" if c in angles else "units" for c in model.coordinates)
     trials = tables.trial_rows(series)
+    groups = tables.coefficient_groups(model, notation)
     return {
         "model": model,
-        "symbols": [notation.symbol(c) for c in model.coordinates],
+        "symbols": [notation.heading(c) for c in model.coordinates],
         "names": [notation.text(c) for c in model.coordinates],
+        "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
-        "coefficients": tables.coefficient_rows(model, notation),
+        "groups": groups,
+        "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
+        "whisker_axis": whisker_axis(),
         "data": series.trajectories,
         "shown": series.trajectories.names[series.trial],
         "n_drawn": min(model.n_dof, _MOST_DRAWN),
         "figures": DataFigures(series, notation, units),
+        "panels": [
+            {
+                "curve": captions.curve_title(series, i, notation.text(name)),
+                "residuals": captions.residual_title(series, i, notation.text(name)),
+            }
+            for i, name in enumerate(model.coordinates[:_MOST_DRAWN])
+        ],
         "residuals": tables.residual_rows(series, notation, units),
         **_selection(model, notation),
         **_energy(series),
@@ -70,8 +93,10 @@ def _context(
         "trials": trials[:_MOST_ROWS],
         "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
+        "n_open": _MOST_OPEN,
         "notes": diagnostics.notes,
-        "plain": tables.plain,
+        "plain": plain,
+        "plural": plural,
         "has_units": "units" in units,
         "has_angles": "rad" in units,
         "command": command or _call(options),
@@ -105,7 +130,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     path = model.diagnostics.path if model.diagnostics else ()
     path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
     if not any(point.chosen for point in path):
-        return {"path": [], "path_figure": None, "runner_up": None}
+        return {"path": [], "runner_up": None}
     rivals = [point for point in path if not point.chosen]
     rows = tables.path_rows(path, notation)
     best = min(rivals, key=lambda p: p.bic, default=None)
@@ -113,9 +138,10 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
         "path": rows,
         "n_hidden": len(path) - len(rows),
         "path_figure": figures.path_figure(path),
+        "path_title": captions.path_title(path),
         "runner_up": None
         if best is None
-        else {"bic": best.bic, "text": tables.plain(best.bic), "n_terms": best.n_terms},
+        else {"bic": best.bic, "text": plain(best.bic), "n_terms": best.n_terms},
     }
 
 
@@ -131,16 +157,21 @@ def _energy(series: Series) -> dict[str, Any]:
     floor = float(shown.potential.min())
     worst = max(e.imbalance for e in everything)
     several = len(everything) > 1
+    facts = {
+        "friction": bool(model.dissipation),
+        "driven": data.driven,
+        "shown": data.names[series.trial],
+        "start": plain(float(shown.expected[0]) - floor),
+        "stop": plain(float(shown.expected[-1]) - floor),
+        "imbalance": None if math.isnan(worst) else percent(worst),
+    }
     return {
         "energy": {
+            **facts,
+            "title": captions.energy_title(facts),
             "trial": figures.energy_of_trial(shown, balance),
             "trials": figures.energy_of_trials(everything, everything.index(shown)) if several else None,
-            "friction": bool(model.dissipation),
-            "driven": data.driven,
             "balance": balance,
-            "start": tables.plain(float(shown.expected[0]) - floor),
-            "stop": tables.plain(float(shown.expected[-1]) - floor),
-            "imbalance": None if math.isnan(worst) else f"{tables.plain(100 * worst, 2)} %",
         }
     }
 
@@ -154,7 +185,7 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         {
             "title": title,
             "trial": trace.trial,
-            "origin": tables.plain(trace.origin, 4),
+            "origin": plain(trace.origin, 4),
             "status": trace.status,
             "reason": trace.reason,
             "figures": [
@@ -171,16 +202,15 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         }
         for k, (title, trace) in enumerate(picked)
     ]
-    worst = float(np.nanmax(result.rms_over_std)) if not np.isnan(result.rms_over_std).all() else math.nan
     rows = tables.forecast_trials(result)
     return {
         "forecast": {
             "result": result,
+            "title": captions.forecast_title(result),
             "panels": panels,
             "rows": tables.forecast_rows(result, notation, units),
             "trials": rows[:_MOST_ROWS],
             "n_more": max(len(rows) - _MOST_ROWS, 0),
-            "error": tables.plain(100 * worst, 2) + (" %" if math.isfinite(worst) else ""),
         }
     }
 

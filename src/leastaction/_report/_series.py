@@ -19,6 +19,7 @@ __all__ = ["Energy", "Series", "legible_samples", "sample_times", "thin_line", "
 _ZOOM_SAMPLES = (100, 260)  # fewest and most sampling intervals of the zoom
 _LINE_POINTS = 900
 _DOTS = 2000
+_FEW = 25  # dots upon a line that they must not hide
 _LAGS = 40
 
 
@@ -169,14 +170,16 @@ def thin_points(t: np.ndarray, y: np.ndarray, n_points: int = _DOTS) -> tuple[np
     return t[index], y[index]
 
 
-def legible_samples(t: np.ndarray, y: np.ndarray, noise_std: float) -> tuple[np.ndarray, np.ndarray, bool]:
+def legible_samples(
+    t: np.ndarray, y: np.ndarray, noise_std: float, n_points: int = _DOTS
+) -> tuple[np.ndarray, np.ndarray, bool]:
     """Samples to draw with a line, and whether above it: where noise cannot be seen, a few of them above."""
     there = np.isfinite(y)
     t, y = t[there], y[there]
     quiet = bool(t.size > 1 and noise_std < 0.015 * np.ptp(y))
     if not quiet:
-        return *thin_points(t, y), False
-    step = -(-t.size // 40)
+        return *thin_points(t, y, n_points), False
+    step = -(-t.size // _FEW)
     return t[::step], y[::step], True
 
 

@@ -27,9 +27,12 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from matplotlib.ticker import FixedFormatter, FixedLocator, MaxNLocator, ScalarFormatter
 
-__all__ = ["COLOURS", "dots", "drawing", "inline", "label", "panel"]
+__all__ = ["COLOURS", "HALF", "THIRD", "dots", "drawing", "inline", "label", "panel"]
 
-_NAMES = ("ink", "muted", "grid", "measured", "fit", "forecast", "kinetic", "potential", "shade")
+HALF, THIRD = (520.0, 220.0), (340.0, 210.0)
+"""Width and height in pixels of a panel of which two, or three, stand beside each other."""
+
+_NAMES = ("paper", "ink", "muted", "grid", "measured", "fit", "forecast", "shade")
 COLOURS = {name: f"#01{k:02d}fe" for k, name in enumerate(_NAMES)}
 """Name of a CSS variable of the page -> the colour that stands for it in Matplotlib."""
 
@@ -37,7 +40,9 @@ _VARIABLES = {value: f"var(--{name})" for name, value in COLOURS.items()}
 _COLOUR = re.compile("|".join(_VARIABLES))
 _NUMBER = re.compile(r"-?\d+\.\d+")
 _TICK, _LABEL = 11.0, 12.0  # px
-_TOP, _RIGHT, _BOTTOM, _LEFT = 26.0, 10.0, 36.0, 40.0
+# Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
+_TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
+_DIGIT, _LETTER = 8.5, 10.5
 _STYLE: Any = {
     "svg.fonttype": "none",
     "svg.hashsalt": "leastaction",
@@ -75,14 +80,15 @@ def drawing() -> Iterator[None]:
         yield
 
 
-def panel(width: float = 340, height: float = 210) -> Axes:
+def panel(size: tuple[float, float] = THIRD) -> Axes:
     """Axes that fill a new figure of this size in pixels."""
+    width, height = size
     figure = Figure(figsize=(width / 72, height / 72))
     FigureCanvasSVG(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.xaxis.set_major_locator(MaxNLocator(max(4, int(width / 75)), steps=[1, 2, 5, 10]))
+    axes.xaxis.set_major_locator(MaxNLocator(max(4, int(width / 80)), steps=[1, 2, 5, 10]))
     axes.yaxis.set_major_locator(MaxNLocator(max(3, int(height / 45)), steps=[1, 2, 2.5, 5, 10]))
-    axes.tick_params(length=0, pad=5)
+    axes.tick_params(length=0, pad=7)
     axes.grid(visible=False, axis="x")
     axes.margins(x=0.01, y=0.06)
     return axes
@@ -111,6 +117,9 @@ def dots(
         "capstyle": "round",
         "zorder": 3 if above else 1.9,
     }
+    if above:
+        rim = style | {"edgecolor": COLOURS["paper"], "lw": size + 1.2}
+        axes.add_patch(PathPatch(path, fill=False, snap=False, **rim))
     axes.add_patch(PathPatch(path, fill=False, snap=False, **style))
     axes.update_datalim(points)
     axes.autoscale_view()
@@ -125,11 +134,13 @@ def label(axes: Axes, x: str, y: str, x_unit: str = "", y_unit: str = "") -> Non
     width, height = figure.get_size_inches() * 72
     ticks = axes.yaxis.get_major_formatter().format_ticks(list(axes.get_yticks()))
     longest = max(map(len, ticks), default=0)
-    left = max(_LEFT, 6.6 * longest + 12)
+    left = max(_LEFT, _DIGIT * longest + 12)
     axes.set_position(
         (left / width, _BOTTOM / height, (width - left - _RIGHT) / width, (height - _TOP - _BOTTOM) / height)
     )
     style = {"fontsize": _LABEL, "color": COLOURS["ink"], "transform": None}
+    room = int(width / _LETTER)
+    x, y = shortened(x, room - len(x_unit)), shortened(y, room - len(y_unit))
     axes.text(2, height - 12, _with_unit(y, y_power, y_unit), ha="left", va="center", **style)
     axes.text(width - _RIGHT, 8, _with_unit(x, x_power, x_unit), ha="right", va="center", **style)
 
@@ -159,7 +170,21 @@ def _with_unit(quantity: str, power: int, unit: str) -> str:
     return f"{quantity} ({inside})" if inside else quantity
 
 
-def inline(axes: Axes, name: str, alt: str) -> Markup:
+def shortened(text: str, limit: int) -> str:
+    """Leave out the middle of a long text.
+
+    Examples
+    --------
+    >>> shortened("dθ₁/dt", 16), shortened("dshoulder_flexion,left/dt", 16)
+    ('dθ₁/dt', 'dshould…,left/dt')
+    """
+    if len(text) <= limit:
+        return text
+    head = (limit - 1) // 2
+    return f"{text[:head]}…{text[len(text) - (limit - 1 - head) :]}"
+
+
+def inline(axes: Axes, name: str, title: str, description: str) -> Markup:
     """The figure of these axes as an ``<svg>`` element.
 
     Parameters
@@ -167,8 +192,8 @@ def inline(axes: Axes, name: str, alt: str) -> Markup:
     axes : Axes
     name : str
         Unlike that of every other figure of the page: prefix of its identifiers.
-    alt : str
-        What the figure shows, for those who cannot see it.
+    title, description : str
+        What the figure shows and what is seen in it, for those who cannot see it.
     """
     figure = axes.figure
     assert isinstance(figure, Figure)
@@ -180,7 +205,10 @@ def inline(axes: Axes, name: str, alt: str) -> Markup:
     _tidy(root, {}, name)
     box = root.get("viewBox", "")
     body = "".join(ElementTree.tostring(child, encoding="unicode") for child in root)
-    return Markup(f'<svg viewBox="{box}" role="img" aria-label="{escape(alt)}">{body}</svg>')
+    return Markup(
+        f'<svg viewBox="{box}" role="img" aria-labelledby="{name}-t {name}-d"><title id="{name}-t">'
+        f'{escape(title)}</title><desc id="{name}-d">{escape(description)}</desc>{body}</svg>'
+    )
 
 
 def _tidy(element: ElementTree.Element, names: dict[str, str], prefix: str) -> None:
@@ -202,7 +230,18 @@ def _tidy(element: ElementTree.Element, names: dict[str, str], prefix: str) -> N
             value = _attribute(node.tag, key.rpartition("}")[2], value, names)
             if value:
                 node.set(key.rpartition("}")[2], value)
+        if node.tag == "text":
+            _classify(node)
     _drop_empty(element)
+
+
+def _classify(text: ElementTree.Element) -> None:
+    """Leave size and colour of a text to the style sheet, which knows the width of the page."""
+    style = text.attrib.pop("style", "")
+    text.set("class", "tick" if f"font-size:{_TICK:g}px" in style else "label")
+    anchor = re.search(r"text-anchor:(middle|end)", style)
+    if anchor:
+        text.set("text-anchor", anchor[1])
 
 
 def _attribute(tag: str, key: str, value: str, names: dict[str, str]) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -12,19 +11,21 @@ import numpy as np
 from leastaction._diagnostics import PathPoint
 from leastaction._forecast import ForecastResult
 from leastaction._model import LagrangianModel
+from leastaction._model_parts import ModelTerm
 from leastaction._notation import rounded
 from leastaction._report._mathml import Notation, number_parts
 from leastaction._report._series import Series
+from leastaction._report._text import aligned, listed, percent, plain, signed, typeset
+from leastaction._report._whisker import whisker
 
 __all__ = [
-    "coefficient_rows",
+    "coefficient_groups",
     "coordinate_rows",
     "dropped_rows",
     "forecast_rows",
     "forecast_trials",
     "option_rows",
     "path_rows",
-    "plain",
     "residual_rows",
     "trial_rows",
 ]
@@ -34,64 +35,43 @@ _REASONS = {
     "duplicate": "same as another",
     "dependent": "combination of others",
 }
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def plain(value: float, digits: int = 3, full: bool = False) -> str:
-    """A number for a table, with a proper minus sign and power of ten; `full`: with its trailing zeros.
-
-    Examples
-    --------
-    >>> plain(-0.00001234), plain(1234567.0), plain(0.5), plain(float("inf")), plain(12345.6, 6)
-    ('−1.23 × 10⁻⁵', '1.23 × 10⁶', '0.5', '∞', '12345.6')
-    >>> plain(0.5, full=True), plain(120.0, full=True)
-    ('0.500', '120')
-    """
-    if math.isnan(value):
-        return "–"
-    if math.isinf(value):
-        return "∞" if value > 0 else "−∞"
-    return _typeset(f"{value:#.{digits}g}".rstrip(".") if full else f"{value:.{digits}g}")
+def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """The rows of L, then those of ψ."""
+    kinds = (("L", "Lagrangian", model.terms), ("ψ", "friction", model.dissipation))
+    return [
+        {
+            "symbol": symbol,
+            "name": name,
+            "rows": [_coefficient_row(term, notation, f"{name}{k}") for k, term in enumerate(terms)],
+        }
+        for symbol, name, terms in kinds
+        if terms
+    ]
 
 
-def _typeset(text: str) -> str:
-    mantissa, _, exponent = text.partition("e")
-    mantissa = mantissa.replace("-", "−")
-    return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else mantissa
-
-
-def coefficient_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
-    """One row for each term of L, then of ψ."""
-    rows = []
-    for kind, terms in (("L", model.terms), ("ψ", model.dissipation)):
-        for term in terms:
-            error = term.standard_error
-            value, spread, exponent = number_parts(term.coefficient, error)
-            power = (
-                f" × 10{exponent.translate(str.maketrans('−', '-')).translate(_SUPERSCRIPTS)}"
-                if exponent
-                else ""
-            )
-            ends = [_typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
-            rows.append(
-                {
-                    "term": notation.term(term.expression),
-                    "text": term.expression,
-                    "kind": kind,
-                    "value": value + power,
-                    "error": spread + power if spread else "",
-                    "interval": " … ".join(ends),
-                    "z": _z_text(term.z),
-                    "known": term.known,
-                }
-            )
-    return rows
+def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str, Any]:
+    error = term.standard_error
+    number = number_parts(term.coefficient, error)
+    ends = [typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
+    return {
+        "term": notation.term(term.expression),
+        "text": term.expression,
+        "value": number.text,
+        "error": number.error_text,
+        "whisker": whisker(term, key),
+        "interval": " … ".join(ends),
+        "z": _z_text(term.z),
+        "known": term.known,
+    }
 
 
 def _z_text(z: float) -> str:
     if math.isnan(z):
         return ""
-    return _typeset(f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}")
+    text = f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}"
+    return typeset(text if float(text) else text.lstrip("-"))
 
 
 def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
@@ -107,7 +87,7 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
         spread, sigma = float(np.std(column[there])), float(model.noise_std[i])
         rows.append(
             {
-                "symbol": notation.symbol(name),
+                "symbol": notation.heading(name),
                 "name": name,
                 "unit": units[i],
                 "range": f"{plain(column[there].min())} … {plain(column[there].max())}",
@@ -115,7 +95,7 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
                 "missing": int((~there).sum()),
                 "wraps": data.wraps_removed[name],
                 "noise": plain(sigma, full=True),
-                "relative": f"{plain(100 * sigma / spread, 2)} %" if spread > 0 else "–",
+                "relative": percent(sigma / spread) if spread > 0 else "–",
                 "equation": plain(float(diagnostics.equation_error[i]), full=True),
             }
         )
@@ -132,7 +112,7 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
         rms = float(np.sqrt(np.mean(residuals**2)))
         rows.append(
             {
-                "symbol": notation.symbol(name),
+                "symbol": notation.heading(name),
                 "noise": plain(sigma, full=True),
                 "rms": plain(rms, full=True),
                 "unit": units[i],
@@ -144,26 +124,21 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
     return rows
 
 
-def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 14) -> list[dict[str, Any]]:
+def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 9) -> list[dict[str, Any]]:
     """Structures of the path and what differs from the chosen one; sizes far from it are left out."""
     chosen = next(point for point in path if point.chosen)
     near = sorted(path, key=lambda p: (not p.chosen, abs(p.n_terms - chosen.n_terms), p.bic))[:limit]
     return [
         {
             "n_terms": point.n_terms,
-            "bic": "0" if point.chosen else _signed(point.bic),
-            "cost": "0" if point.chosen else _signed(point.cost),
+            "bic": "0" if point.chosen else signed(point.bic),
+            "cost": "0" if point.chosen else signed(point.cost),
             "added": [notation.term(e) for e in point.expressions if e not in chosen.expressions],
             "removed": [notation.term(e) for e in chosen.expressions if e not in point.expressions],
             "chosen": point.chosen,
         }
         for point in sorted(near, key=lambda p: (p.n_terms, p.bic))
     ]
-
-
-def _signed(value: float) -> str:
-    text = f"{value:+.1f}" if abs(value) < 100 else f"{value:+.0f}" if abs(value) < 1e6 else f"{value:+.2e}"
-    return _typeset(text)
 
 
 def trial_rows(series: Series) -> list[dict[str, Any]]:
@@ -181,27 +156,22 @@ def trial_rows(series: Series) -> list[dict[str, Any]]:
     return [
         {
             **dict(zip(("times", "duration", "step", "missing", "forces"), key, strict=True)),
-            "names": _listed(names),
+            "names": listed(names),
         }
         for key, names in rows.items()
     ]
-
-
-def _listed(names: Sequence[str], limit: int = 8) -> str:
-    more = len(names) - limit
-    return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
 
 
 def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
     """Forecast error of each coordinate."""
     return [
         {
-            "symbol": notation.symbol(name),
+            "symbol": notation.heading(name),
             "unit": units[i],
             "rms": plain(float(result.rms[i]), full=True),
             "expected": plain(float(result.expected_rms[i]), full=True),
             "noise": plain(float(result.rms_over_noise[i])),
-            "std": f"{plain(100 * float(result.rms_over_std[i]), 2)} %",
+            "std": percent(float(result.rms_over_std[i])),
         }
         for i, name in enumerate(result.coordinates)
     ]
@@ -209,15 +179,19 @@ def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[st
 
 def forecast_trials(result: ForecastResult) -> list[dict[str, Any]]:
     """Forecast error of each trial."""
+    parts = result.by_trial()
+    columns = [
+        aligned([float(part.rms[i]) for part in parts.values()]) for i in range(len(result.coordinates))
+    ]
     return [
         {
             "name": name,
             "starts": part.n_starts,
             "diverged": part.n_diverged,
-            "rms": [plain(float(x), full=True) for x in part.rms],
+            "rms": [column[k] for column in columns],
             "valid": plain(part.valid_time),
         }
-        for name, part in result.by_trial().items()
+        for k, (name, part) in enumerate(parts.items())
     ]
 
 
@@ -246,5 +220,5 @@ def option_rows(options: Mapping[str, Any]) -> list[tuple[str, str]]:
             text = ", ".join(map(str, value))
         else:
             text = str(value)
-        rows.append((re.sub("_", " ", str(name)), text or "none"))
+        rows.append((str(name).replace("_", " "), text or "none"))
     return rows

@@ -1,0 +1,118 @@
+"""Numbers and lists as text for people."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset", "warning_parts"]
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def plain(value: float, digits: int = 3, full: bool = False) -> str:
+    """A number for a table, with a proper minus sign and power of ten; `full`: with its trailing zeros.
+
+    Examples
+    --------
+    >>> plain(-0.00001234), plain(1234567.0), plain(0.5), plain(float("inf")), plain(12345.6, 6)
+    ('−1.23 × 10⁻⁵', '1.23 × 10⁶', '0.5', '∞', '12345.6')
+    >>> plain(0.5, full=True), plain(120.0, full=True)
+    ('0.500', '120')
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    return typeset(f"{value:#.{digits}g}".rstrip(".") if full else f"{value:.{digits}g}")
+
+
+def percent(share: float) -> str:
+    """A share in per cent, with two digits, or three beyond 100 %.
+
+    Examples
+    --------
+    >>> percent(0.0092), percent(0.04), percent(1.234), percent(float("inf")), percent(float("nan"))
+    ('0.92 %', '4.0 %', '123 %', '∞', '–')
+    """
+    value = 100 * share
+    return plain(value, 3 if abs(value) >= 100 else 2, full=True) + (" %" if math.isfinite(value) else "")
+
+
+def typeset(text: str) -> str:
+    """Python's ``-1.2e-05`` with a minus sign and a power of ten."""
+    mantissa, _, exponent = text.partition("e")
+    mantissa = mantissa.replace("-", "−")
+    return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else mantissa
+
+
+def signed(value: float, decimals: int | None = None) -> str:
+    """A difference, with its sign.
+
+    Examples
+    --------
+    >>> signed(3.14159), signed(-291.4), signed(2.5e7), signed(-0.456, 2), signed(-0.001, 2)
+    ('+3.1', '−291', '+2.50 × 10⁷', '−0.46', '0.00')
+    """
+    if decimals is not None:
+        text = f"{value:+.{decimals}f}"
+        return typeset(text) if float(text) else text[1:]
+    return typeset(
+        f"{value:+.1f}" if abs(value) < 100 else f"{value:+.0f}" if abs(value) < 1e6 else f"{value:+.2e}"
+    )
+
+
+def aligned(values: Sequence[float], digits: int = 3) -> list[str]:
+    """The numbers of one column with the same number of decimals, unless they differ too much for that.
+
+    Examples
+    --------
+    >>> aligned([0.0051, 0.000995, 0.00209]), aligned([float("nan"), 1.0, 2e-9])
+    (['0.00510', '0.00100', '0.00209'], ['–', '1.00', '2.00 × 10⁻⁹'])
+    """
+    sizes = [abs(v) for v in values if math.isfinite(v) and v]
+    if not sizes or min(sizes) < 0.01 * max(sizes) or not 1e-4 <= max(sizes) < 1e5:
+        return [plain(v, digits, full=True) for v in values]
+    decimals = max(0, digits - 1 - math.floor(math.log10(max(sizes))))
+    return [
+        typeset(f"{v:.{decimals}f}") if math.isfinite(v) else plain(v) for v in map(float, np.array(values))
+    ]
+
+
+def plural(n: int, one: str, many: str) -> str:
+    """Count and noun; thousands apart from five digits on.
+
+    Examples
+    --------
+    >>> plural(1, "trial", "trials"), plural(9999, "sample", "samples")
+    ('1 trial', '9999 samples')
+    """
+    count = f"{n:,}".replace(",", "\u202f") if n >= 10_000 else str(n)
+    return f"{count} {one if n == 1 else many}"
+
+
+def listed(names: Sequence[str], limit: int = 8) -> str:
+    """Names in a row, the last ones counted."""
+    more = len(names) - limit
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
+
+
+def warning_parts(text: str) -> tuple[str, str]:
+    """What is wrong, and the rest of a warning: cause and cure, behind the first colon outside parentheses.
+
+    Examples
+    --------
+    >>> warning_parts("these data say little (open to 40 %: the sum): record more")
+    ('these data say little (open to 40 %: the sum)', 'record more')
+    >>> warning_parts("the mass matrix is not finite")
+    ('the mass matrix is not finite', '')
+    """
+    depth = 0
+    for match in re.finditer(r"[()]|: ", text):
+        if match[0] == ": " and depth == 0:
+            return text[: match.start()], text[match.end() :]
+        depth += {"(": 1, ")": -1}.get(match[0], 0)
+    return text, ""
