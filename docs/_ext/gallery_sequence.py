@@ -7,6 +7,7 @@ from pathlib import Path
 _NAMES = (
     "measured_double_pendulum",
     "cart_with_spring",
+    "driven_double_pendulum",
     "robot_arm",
     "oscillators",
     "magnetic_pendulum",

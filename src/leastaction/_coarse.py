@@ -15,7 +15,7 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
 from leastaction._mechanics import Mechanics
 from leastaction._prepare import excerpt
-from leastaction._selection import Progress, Selection, select_structure
+from leastaction._selection import EXPLAINED, Progress, Selection, select_structure
 from leastaction._smoothing import smooth
 
 __all__ = ["forecast_error", "search_coarse"]
@@ -35,14 +35,15 @@ def search_coarse(
     relevance: float,
     seed: int,
 ) -> tuple[Workspace, Selection]:
-    """Search again from ``knots_per_second`` if finer knots made a large equation error larger.
+    """Search again from ``knots_per_second`` if an equation is off by more than one per cent.
 
     Returns
     -------
     Workspace, Selection
         Those of the better forecasts.
     """
-    if not found.vibrates or not knots_per_second < fine.knots_per_second:
+    off = fine.equation_error(found.structure)[0]
+    if np.all(off <= EXPLAINED) or not knots_per_second < fine.knots_per_second:
         return fine, found
     coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
     curve = smooth(coarse.grid, coarse.times, coarse.values)

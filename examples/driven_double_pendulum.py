@@ -1,0 +1,110 @@
+"""
+A robot arm from its torques
+============================
+
+Two motors drive a double pendulum; the table holds angles from encoders and torques from motor currents.
+This is where identification usually fails: friction in the gears is as large as the torques, nobody
+measured it, and least squares on filtered accelerations shrinks every parameter to a half or a third.
+
+The recording is that of a laboratory robot (Wiebe et al., IEEE Robotics & Automation Magazine 2023,
+BSD-3-Clause). The first angle is measured from hanging, the second relative to the first link.
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+
+import leastaction as la
+
+path = Path(__file__).parent / "data" / "driven_double_pendulum.csv.gz"
+forces = {"q1": "tau1", "q2": "tau2"}
+data = la.read_csv(path, coordinates=["q1", "q2"], time="t", forces=forces, trial="trial")
+
+held_out = data.select(["3", "12"])
+fitted = data.select([name for name in data.names if name not in held_out.names])
+print(fitted)
+
+# %%
+# The candidates are the shapes that two links in a plane can have, and some that they cannot. Dry
+# friction is ``abs`` of a joint's velocity. The torques are known, so L comes out in joules and no
+# coefficient has to be given.
+
+candidates = [
+    *(f"q1_dot**2{g}" for g in ("", "*cos(q2)", "*sin(q2)", "*cos(q2)**2")),
+    *(f"q1_dot*q2_dot{g}" for g in ("", "*cos(q2)", "*sin(q2)")),
+    *(f"q2_dot**2{g}" for g in ("", "*cos(q2)")),
+    *("cos(q1)", "sin(q1)", "cos(q2)", "sin(q2)", "cos(q1+q2)", "sin(q1+q2)", "cos(q1)**2"),
+]
+friction = ["q1_dot**2/2", "q2_dot**2/2", "abs(q1_dot)", "abs(q2_dot)"]
+model = la.discover(fitted, la.Library(candidates, ["q1", "q2"]), dissipation=friction)
+print(model.format_table())
+
+# %%
+# Seven terms of L and dry friction in both joints: this is the structure that the builders of the robot
+# wrote down. Their coefficients are, in the same sequence, 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42
+# and 1.09, with dry friction of 0.146 and 0.123 N m.
+#
+# The result is called doubtful, and rightly so: some per cent of the torques remain unexplained, because
+# belts give, gears stick and currents are not torques. The intervals hold for this model, not for that.
+
+print(model.fit.status)
+for warning in model.fit.warnings:
+    print("-", warning)
+
+# %%
+# What counts is whether it forecasts. We let both models run free for 0.4 s along the trials that were
+# kept aside, driven by the measured torques.
+
+published = la.LagrangianModel.from_dict(
+    {
+        **model.to_dict(),
+        "covariance": [],
+        "terms": [
+            {"expression": e, "coefficient": c, "standard_error": 0.0, "known": True}
+            for e, c in {
+                "q1_dot**2": 0.0673,
+                "q1_dot**2*cos(q2)": 0.0333,
+                "q1_dot*q2_dot": 0.0235,
+                "q1_dot*q2_dot*cos(q2)": 0.0333,
+                "q2_dot**2": 0.01335,
+                "cos(q1)": 3.4248,
+                "cos(q1+q2)": 1.0895,
+            }.items()
+        ],
+        "dissipation": [
+            {"expression": e, "coefficient": c, "standard_error": 0.0, "known": True}
+            for e, c in {"sqrt(q1_dot**2 + 1/2500)": 0.146, "sqrt(q2_dot**2 + 9/2500)": 0.1225}.items()
+        ],
+    }
+)
+ours = model.validate(held_out, horizon=0.4, window=0.04)
+theirs = published.validate(held_out, horizon=0.4, window=0.04)
+print("rms error of free runs over 0.4 s (rad)")
+print("found:    ", ours.rms.round(3))
+print("published:", theirs.rms.round(3))
+
+# %%
+# The second joint over the first seconds of one trial. Every coloured piece is a forecast that starts
+# from the measured state and never looks at the data again.
+
+figure, axis = plt.subplots(figsize=(8, 3.5))
+measured = held_out.select("3")[0]
+first = measured.t < 4.0
+axis.plot(measured.t[first], measured.q[first, 1], color="0.6", linewidth=4, label="measured")
+runs = [trace for trace in ours.traces if trace.trial == "3" and trace.origin < 3.6]
+for number, trace in enumerate(runs):
+    axis.plot(
+        trace.t, trace.forecast[:, 1], color="C0", label="found, free runs of 0.4 s" if number == 0 else None
+    )
+axis.set_xlabel("time (s)")
+axis.set_ylabel("angle of the second joint (rad)")
+axis.set_title("A model from torques forecasts trials it has not seen")
+axis.legend(frameon=False)
+figure.tight_layout()
+plt.show()
+
+# %%
+# What to learn: give friction a chance from the start, keep some trials aside, and believe free runs
+# rather than small residuals. Where vibrations of the machine make fine splines misleading, the search
+# notices that finer knots make the equations worse and starts again on the coarsest grid that shows the
+# motion.
