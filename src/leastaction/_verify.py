@@ -22,6 +22,7 @@ _WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
 _VISIBLE = 0.3
+_MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
 _FEW_SAMPLES = 7.0  # a period of the fastest motion
 _HIDDEN = 0.001  # equation error below which no cause is looked for
@@ -71,6 +72,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
             + ("see the likely cause below" if causes else _ANY_CAUSE)
         )
     doubts += causes
+    if unexplained and samples_per_period >= _FEW_SAMPLES:
+        doubts += _looks_like_noise(workspace, noise)
     for i in range(len(names)):
         if share[i] > _WORTH_KNOWING and i not in unexplained:
             notes.append(
@@ -91,6 +94,17 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     status = "doubtful" if doubts else "ok"
     return Verdict(status, tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
+    """Motion that is too fast for the sampling looks like noise to any smoother."""
+    spread = np.sqrt(np.mean([np.nanvar(q, axis=0) for q in workspace.values], axis=0))
+    return [
+        f"{100 * part:.0f} % of the spread of {name} looks like noise: if the sensor is better than that, "
+        "sampling is too slow for the motion, so sample faster"
+        for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
+        if part > _MUCH_NOISE
+    ]
 
 
 def _signal(workspace: Workspace, structure) -> list[str]:

@@ -1,0 +1,109 @@
+"""What a result says of itself when the question was wrong: the likely cause, by name and by number."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from helpers import PENDULUM_LIBRARY, changed, pendulum
+from leastaction import systems
+from leastaction._coarse import forecast_error
+from leastaction._euler_lagrange import EulerLagrange
+from leastaction._kinetic import kinetic_bases
+from leastaction._prepare import prepare
+from leastaction._selection import select_structure
+
+
+def doubts(data, library, **options) -> str:
+    model = la.discover(data, library, **options)
+    assert model.fit.status == "doubtful"
+    return "\n".join(model.fit.warnings)
+
+
+def driven(name: str = "double_pendulum", **change):
+    data = systems.generate(name, noise=0.01, trials=3, duration=10.0, seed=3)
+    return la.Trajectories([change_one(t, **change) for t in data]), systems.compact_library(name)
+
+
+def change_one(t, delay: float = 0.0, scale: float = 1.0, swap: bool = False):
+    forces = scale * np.stack([np.interp(t.t + delay, t.t, f) for f in t.forces.T], axis=1)
+    return la.Trajectory(t.t, t.q, forces[:, ::-1] if swap else forces, t.coordinates)
+
+
+def test_the_undisturbed_question_is_answered():
+    assert la.discover(*driven()).fit.status == "ok"
+
+
+def test_delayed_forces():
+    # recorded 30 ms before they act
+    text = doubts(*driven(delay=0.03))
+    (found,) = re.findall(r"seem to act (\d+) ms later", text)
+    assert 20 <= float(found) <= 40
+
+
+def test_scaled_forces():
+    text = doubts(*driven(scale=0.7), known={"theta1_dot**2": 1.0})
+    assert (
+        "known coefficient of theta1_dot**2 may be wrong: set free it becomes 0.7" in text or "forces" in text
+    )
+
+
+def test_exchanged_forces():
+    assert "swapped" in doubts(*driven(swap=True))
+
+
+@pytest.mark.parametrize("wrong", [0.6, 1.0])
+def test_wrong_known_coefficient_is_given_its_value(wrong):
+    text = doubts(pendulum(driven=True, viscous=0.0), PENDULUM_LIBRARY, known={"theta_dot**2": wrong})
+    (found,) = re.findall(r"theta_dot\*\*2 may be wrong: set free it becomes ([\d.]+)", text)
+    assert float(found) == pytest.approx(0.5, rel=0.05)
+
+
+def test_slow_sampling():
+    data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=20.0, rate=3.0, seed=3)
+    assert "sampling is too slow" in doubts(data, systems.compact_library("double_pendulum"))
+
+
+def test_an_angle_that_was_not_declared():
+    t = np.linspace(0.0, 20.0, 2001)
+    turning = 5.0 * t + np.sin(t)
+    wrapped = (turning + np.pi) % (2 * np.pi) - np.pi
+    data = la.Trajectory(t, wrapped, coordinates=["theta"])
+    assert "angles=['theta']" in doubts(data, ["theta_dot**2", "cos(theta)"], known={"theta_dot**2": 0.5})
+
+
+def test_rivals_come_with_the_experiment_that_separates_them():
+    data = changed(pendulum(driven=False), q=lambda q: 0.02 * q)
+    text = doubts(
+        data, ["theta_dot**2", "cos(theta)", "cos(2*theta)", "theta**2"], known={"theta_dot**2": 0.5}
+    )
+    assert "cannot tell" in text
+    (angle,) = re.findall(r"through theta = (-?[\d.e-]+)", text)[:1]
+    reach = max(np.abs(t.q).max() for t in data)
+    assert abs(float(angle)) > 1.5 * reach  # farther out than recorded
+
+
+def test_kinetic_bases_hold_every_coordinate():
+    data = systems.generate("spherical_pendulum", noise=0.0, trials=2, duration=5.0, seed=0)
+    library = systems.large_library("spherical_pendulum")
+    prepared = prepare(data, library, None, [], None, 5)
+    workspace = prepared.workspace(EulerLagrange(prepared.columns, library.coordinates))
+    bases = kinetic_bases(workspace, prepared.knots.smooth)
+    texts = [{prepared.columns[int(workspace.free[m])].text for m in base} for base in bases]
+    assert {"theta_dot**2", "phi_dot**2*sin(theta)**2"} in texts
+    assert all(
+        any("theta_dot**2" in t for t in base) and any("phi_dot**2" in t for t in base) for base in texts
+    )
+
+
+def test_free_runs_tell_a_right_model_from_a_wrong_one():
+    data = pendulum(driven=False)
+    prepared = prepare(data, la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}, [], None, 5)
+    workspace = prepared.workspace(EulerLagrange(prepared.columns, ("theta",)))
+    found = select_structure(workspace, prepared.knots.smooth, lambda stage, details: None).structure
+    right = forecast_error(workspace, found, 1.0)
+    found.coefficients[:] *= np.where(np.isnan(prepared.known), 0.5, 1.0)
+    assert forecast_error(workspace, found, 1.0) > 3.0 * right
