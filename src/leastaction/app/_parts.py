@@ -1,0 +1,59 @@
+"""Small pieces that the pages are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from markupsafe import Markup
+from nicegui import html, ui
+
+__all__ = ["action", "drawn", "fault", "field", "math", "panel", "say", "title"]
+
+
+def say(text: str, classes: str = "", tag: str = "p") -> ui.element:
+    """A line of text; it is shown as it is, never read as HTML."""
+    return getattr(html, tag)(text).classes(classes)
+
+
+def title(text: str, tag: str = "h2") -> ui.element:
+    """A heading."""
+    return say(text, "", tag)
+
+
+def panel(classes: str = "") -> ui.element:
+    """A part of the page with a border of its own."""
+    return html.section().classes(f"panel {classes}")
+
+
+def fault(text: str) -> ui.element:
+    """One line that says what is wrong and what to do."""
+    return say(text, "fault").props("role=alert")
+
+
+def drawn(markup: Markup, classes: str = "") -> ui.element:
+    """A figure or formula of our own making, in which all foreign text is escaped."""
+    return ui.html(str(markup), sanitize=False).classes(classes)
+
+
+def math(markup: Markup, classes: str = "") -> ui.element:
+    """A formula within a line."""
+    return ui.html(str(markup), sanitize=False, tag="span").classes(classes)
+
+
+def action(
+    text: str, on_click: Callable[[], Awaitable[Any] | Any], kind: str = "plain", mark: str = ""
+) -> ui.button:
+    """A button: "main" for the one thing to do next, "plain" for others, "quiet" for small ones."""
+    button = ui.button(text, on_click=on_click, color=None).props("no-caps unelevated no-wrap").classes(f"action {kind}")
+    return button.mark(mark) if mark else button
+
+
+def field(label: str, help_text: str = "") -> ui.element:
+    """A labelled part of a form; what belongs to it goes inside."""
+    box = html.div().classes("field")
+    with box:
+        say(label, "label", "h3")
+        if help_text:
+            say(help_text, "help")
+    return box
