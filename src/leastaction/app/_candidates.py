@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from leastaction._errors import InputError
@@ -48,7 +49,7 @@ class Choice:
 
     @classmethod
     def default(cls, data: Trajectories) -> Choice:
-        """What to begin with: generated candidates, a scale if no force gives one, a trial in three held out."""
+        """Begin with generated candidates, a scale where no force gives one, some trials held out."""
         known = "" if data.driven else f"{data.coordinates[0]}_dot**2 = 1"
         return cls(known=known, held_out=len(data) // 3 or int(len(data) == 2))
 
@@ -153,12 +154,12 @@ def lines(text: str) -> list[str]:
 
 
 def faults(text: str, coordinates: Sequence[str]) -> list[str]:
-    """Say for every line that is no expression what is wrong with it, in the parser's words.
+    r"""Say for every line that is no expression what is wrong with it, in the parser's words.
 
     Examples
     --------
-    >>> faults("x_dot**2\\n\\nsin(y)  # no such coordinate", ["x"])
-    ["line 3: unknown name 'y' in 'sin(y)'; ..."]
+    >>> faults("x_dot**2\n\nsin(y)  # no such coordinate", ["x"])
+    ["line 3: cannot read 'sin(y)' at column 5: unknown name 'y'; ..."]
     """
     everything = text.splitlines()
     if len(everything) > _MOST_LINES:
@@ -188,14 +189,18 @@ def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
 
     Examples
     --------
-    >>> friction_choices(["x"])
-    [('viscous, x', 'x_dot**2/2'), ('dry, x', 'abs(x_dot)')]
+    >>> friction_choices(["theta1"])
+    [('viscous, θ₁', 'theta1_dot**2/2'), ('dry, θ₁', 'abs(theta1_dot)')]
     """
-    found = [(f"viscous, {c}", f"{c}_dot**2/2") for c in coordinates]
-    found += [(f"dry, {c}", f"abs({c}_dot)") for c in coordinates]
-    for a, b in zip(coordinates, coordinates[1:], strict=False):
-        found.append((f"viscous, between {a} and {b}", f"({b}_dot-{a}_dot)**2/2"))
-        found.append((f"dry, between {a} and {b}", f"abs({b}_dot-{a}_dot)"))
+    from leastaction._report._mathml import Notation
+
+    notation = Notation(coordinates)
+    shown = {c: notation.text(c) for c in coordinates}
+    found = [(f"viscous, {shown[c]}", f"{c}_dot**2/2") for c in coordinates]
+    found += [(f"dry, {shown[c]}", f"abs({c}_dot)") for c in coordinates]
+    for a, b in pairwise(coordinates):
+        found.append((f"viscous, {shown[a]} to {shown[b]}", f"({b}_dot-{a}_dot)**2/2"))
+        found.append((f"dry, {shown[a]} to {shown[b]}", f"abs({b}_dot-{a}_dot)"))
     return found
 
 

@@ -8,7 +8,7 @@ from nicegui import html, ui
 
 from leastaction._errors import InputError
 from leastaction.app._candidates import SIZES, faults, friction_choices, lines, split_trials
-from leastaction.app._parts import action, fault, field, math, panel, say, title
+from leastaction.app._parts import action, fault, field, math, panel, put, say, title
 from leastaction.cli._text import counted
 
 if TYPE_CHECKING:
@@ -94,8 +94,8 @@ class CandidatesView:
 
     def _written(self) -> None:
         say(
-            "One expression a line; # starts a comment. You may use + − * / **, sin cos tan exp log sqrt abs, "
-            f"pi, the coordinates and their velocities, such as {self.data.coordinates[0]}_dot.",
+            "One expression a line; # starts a comment. You may use + − * / **, sin cos tan exp log sqrt "
+            f"abs, pi, the coordinates and their velocities, such as {self.data.coordinates[0]}_dot.",
             "help",
         )
         area = self._area(self.choice.text, "text", "Candidates, one expression a line", rows=14)
@@ -104,7 +104,9 @@ class CandidatesView:
 
     def _area(self, value: str, name: str, label: str, rows: int) -> ui.textarea:
         area = ui.textarea(value=value)
-        area.props(f'outlined debounce=300 rows={rows} spellcheck=false autocapitalize=off aria-label="{label}"')
+        area.props(
+            f'outlined debounce=300 rows={rows} spellcheck=false autocapitalize=off aria-label="{label}"'
+        )
         area.classes("code").on_value_change(self.page.guarded(lambda e: self._set(**{name: e.value or ""})))
         return area
 
@@ -115,7 +117,9 @@ class CandidatesView:
                     box = ui.checkbox(words, value=text in self.choice.friction).props("dense")
                     box.mark(f"friction-{text}")
                     box.on_value_change(self.page.guarded(lambda e, t=text: self._tick(t, e.value)))
-            with ui.expansion("Other friction terms", value=bool(self.choice.more_friction)).classes("formulas"):
+            with ui.expansion("Other friction terms", value=bool(self.choice.more_friction)).classes(
+                "formulas"
+            ):
                 say("Rayleigh functions ψ, one a line; the force is −∂ψ/∂q̇.", "help")
                 self._area(self.choice.more_friction, "more_friction", "Other friction terms", rows=2)
 
@@ -128,8 +132,8 @@ class CandidatesView:
             words = "Optional: known forces set the scale. One a line, as in cos(theta) = 9.81."
         else:
             words = (
-                "Without known forces L and 2 L have the same motions, so one coefficient must be given. One a "
-                "line; the others come out in its units."
+                "Without known forces L and 2 L have the same motions, so one coefficient must be given. One "
+                "a line; the others come out in its units."
             )
         with field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
@@ -140,7 +144,9 @@ class CandidatesView:
                 say("Every third trial, as in the published comparison.")
                 return
             number = ui.number(value=self.choice.held_out, min=0, max=len(self.data) - 1, step=1, format="%d")
-            number.props('outlined dense aria-label="Number of trials held out"').classes("number").mark("held-out")
+            number.props('outlined dense aria-label="Number of trials held out"').classes("number").mark(
+                "held-out"
+            )
             number.on_value_change(self.page.guarded(lambda e: self._set(held_out=int(e.value or 0))))
 
     def _set(self, **values) -> None:
@@ -156,11 +162,13 @@ class CandidatesView:
     def _check(self) -> None:
         """Say what is chosen, or what is wrong with it."""
         choice, data = self.choice, self.data
+        bad: list[str] = []
         if choice.written:
-            self._show_faults(faults(choice.text, data.coordinates))
+            bad = faults(choice.text, data.coordinates)
+            self._show_faults(bad)
         else:
-            self.size_words.text = _WORDS[choice.size]
-        problem, text = "", ""
+            put(self.size_words, f"{choice.size.capitalize()}: {_WORDS[choice.size]}.")
+        text, problem = "", _problem(bad)
         try:
             library = choice.library(data.coordinates, self.page.session.angles)
             if not choice.written:
@@ -173,7 +181,7 @@ class CandidatesView:
                 + (f", {len(held_out)} held out" if held_out is not None else "")
             )
         except InputError as error:
-            problem = self.page.words(error)
+            problem = problem or self.page.words(error)
         self.summary.clear()
         with self.summary:
             if problem:
@@ -204,3 +212,10 @@ class CandidatesView:
     def _start(self) -> None:
         self.page.session.discover()
         self.page.show("result")
+
+
+def _problem(bad: list[str]) -> str:
+    """The lines at fault are named beside the text; here it is enough to say that there are some."""
+    return (
+        f"{counted(len(bad), 'line')} among the candidates cannot be read; see below the text" if bad else ""
+    )

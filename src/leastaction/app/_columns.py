@@ -1,4 +1,4 @@
-"""What the columns of an uploaded table may mean: guesses, and the call of the reader that follows from them."""
+"""What the columns of an uploaded table may mean: guesses, and the call of the reader."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def guess_roles(columns: Columns) -> dict[str, str]:
 
 
 def coordinate_names(columns: Sequence[str]) -> dict[str, str]:
-    """Return column -> name of the coordinate: the column itself where that is a name, else what is left of it.
+    """Return column -> name of the coordinate: the column itself if that is a name, else what is left of it.
 
     Examples
     --------
@@ -218,7 +218,9 @@ def _is_force(word: str) -> bool:
 def _driven(column: str, moving: Sequence[str], place: int) -> str | None:
     """The coordinate that a force column probably belongs to: by name, by number, by place."""
     word = _word(column)
-    by_name = [c for c in moving if len(_word(c)) > 0 and re.search(rf"(^|_){re.escape(_word(c))}(_|$)", word)]
+    by_name = [
+        c for c in moving if len(_word(c)) > 0 and re.search(rf"(^|_){re.escape(_word(c))}(_|$)", word)
+    ]
     if by_name:
         return by_name[0]
     number = re.search(r"\d+", word)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from nicegui import events, html, run, ui
+from nicegui import events, html, ui
 
 from leastaction.app import _columns as columns
 from leastaction.app._figures import data_figure
-from leastaction.app._parts import action, drawn, fault, panel, say, title
+from leastaction.app._parts import action, aside, drawn, fault, panel, say, title
 from leastaction.app._session import EXAMPLES, MOST_BYTES, SUFFIXES
 from leastaction.cli._text import counted
 
@@ -33,14 +33,16 @@ class DataView:
         self.page, self.session = page, page.session
 
     def build(self) -> None:
-        if not self.session.title:
+        if self.session.title:
+            title("The data", "h1")
+        else:
             title("Find the law behind a motion", "h1")
             say(
-                "Give a table of measured angles or positions over time. leastaction finds a short Lagrangian "
-                "that explains them, with error bars, and says so when it should not be trusted.",
+                "Give a table of measured angles or positions over time. leastaction finds a short "
+                "Lagrangian that explains them, with error bars, and says so when it should not be trusted.",
                 "lead",
             )
-        with html.div().classes("sources"):
+        with html.div().classes("sources small" if self.session.title else "sources"):
             self._drop_zone()
             self._examples()
         self.message = html.div().classes("message")
@@ -49,7 +51,7 @@ class DataView:
         self._show_table()
 
     def _drop_zone(self) -> None:
-        upload = ui.upload(
+        upload = self.upload = ui.upload(
             auto_upload=True,
             max_file_size=MOST_BYTES,
             max_files=None,
@@ -59,7 +61,7 @@ class DataView:
         upload.props(f'accept="{",".join(SUFFIXES)},.gz"').classes("uploader").mark("upload")
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
-            title("Your table")
+            title("Another table" if self.session.title else "Your table")
             say("Drop a CSV file here: a header, a column of times in seconds, a column for each coordinate.")
             button = ui.button("Choose a file", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, not by way of the server: only a click may open the file dialog.
@@ -89,23 +91,23 @@ class DataView:
             if event.file.size() > MOST_BYTES:
                 raise columns.InputError(f"the file is larger than {MOST_BYTES // 1_000_000} MB")
             content = await event.file.read()
-            await run.io_bound(self.session.open_upload, event.file.name, content)
+            await aside(self.session.open_upload, event.file.name, content)
         except Exception as error:
             self._fail(self.page.words(error))
         else:
             self._loaded()
-        event.sender.reset()
+        self.upload.reset()
 
     def _rejected(self) -> None:
         self._fail(
-            f"this file was not taken: give one text table ({', '.join(SUFFIXES[:4])}, also with .gz) of at most "
-            f"{MOST_BYTES // 1_000_000} MB"
+            f"this file was not taken: give one text table ({', '.join(SUFFIXES[:4])}, also with .gz) of at "
+            f"most {MOST_BYTES // 1_000_000} MB"
         )
 
     async def _open_example(self, key: str) -> None:
         self._tell("Reading…")
         try:
-            await run.io_bound(self.session.open_example, key)
+            await aside(self.session.open_example, key)
         except Exception as error:
             self._fail(self.page.words(error))
         else:
@@ -167,7 +169,7 @@ class DataView:
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
         self._tell("Reading…")
-        await run.io_bound(self.session.read)
+        await aside(self.session.read)
         self.message.clear()
         self.page.mark_steps()
         self._show_table()
@@ -198,7 +200,8 @@ class DataView:
             with self.figures:
                 say("Smoothing…", "help")
             with html.div().classes("next"):
-                action("Continue to the candidates", lambda: self.page.show("candidates"), "main", "continue")
+                go_on = self.page.guarded(lambda _=None: self.page.show("candidates"))
+                action("Continue to the candidates", go_on, "main", "continue")
 
     async def _show_trial(self, place: int) -> None:
         self.session.shown = place
@@ -211,7 +214,7 @@ class DataView:
             return
         units = ["rad" if name in session.angles else "" for name in data.coordinates]
         try:
-            smooth, hint = await run.io_bound(session.smooth), ""
+            smooth, hint = await aside(session.smooth), ""
         except Exception as error:
             smooth, hint = None, self.page.words(error)
         if session.data is not data or self.figures.is_deleted:
@@ -221,9 +224,7 @@ class DataView:
         names = [Notation(data.coordinates).text(name) for name in data.coordinates]
         figures = []
         for i in range(min(data.n_dof, _MOST_DRAWN)):
-            figures.append(
-                await run.io_bound(data_figure, data[session.shown], smooth, i, names[i], units[i])
-            )
+            figures.append(await aside(data_figure, data[session.shown], smooth, i, names[i], units[i]))
         if self.figures.is_deleted:
             return
         self.figures.clear()
@@ -263,5 +264,7 @@ def _not_radians(session) -> str:
         if session.roles[column] == columns.ANGLE:
             values = session.columns.numbers(column)
             if values is not None and np.nanmax(np.abs(values)) > 30:
-                return f"{column} reaches {np.nanmax(np.abs(values)):.0f}: if these are degrees, say so above."
+                return (
+                    f"{column} reaches {np.nanmax(np.abs(values)):.0f}: if these are degrees, say so above."
+                )
     return ""

@@ -1,4 +1,4 @@
-"""Figures of the pages, as inline SVG in the colours of the style sheet; each for wide and for narrow windows."""
+"""Figures of the pages: inline SVG in the colours of the style sheet, for wide and for narrow windows."""
 
 from __future__ import annotations
 
@@ -103,5 +103,7 @@ def walk_figure(walk: Walk, place: int) -> Markup:
         axes.set_ylim(low - 0.3, high + 0.3)
         label(axes, "number of free terms", "worse than the chosen structure by")
 
-    alt = "Criterion and misfit of the best structure of each size; the chosen one and the one shown are marked"
+    alt = (
+        "Criterion and misfit of the best structure of each size; the chosen one and the one shown are marked"
+    )
     return _both(draw, (560, 260), (350, 240), alt)

@@ -63,7 +63,11 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
     import leastaction as la
 
     model = la.discover(
-        task.fitted, task.library, task.known, relevance=task.relevance, progress=lambda s, d: progress(s, _plain(d))
+        task.fitted,
+        task.library,
+        task.known,
+        relevance=task.relevance,
+        progress=lambda s, d: progress(s, _plain(d)),
     )
     progress("forecast", {})
     validation = None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import traceback
 from collections import OrderedDict
 from collections.abc import Callable
 from functools import wraps
@@ -76,6 +78,7 @@ class Page:
         self.main.clear()
         with self.main:
             _VIEWS[view](self)
+            ui.run_javascript("window.scrollTo(0, 0)")
 
     def mark_steps(self) -> None:
         """Show which steps can be opened and which one is."""
@@ -88,7 +91,9 @@ class Page:
         self.steps.clear()
         with self.steps:
             for number, (view, name) in enumerate(_STEPS.items(), start=1):
-                button = ui.button(on_click=lambda view=view: self.show(view), color=None)
+                button = ui.button(
+                    on_click=self.guarded(lambda _=None, view=view: self.show(view)), color=None
+                )
                 button.props("flat no-caps no-wrap").classes("step").mark(f"step-{view}")
                 with button:
                     say(str(number), "number", "span")
@@ -111,8 +116,17 @@ class Page:
                 if isawaitable(result):
                     await result
             except Exception as error:
+                if os.environ.get("LEASTACTION_DEBUG", "0") not in ("", "0"):
+                    traceback.print_exception(error)
                 with self.main:
-                    ui.notify(self.words(error), type="negative", multi_line=True, close_button="Close", timeout=0)
+                    ui.notify(
+                        self.words(error),
+                        color=None,
+                        classes="fault-note",
+                        multi_line=True,
+                        close_button="Close",
+                        timeout=0,
+                    )
 
         return run
 

@@ -3,17 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any
+from typing import Any, TypeVar, cast
 
 from markupsafe import Markup
-from nicegui import html, ui
+from nicegui import html, run, ui
 
-__all__ = ["action", "drawn", "fault", "field", "math", "panel", "say", "title"]
+__all__ = ["action", "aside", "drawn", "fault", "field", "math", "panel", "put", "say", "title"]
+
+
+R = TypeVar("R")
+
+
+async def aside(function: Callable[..., R], *arguments: Any) -> R:
+    """Call a function in a thread, so that the page stays alive."""
+    return cast(R, await run.io_bound(function, *arguments))
 
 
 def say(text: str, classes: str = "", tag: str = "p") -> ui.element:
     """A line of text; it is shown as it is, never read as HTML."""
     return getattr(html, tag)(text).classes(classes)
+
+
+def put(element: ui.element, text: str) -> None:
+    """Change the text of an element that `say` has made."""
+    if element._text != text:
+        element._text = text
+        element.update()
 
 
 def title(text: str, tag: str = "h2") -> ui.element:
@@ -45,7 +60,11 @@ def action(
     text: str, on_click: Callable[[], Awaitable[Any] | Any], kind: str = "plain", mark: str = ""
 ) -> ui.button:
     """A button: "main" for the one thing to do next, "plain" for others, "quiet" for small ones."""
-    button = ui.button(text, on_click=on_click, color=None).props("no-caps unelevated no-wrap").classes(f"action {kind}")
+    button = (
+        ui.button(text, on_click=on_click, color=None)
+        .props("no-caps unelevated no-wrap")
+        .classes(f"action {kind}")
+    )
     return button.mark(mark) if mark else button
 
 

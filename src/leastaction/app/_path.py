@@ -21,10 +21,13 @@ class Walk:
 
     @classmethod
     def of(cls, model: LagrangianModel) -> Walk:
-        """Take the sizes of a model's path at which a structure was computed; none without diagnostics."""
+        """Take from a model's path what was computed and has a term of L; nothing without diagnostics."""
         best: dict[int, PathPoint] = {}
+        friction = model.provenance.get("options", {}).get("dissipation", ())
+        moves = any(term.known for term in model.terms)
         for point in model.diagnostics.path if model.diagnostics else ():
             usable = math.isfinite(point.bic) and math.isfinite(point.cost)
+            usable = usable and (moves or any(text not in friction for text in point.expressions))
             if usable and (point.chosen or point.n_terms not in best):
                 best[point.n_terms] = point
         return cls(tuple(best[size] for size in sorted(best)))
@@ -48,6 +51,6 @@ class Walk:
         if point.bic >= 0:
             return f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
         return (
-            f"The criterion alone prefers this one by {size}. It was not chosen because each further term takes "
-            "away less than 5 % of the equation error: on real hardware such terms mimic what is missing."
+            f"The criterion alone prefers this one by {size}. It was not chosen because each further term "
+            "takes away less than 5 % of the equation error: on hardware such terms mimic what is missing."
         )

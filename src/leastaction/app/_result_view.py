@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from nicegui import html, run, ui
+from nicegui import html, ui
 
 from leastaction._report._mathml import Notation
 from leastaction._report._tables import coefficient_rows
 from leastaction.app._figures import forecast_figure
 from leastaction.app._motion import frames, is_pendulum
-from leastaction.app._parts import action, drawn, fault, math, panel, say, title
+from leastaction.app._parts import action, aside, drawn, fault, math, panel, put, say, title
 from leastaction.app._session import in_words
 from leastaction.app._stick import Stick
 from leastaction.app._walk_view import WalkPanel
@@ -88,13 +89,12 @@ class Running:
             self.timer.deactivate()
             self.page.show("result")
             return
-        self.stage._text = stage_words(job.stage, job.details)
-        self.stage.update()
-        self.seconds._text = f"{job.seconds:.0f} s"
-        self.seconds.update()
-        for name, began in job.stages[self._count : -1]:
+        put(self.stage, stage_words(job.stage, job.details))
+        put(self.seconds, f"{job.seconds:.0f} s")
+        stages = list(job.stages)
+        for (name, began), (_, ended) in pairwise(stages[self._count :]):
             with self.past:
-                say(f"{_STAGES.get(name, name)} ({began:.1f} s)", "", "li")
+                say(f"{_STAGES.get(name, name)}: {ended - began:.1f} s", "", "li")
             self._count += 1
 
     def _cancel(self) -> None:
@@ -117,7 +117,8 @@ def _ended(page: Page) -> None:
             title("Nothing found yet", "h1")
             say("Choose the candidates and start the search.")
         with html.div().classes("next"):
-            action("Back to the candidates", lambda: page.show("candidates"), "main", "back")
+            back = page.guarded(lambda _=None: page.show("candidates"))
+            action("Back to the candidates", back, "main", "back")
 
 
 class ResultView:
@@ -128,7 +129,7 @@ class ResultView:
 
     def build(self) -> None:
         self.model = html.div().classes("stack follows")
-        with html.div().classes("halves"):
+        with html.div().classes("halves uneven"):
             self.table = panel("follows")
             WalkPanel(self.page, self.refresh).build()
         self.motion = html.div().classes("stack follows")
@@ -149,9 +150,13 @@ class ResultView:
 
     def _formula(self, model: LagrangianModel, notation: Notation) -> None:
         with html.div().classes("heading"):
-            title(f"The Lagrangian of {self.session.title}", "h1")
+            with html.div():
+                say(self.session.title, "help")
+                title("The Lagrangian", "h1")
             with html.div().classes("downloads"):
-                action("report.html", self.page.guarded(self._report), "plain", "report").props("icon=download")
+                action("report.html", self.page.guarded(self._report), "plain", "report").props(
+                    "icon=download"
+                )
                 action("model.json", self.page.guarded(self._model), "plain", "model").props("icon=download")
         _status(model)
         with panel("equations"):
@@ -163,10 +168,12 @@ class ResultView:
                     for k, term in enumerate(terms):
                         note = "known" if term.known else ""
                         math(
-                            notation.addend(term.expression, term.coefficient, term.standard_error, note, k == 0)
+                            notation.addend(
+                                term.expression, term.coefficient, term.standard_error, note, k == 0
+                            )
                         )
-            if not model.dissipation:
-                say("No friction term was needed or offered.", "help")
+            if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
+                say("The root is dry friction, |velocity|, made smooth near rest.", "help")
 
     def _forecast(self, found: Found, notation: Notation) -> None:
         motion, model = found.motion, found.model
@@ -179,8 +186,8 @@ class ResultView:
             length = motion.t[-1] - motion.t[0]
             holds = "all of it" if motion.valid_time > 0.99 * length else f"{motion.valid_time:.3g} s"
             say(
-                f"The model runs freely for {length:.3g} s through {motion.trial or 'the recording'}, {kind}; it "
-                f"agrees for {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
+                f"The model runs freely for {length:.3g} s through {motion.trial or 'the data'}, {kind}; "
+                f"it agrees for {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
             )
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
@@ -193,33 +200,36 @@ class ResultView:
                         Stick(data)
                         say(_stick_words(model, data["down"]), "help")
                 self.figures = html.div().classes("figures")
-        ui.timer(0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True)
+        ui.timer(
+            0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
+        )
 
     async def _draw(self, box: ui.element, found: Found, notation: Notation) -> None:
         model, motion = found.model, found.motion
+        assert motion is not None
         for i, name in enumerate(model.coordinates[:_MOST_DRAWN]):
             unit = "rad" if name in self.session.angles else ""
             noise = float(model.noise_std[i])
-            figure = await run.io_bound(forecast_figure, motion, i, noise, notation.text(name), unit)
+            figure = await aside(forecast_figure, motion, i, noise, notation.text(name), unit)
             if box.is_deleted:
                 return
             with box:
                 drawn(figure, "figure")
 
     async def _report(self) -> None:
-        text = await run.io_bound(self.session.write_report)
+        text = await aside(self.session.write_report)
         ui.download.content(text, "report.html", "text/html")
 
     async def _model(self) -> None:
-        text = await run.io_bound(self.session.write_model)
+        text = await aside(self.session.write_model)
         ui.download.content(text, "model.json", "application/json")
 
 
 def _status(model: LagrangianModel) -> None:
     if model.fit.status == "ok":
         with html.p().classes("status ok"):
-            say("holds", "badge", "span")
-            say("The model explains the data to within their noise, or nearly so; no check has failed.", "", "span")
+            say("ok", "badge", "span")
+            say("None of the checks has failed: the equations hold along the data.", "", "span")
         return
     with html.div().classes("status doubtful"):
         with html.p():

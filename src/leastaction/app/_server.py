@@ -24,7 +24,8 @@ _POLICY = (
 )
 _FAVICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><path d="M4 5Q9 29 28 27" fill="none" '
-    'stroke="#0b67ad" stroke-width="4" stroke-linecap="round"/><circle cx="14" cy="20" r="4.5" fill="#d0580a"/></svg>'
+    'stroke="#0b67ad" stroke-width="4" stroke-linecap="round"/>'
+    '<circle cx="14" cy="20" r="4.5" fill="#d0580a"/></svg>'
 )
 
 
@@ -51,8 +52,8 @@ def free_port(port: int | None) -> int:
 class Guard:
     """Refuses bodies that are too large, and tells the browser to load nothing from elsewhere.
 
-    The Host header is checked too (see `install`): a foreign page whose name is made to point at this computer
-    gets no answer.
+    The Host header is checked too (see `install`): a foreign page whose name is made to point at this
+    computer gets no answer.
     """
 
     def __init__(self, application: Any) -> None:
@@ -76,7 +77,11 @@ class Guard:
         async def guarded(message: Any) -> None:
             if message["type"] == "http.response.start":
                 extra = [(b"content-security-policy", policy), (b"x-content-type-options", b"nosniff")]
-                message["headers"] = [*message.get("headers", []), *extra, (b"referrer-policy", b"no-referrer")]
+                message["headers"] = [
+                    *message.get("headers", []),
+                    *extra,
+                    (b"referrer-policy", b"no-referrer"),
+                ]
             await send(message)
 
         length = headers.get(b"content-length", b"0")

@@ -32,7 +32,10 @@ SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".csv.gz", ".tsv.gz", ".txt.gz", ".d
 
 EXAMPLES = {
     "single": ("Single pendulum", "4 trials of 9.2 s, one angle; swings freely, a little friction"),
-    "double": ("Double pendulum", "26 trials of 2.7 s, two angles; the smallest terms show the encoders' zeros"),
+    "double": (
+        "Double pendulum",
+        "26 trials of 2.7 s, two angles; the smallest terms show the encoders' zeros",
+    ),
 }
 """Name of a measured example -> its title, and what it is."""
 
@@ -136,15 +139,15 @@ class Session:
             self.choice = choice
 
     def read(self) -> None:
-        """Read the table with the present roles; the candidates begin anew if the coordinates have changed."""
-        before = self.data.coordinates if self.data is not None else ()
+        """Read the table with the present roles; the candidates begin anew if they no longer fit."""
+        before = None if self.data is None else (self.data.coordinates, self.data.driven)
         try:
             self.data, self.fault = columns.read(self._path, self.roles), ""
         except (InputError, DataError) as error:
             self.data, self.fault = None, in_words(str(error), self.folder)
         self.shown, self._smooth = 0, {}
         self.forget()
-        if self.data is not None and (self.data.coordinates != before or not self.choice.known):
+        if self.data is not None and (self.data.coordinates, self.data.driven) != before:
             self.choice = Choice.default(self.data)
 
     def smooth(self) -> SmoothMotion:
@@ -271,6 +274,8 @@ def _check_size(name: str, content: bytes) -> None:
             while chunk := stream.read(1 << 20):
                 total += len(chunk)
                 if total > MOST_BYTES:
-                    raise InputError(f"{_safe(name)} holds more than {limit} when it is unpacked; use the command line")
+                    raise InputError(
+                        f"{_safe(name)} holds more than {limit} when it is unpacked; use the command line"
+                    )
     except (OSError, EOFError, zlib.error):
         return  # damaged: the reader says so

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from nicegui import html, run, ui
+from nicegui import html, ui
 
 from leastaction._report._mathml import Notation
 from leastaction.app._figures import walk_figure
-from leastaction.app._parts import action, drawn, fault, math, panel, say, title
+from leastaction.app._parts import action, aside, drawn, fault, math, panel, put, say, title
 from leastaction.app._session import in_words
 
 if TYPE_CHECKING:
@@ -37,16 +37,22 @@ class WalkPanel:
                 say("chosen", "key big", "span")
             self.figure = html.div().classes("figures")
             with html.div().classes("mover"):
-                action("−", self.page.guarded(lambda: self._go(-1)), "quiet", "fewer").props('aria-label="Fewer terms"')
+                action("−", self.page.guarded(lambda: self._go(-1)), "quiet", "fewer").props(
+                    'aria-label="Fewer terms"'
+                )
                 self.slider = ui.slider(min=0, max=len(walk.points) - 1, step=1, value=self.session.place)
                 self.slider.props('aria-label="Number of terms"').mark("place")
-                self.slider.on("change", self.page.guarded(lambda: self._go_to(int(self.slider.value))))
-                action("+", self.page.guarded(lambda: self._go(1)), "quiet", "more").props('aria-label="More terms"')
+                self.slider.on("change", self.page.guarded(lambda: self._go_to(int(self.slider.value or 0))))
+                action("+", self.page.guarded(lambda: self._go(1)), "quiet", "more").props(
+                    'aria-label="More terms"'
+                )
             self.words = html.div().classes("stack").props("aria-live=polite")
         self.timer = ui.timer(0.2, self.page.guarded(self._follow), active=False)
-        self._describe()
         if self.session.job is not None and self.session.job.state == "running":
+            self._describe()
             self.timer.activate()
+        else:
+            self._stay()
         ui.timer(0.01, self.page.guarded(self._draw), once=True)
 
     def _go(self, step: int) -> None:
@@ -54,7 +60,7 @@ class WalkPanel:
 
     def _go_to(self, place: int) -> None:
         place = min(max(place, 0), len(self.session.walk.points) - 1)
-        if place == self.session.wanted and self.session.job is None:
+        if place == self.session.wanted:
             return
         self.slider.value = place
         if self.session.go_to(place) is None:
@@ -66,8 +72,7 @@ class WalkPanel:
     def _follow(self) -> None:
         job = self.session.job
         if job is not None and job.state == "running":
-            self.progress._text = f"Fitting {self._size()}… {job.seconds:.0f} s"
-            self.progress.update()
+            put(self.progress, f"Fitting {self._size()}… {job.seconds:.0f} s")
             return
         self.timer.deactivate()
         if job is not None and job.state == "failed":
@@ -96,7 +101,7 @@ class WalkPanel:
 
     async def _draw(self) -> None:
         box = self.figure
-        figure = await run.io_bound(walk_figure, self.session.walk, self.session.place)
+        figure = await aside(walk_figure, self.session.walk, self.session.place)
         if not box.is_deleted:
             box.clear()
             with box:
@@ -119,10 +124,15 @@ class WalkPanel:
             say(f"{self._size().capitalize()}. {walk.verdict(place)}")
             for text, terms in zip(("More:", "Less:"), walk.difference(place), strict=True):
                 self._list(text, terms)
-            kept = [t for t in (*session.current.model.terms, *session.current.model.dissipation) if not t.known]
+            kept = [
+                t for t in (*session.current.model.terms, *session.current.model.dissipation) if not t.known
+            ]
             asked = walk.points[place].n_terms
             if len(kept) < asked:
-                say(f"Of these {asked} terms the data support {len(kept)}; the others were dropped again.", "hint")
+                say(
+                    f"Of these {asked} terms the data support {len(kept)}; the others were dropped again.",
+                    "hint",
+                )
 
     def _list(self, text: str, terms: list[str]) -> None:
         if terms:

@@ -1,7 +1,7 @@
 """A process beside the server that computes, reports, and can be stopped at any moment.
 
-A discovery holds Python for seconds in one SciPy call, so a thread could neither be stopped nor leave the page
-alive. The process is kept for the next job, because importing SymPy and SciPy takes as long as a small
+A discovery holds Python for seconds in one SciPy call, so a thread could neither be stopped nor leave the
+page alive. The process is kept for the next job, because importing SymPy and SciPy takes as long as a small
 discovery; only a cancelled one is replaced.
 """
 
@@ -15,6 +15,8 @@ import warnings
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
+
+import numpy as np
 
 from leastaction._errors import DataError, InputError
 
@@ -112,7 +114,9 @@ class Worker:
             # "spawn": a forked copy of a server with threads may hang.
             context = multiprocessing.get_context("spawn")
             self._pipe, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), daemon=True, name="leastaction-worker")
+            self._process = context.Process(
+                target=_serve, args=(theirs,), daemon=True, name="leastaction-worker"
+            )
             self._process.start()
             theirs.close()
         assert self._pipe is not None
@@ -168,8 +172,10 @@ def explain(error: BaseException) -> str:
 
     Examples
     --------
-    >>> explain(InputError("the file is empty")), explain(KeyError("a"))[:50]
-    ('the file is empty', 'no model could be computed (KeyError: a); try othe')
+    >>> explain(InputError("the file is empty"))
+    'the file is empty'
+    >>> explain(ZeroDivisionError("division by zero"))
+    'no model could be computed (ZeroDivisionError: division by zero); try other candidates'
     """
     if isinstance(error, (InputError, DataError)):
         text = str(error)
@@ -177,6 +183,8 @@ def explain(error: BaseException) -> str:
         text = "not enough memory for so many samples and candidates; use fewer of either"
     elif isinstance(error, OSError):
         text = f"{error.strerror or error}; check the disk and the rights to it"
+    elif isinstance(error, (ArithmeticError, np.linalg.LinAlgError)):
+        text = f"no model could be computed ({type(error).__name__}: {error}); try other candidates"
     else:
-        text = f"no model could be computed ({type(error).__name__}: {str(error).strip(chr(39))}); try other candidates"
+        text = f"a fault of leastaction itself: {type(error).__name__}: {error}; please report this"
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())

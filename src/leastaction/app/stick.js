@@ -2,7 +2,7 @@
 export default {
   template: `
     <figure>
-      <svg viewBox="-110 -110 220 220" role="img" aria-label="Pendulum: measured in grey, forecast in colour">
+      <svg :viewBox="box" role="img" aria-label="Pendulum: measured in grey, forecast in colour">
         <path :d="trail" class="trail" />
         <g class="measured" v-if="links(frames.measured)">
           <polyline :points="links(frames.measured)" />
@@ -26,6 +26,21 @@ export default {
     return { frame: 0, playing: false, pace: 1, began: 0, handle: 0 };
   },
   computed: {
+    box() {
+      // What the ends of the links reach, and the pivot.
+      let [left, right, top, bottom] = [-30, 30, -12, 12];
+      for (const rows of [this.frames.measured, this.frames.forecast]) {
+        for (const row of rows) {
+          for (const [x, y] of row ? this.points(row) : []) {
+            left = Math.min(left, x);
+            right = Math.max(right, x);
+            top = Math.min(top, y);
+            bottom = Math.max(bottom, y);
+          }
+        }
+      }
+      return `${left - 8} ${top - 8} ${right - left + 16} ${bottom - top + 16}`;
+    },
     paceText() {
       return this.pace === 1 ? "1 ×" : "¼ ×";
     },
