@@ -8,7 +8,7 @@ from nicegui import html, ui
 
 from leastaction._errors import InputError
 from leastaction.app._candidates import SIZES, faults, friction_choices, lines, split_trials
-from leastaction.app._parts import action, fault, field, math, panel, put, say, title
+from leastaction.app._parts import action, fault, field, math, panel, say, title
 from leastaction.cli._text import counted
 
 if TYPE_CHECKING:
@@ -58,7 +58,9 @@ class CandidatesView:
     def _candidates(self) -> None:
         title("Candidates")
         toggle = ui.toggle({False: "Generated", True: "Written by hand"}, value=self.choice.written)
-        toggle.props("no-caps unelevated spread").classes("toggle").mark("written")
+        toggle.props("no-caps unelevated spread toggle-text-color=on-accent").classes("toggle").mark(
+            "written"
+        )
         toggle.on_value_change(self.page.guarded(lambda e: self._set_written(e.value)))
         self.source = html.div().classes("stack")
         self._show_source()
@@ -167,7 +169,7 @@ class CandidatesView:
             bad = faults(choice.text, data.coordinates)
             self._show_faults(bad)
         else:
-            put(self.size_words, f"{choice.size.capitalize()}: {_WORDS[choice.size]}.")
+            self.size_words.text = f"{choice.size.capitalize()}: {_WORDS[choice.size]}."
         text, problem = "", _problem(bad)
         try:
             library = choice.library(data.coordinates, self.page.session.angles)

@@ -94,9 +94,9 @@ class DataView:
             await aside(self.session.open_upload, event.file.name, content)
         except Exception as error:
             self._fail(self.page.words(error))
+            self.upload.reset()
         else:
             self._loaded()
-        self.upload.reset()
 
     def _rejected(self) -> None:
         self._fail(

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 from markupsafe import Markup
 from nicegui import html, run, ui
 
-__all__ = ["action", "aside", "drawn", "fault", "field", "math", "panel", "put", "say", "title"]
+__all__ = ["action", "aside", "drawn", "fault", "field", "math", "panel", "say", "title"]
 
 
 R = TypeVar("R")
@@ -19,19 +19,14 @@ async def aside(function: Callable[..., R], *arguments: Any) -> R:
     return cast(R, await run.io_bound(function, *arguments))
 
 
-def say(text: str, classes: str = "", tag: str = "p") -> ui.element:
+def say(text: str, classes: str = "", tag: str = "p") -> ui.label:
     """A line of text; it is shown as it is, never read as HTML."""
-    return getattr(html, tag)(text).classes(classes)
+    line = ui.label(text).classes(classes)
+    line.tag = tag
+    return line
 
 
-def put(element: ui.element, text: str) -> None:
-    """Change the text of an element that `say` has made."""
-    if element._text != text:
-        element._text = text
-        element.update()
-
-
-def title(text: str, tag: str = "h2") -> ui.element:
+def title(text: str, tag: str = "h2") -> ui.label:
     """A heading."""
     return say(text, "", tag)
 
@@ -41,7 +36,7 @@ def panel(classes: str = "") -> ui.element:
     return html.section().classes(f"panel {classes}")
 
 
-def fault(text: str) -> ui.element:
+def fault(text: str) -> ui.label:
     """One line that says what is wrong and what to do."""
     return say(text, "fault").props("role=alert")
 

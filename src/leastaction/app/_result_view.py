@@ -11,7 +11,7 @@ from leastaction._report._mathml import Notation
 from leastaction._report._tables import coefficient_rows
 from leastaction.app._figures import forecast_figure
 from leastaction.app._motion import frames, is_pendulum
-from leastaction.app._parts import action, aside, drawn, fault, math, panel, put, say, title
+from leastaction.app._parts import action, aside, drawn, fault, math, panel, say, title
 from leastaction.app._session import in_words
 from leastaction.app._stick import Stick
 from leastaction.app._walk_view import WalkPanel
@@ -89,8 +89,8 @@ class Running:
             self.timer.deactivate()
             self.page.show("result")
             return
-        put(self.stage, stage_words(job.stage, job.details))
-        put(self.seconds, f"{job.seconds:.0f} s")
+        self.stage.text = stage_words(job.stage, job.details)
+        self.seconds.text = f"{job.seconds:.0f} s"
         stages = list(job.stages)
         for (name, began), (_, ended) in pairwise(stages[self._count :]):
             with self.past:
@@ -218,11 +218,11 @@ class ResultView:
 
     async def _report(self) -> None:
         text = await aside(self.session.write_report)
-        ui.download.content(text, "report.html", "text/html")
+        ui.download.content(text.encode(), "report.html", "text/html")
 
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
-        ui.download.content(text, "model.json", "application/json")
+        ui.download.content(text.encode(), "model.json", "application/json")
 
 
 def _status(model: LagrangianModel) -> None:

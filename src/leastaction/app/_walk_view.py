@@ -9,7 +9,7 @@ from nicegui import html, ui
 
 from leastaction._report._mathml import Notation
 from leastaction.app._figures import walk_figure
-from leastaction.app._parts import action, aside, drawn, fault, math, panel, put, say, title
+from leastaction.app._parts import action, aside, drawn, fault, math, panel, say, title
 from leastaction.app._session import in_words
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class WalkPanel:
     def _follow(self) -> None:
         job = self.session.job
         if job is not None and job.state == "running":
-            put(self.progress, f"Fitting {self._size()}… {job.seconds:.0f} s")
+            self.progress.text = f"Fitting {self._size()}… {job.seconds:.0f} s"
             return
         self.timer.deactivate()
         if job is not None and job.state == "failed":
