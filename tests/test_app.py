@@ -80,6 +80,11 @@ def test_text_is_no_coordinate():
     assert guessed == {"t": TIME, "x": COORDINATE, "remark": UNUSED}
 
 
+def test_a_column_with_a_bad_cell_is_still_a_coordinate():
+    guessed = _columns.guess_roles(table("t,x", "0,1", "1,", "2,oops", "3,4"))
+    assert guessed == {"t": TIME, "x": COORDINATE}
+
+
 def test_any_column_gets_a_name_that_the_grammar_accepts():
     columns = ["θ 1 (rad)", "2nd", "sin", "x_dot", "x", "x (m)", "t", "", "class", "a-b", "€"]
     names = _columns.coordinate_names(columns)
@@ -409,6 +414,14 @@ def test_down_is_where_the_potential_is_lowest(terms, down, joined):
     found, relative = hanging_angles(pendulum(*terms))
     assert relative == joined
     assert found == (down if down is None else pytest.approx(down))
+
+
+def test_without_gravity_the_middle_of_the_motion_is_down():
+    t = np.linspace(0.0, 2 * np.pi, 201)
+    q = np.pi + 0.5 * np.sin(t)[:, None]
+    shown = frames(Motion("one", True, t, q, q, 1.0), pendulum(("a**2", -1.0)))
+    assert not shown["down"]
+    assert np.abs(shown["measured"]).max() == pytest.approx(0.5, abs=0.01)
 
 
 def test_frames_follow_the_links():

@@ -131,7 +131,8 @@ class CandidatesView:
 
     def _known(self) -> None:
         if self.data.driven:
-            words = "Optional: known forces set the scale. One a line, as in cos(theta) = 9.81."
+            first = self.data.coordinates[0]
+            words = f"Optional: known forces set the scale. One a line, as in {first}_dot**2 = 0.5."
         else:
             words = (
                 "Without known forces L and 2 L have the same motions, so one coefficient must be given. One "
@@ -178,7 +179,7 @@ class CandidatesView:
             choice.known_terms(library, data.driven)
             fitted, held_out = split_trials(data, choice.held_out, choice.every_third)
             text = (
-                f"{counted(len(library), 'candidate')}, {len(library.dissipation)} for friction; "
+                f"{counted(len(library), 'candidate')}, {len(library.dissipation) or 'none'} for friction; "
                 f"{counted(len(fitted), 'trial')} fitted"
                 + (f", {len(held_out)} held out" if held_out is not None else "")
             )

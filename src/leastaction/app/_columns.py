@@ -60,12 +60,14 @@ class Columns:
         return ", ".join((row[place] or "–")[:12] for row in self.rows[:count])
 
     def numbers(self, column: str) -> np.ndarray | None:
-        """The first values as numbers (NaN: missing); None if one is something else."""
+        """The first values as numbers (NaN: none); None if most are something else.
+
+        A single cell at fault does not make a column of numbers one of text: the reader will name it.
+        """
         place = self.header.index(column)
-        try:
-            return np.array([float(row[place]) if row[place] else np.nan for row in self.rows])
-        except ValueError:
-            return None
+        cells = [row[place] for row in self.rows if row[place]]
+        values = np.array([_number(cell) for cell in cells])
+        return values if np.isfinite(values).sum() > len(cells) / 2 else None
 
 
 def peek(path: Path) -> Columns:
@@ -190,6 +192,13 @@ def _only(roles: Mapping[str, str], role: str) -> str | None:
     if len(found) > 1:
         raise InputError(f"{found[0]!r} and {found[1]!r} are both marked as {role}; choose one")
     return found[0] if found else None
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
 
 
 def _word(column: str) -> str:

@@ -67,7 +67,8 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900) -> dict[str,
     step = -(-motion.t.size // most)
     t = motion.t[::step]
     down, joined = hanging_angles(model)
-    offset = np.zeros(model.n_dof) if down is None else np.array(down)
+    middle = np.nan_to_num(np.nanmean(_filled(motion.measured), axis=0))
+    offset = middle if down is None else np.array(down)
 
     def directions(q: np.ndarray) -> np.ndarray:
         turned = q - offset

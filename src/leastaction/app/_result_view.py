@@ -184,22 +184,26 @@ class ResultView:
                 return
             kind = "a trial that took no part in the fit" if motion.held_out else "a trial of the fit"
             length = motion.t[-1] - motion.t[0]
-            holds = "all of it" if motion.valid_time > 0.99 * length else f"{motion.valid_time:.3g} s"
+            holds = f"agrees for {motion.valid_time:.3g} s"
+            if motion.valid_time > 0.99 * length:
+                holds = "agrees to the end"
+            elif motion.valid_time <= 0:
+                holds = "is off from the start"
             say(
                 f"The model runs freely for {length:.3g} s through {motion.trial or 'the data'}, {kind}; "
-                f"it agrees for {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
+                f"it {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
             )
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
                 say("forecast", "key line forecast", "span")
             turning = is_pendulum(model.coordinates, self.session.angles)
-            with html.div().classes("halves" if turning else "figures"):
+            with html.div().classes("halves" if turning else "stack"):
                 if turning:
                     with html.div():
                         data = frames(motion, model)
                         Stick(data)
                         say(_stick_words(model, data["down"]), "help")
-                self.figures = html.div().classes("figures")
+                self.figures = html.div().classes("figures" if turning else "figures side")
         ui.timer(
             0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
         )
@@ -265,5 +269,5 @@ def _stick_words(model: LagrangianModel, down: bool) -> str:
     if model.n_dof == 2:
         parts.append("Both links are drawn equally long: the data do not tell their lengths.")
     if not down:
-        parts.append("The model has no gravity, so where down is was chosen freely.")
+        parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
     return " ".join(parts)
