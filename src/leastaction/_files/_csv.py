@@ -23,7 +23,7 @@ from leastaction._files._atomic import read_bytes
 from leastaction._files._layout import Layout, Table
 from leastaction._names import quoted
 
-__all__ = ["read_csv_table"]
+__all__ = ["peek_csv", "read_csv_table"]
 
 _DELIMITERS = (",", ";", "\t")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
@@ -68,6 +68,25 @@ def read_csv_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
         raise InputError(f"{path} has a header, but no data lines; at least 5 samples are needed")
     table = _read_fast(text, found)
     return found, table if table is not None else _read_slowly(text, found)
+
+
+def peek_csv(path: Path, n_rows: int = 50) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return the header of a CSV file and its first rows as text: no column has a meaning yet.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read or is no UTF-8 table with a header.
+    """
+    nothing = Layout(time="", coordinates={}, forces={}, trial=None, angles=())
+    text = _split_header(_decode(_content(path), str(path)), str(path), nothing)
+    lines = [line for line in text.body[: 400 * n_rows * len(text.header)].split("\n") if line.strip()]
+    cells = csv.reader(lines[:n_rows], delimiter=text.delimiter, skipinitialspace=True)
+    try:
+        rows = [tuple(cell.strip() for cell in row) for row in cells]
+    except csv.Error:  # the reader proper says what is wrong, and where
+        rows = []
+    return text.header, [row for row in rows if len(row) == len(text.header)]
 
 
 def _content(path: Path) -> bytes:

@@ -14,7 +14,7 @@ from leastaction._report._series import Energy, legible_samples, thin_line
 from leastaction._report._svg import COLOURS, HALF, dots, inline, label, panel
 from leastaction._report._text import plain, signed
 
-__all__ = ["energy_of_trial", "energy_of_trials", "forecast_panel", "path_figure"]
+__all__ = ["energy_of_trial", "energy_of_trials", "folded", "forecast_panel", "path_figure", "unfolded"]
 
 _LINEAR = 10.0  # the axis of the path is linear within this and logarithmic beyond
 _MOST_TRIALS = 60
@@ -30,13 +30,13 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
         best.setdefault(point.n_terms, point)
     best[chosen.n_terms] = chosen
     sizes = np.array(sorted(best))
-    cost, bic = (_fold(np.array([getattr(best[n], key) for n in sizes])) for key in ("cost", "bic"))
+    cost, bic = (folded(np.array([getattr(best[n], key) for n in sizes])) for key in ("cost", "bic"))
     rest = [p for p in path if p is not best[p.n_terms]]
     axes.plot(sizes, cost, color=COLOURS["measured"], lw=1.2, dashes=(4, 3))
     dots(axes, sizes, cost, "measured", 6.0)
     axes.plot(sizes, bic, color=COLOURS["fit"], lw=1.5)
     dots(axes, sizes, bic, "fit", 7.0)
-    dots(axes, np.array([p.n_terms for p in rest]), _fold(np.array([p.bic for p in rest])), "fit", 4.0, 0.55)
+    dots(axes, np.array([p.n_terms for p in rest]), folded(np.array([p.bic for p in rest])), "fit", 4.0, 0.55)
     dots(axes, np.array([chosen.n_terms]), np.zeros(1), "forecast", 12.0, above=True)
     axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
     axes.set_xlim(sizes[0] - 0.5, sizes[-1] + 0.5)
@@ -44,7 +44,7 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     ticks = range(int(np.floor(low)), int(np.ceil(high)) + 1)
     every = max(1, len(ticks) // 7)
     axes.yaxis.set_major_locator(FixedLocator([k for k in ticks if k % every == 0]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: _unfolded(round(v))))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: unfolded(round(v))))
     axes.set_ylim(low - 0.3, high + 0.3)
     label(axes, "number of free terms", "difference from the chosen structure")
     said = ", ".join(f"{n}: {signed(best[n].bic)}" for n in sizes if n != chosen.n_terms)
@@ -56,7 +56,7 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     )
 
 
-def _fold(value: np.ndarray) -> np.ndarray:
+def folded(value: np.ndarray) -> np.ndarray:
     """±1 for ±10, ±2 for ±100, …; linear in between."""
     size = np.abs(value)
     return np.sign(value) * np.where(
@@ -64,7 +64,7 @@ def _fold(value: np.ndarray) -> np.ndarray:
     )
 
 
-def _unfolded(level: int) -> str:
+def unfolded(level: int) -> str:
     if abs(level) <= 3:
         return f"{'−' if level < 0 else ''}{10 ** abs(level) if level else 0}"
     return (

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import click
 
-from leastaction.cli import _demonstrate, _discover, _generate, _use
+from leastaction.cli import _app, _demonstrate, _discover, _generate, _use
 from leastaction.cli._failures import Interrupted, give_up
 
 __all__ = ["main", "program"]
@@ -71,6 +71,7 @@ for _command in (
     _use.export,
     _generate.generate,
     _demonstrate.demo,
+    _app.app,
 ):
     program.add_command(_command)
 

@@ -1,0 +1,73 @@
+"""Small pieces that the pages are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Any, TypeVar, cast
+
+from markupsafe import Markup
+from nicegui import html, run, ui
+
+__all__ = ["action", "aside", "drawn", "fault", "field", "math", "panel", "say", "title"]
+
+
+R = TypeVar("R")
+
+
+async def aside(function: Callable[..., R], *arguments: Any) -> R:
+    """Call a function in a thread, so that the page stays alive."""
+    return cast(R, await run.io_bound(function, *arguments))
+
+
+def say(text: str, classes: str = "", tag: str = "p") -> ui.label:
+    """A line of text; it is shown as it is, never read as HTML."""
+    line = ui.label(text).classes(classes)
+    line.tag = tag
+    return line
+
+
+def title(text: str, tag: str = "h2") -> ui.label:
+    """A heading."""
+    return say(text, "", tag)
+
+
+def panel(classes: str = "") -> ui.element:
+    """A part of the page with a border of its own."""
+    return html.section().classes(f"panel {classes}")
+
+
+def fault(text: str) -> ui.label:
+    """One line that says what is wrong and what to do."""
+    return say(text, "fault").props("role=alert")
+
+
+def drawn(markup: Markup, classes: str = "") -> ui.element:
+    """A figure or formula of our own making, in which all foreign text is escaped."""
+    return ui.html(str(markup), sanitize=False).classes(classes)
+
+
+def math(markup: Markup, classes: str = "") -> ui.element:
+    """A formula within a line."""
+    return ui.html(str(markup), sanitize=False, tag="span").classes(classes)
+
+
+def action(
+    text: str, on_click: Callable[[], Awaitable[Any] | Any], kind: str = "plain", mark: str = ""
+) -> ui.button:
+    """A button: "main" for the one thing to do next, "plain" for others, "quiet" for small ones."""
+    button = (
+        ui.button(text, on_click=on_click, color=None)
+        .props("no-caps unelevated no-wrap")
+        .classes(f"action {kind}")
+    )
+    return button.mark(mark) if mark else button
+
+
+def field(label: str, help_text: str = "") -> ui.element:
+    """A labelled part of a form; what belongs to it goes inside."""
+    box = html.div().classes("field")
+    with box:
+        say(label, "label", "h3")
+        if help_text:
+            say(help_text, "help")
+    return box

@@ -1,0 +1,298 @@
+"""The app in a real browser: from a file to the downloads, faults, cancelling, nothing from elsewhere."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import pytest
+
+import app_helpers
+import leastaction as la
+
+pytestmark = pytest.mark.browser
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")
+_OPTIONS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+_LAPTOP, _PHONE = (1280, 800), (390, 844)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> str:
+    pytest.importorskip("nicegui", reason="the app needs NiceGUI: pip install 'leastaction[app]'")
+    pytest.importorskip("playwright", reason="browser tests need Playwright: pip install playwright")
+    found = next(filter(None, map(shutil.which, _NAMES)), None)
+    if found is None:
+        pytest.skip(
+            "no Chromium found; install one (Debian: apt-get install chromium) to run the browser tests"
+        )
+    return found
+
+
+@pytest.fixture(scope="module")
+def address(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server of its own, as a user starts it."""
+    folder = tmp_path_factory.mktemp("server")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    log = folder / "log.txt"
+    source = str(Path(la.__file__).parents[1])
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("NICEGUI", "PYTEST"))}
+    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [source, environment.get("PYTHONPATH")]))
+    with log.open("w") as stream:
+        command = [sys.executable, "-m", "leastaction", "app", "--no-browser", "--port", str(port)]
+        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=stream, stderr=stream)
+    url = f"http://127.0.0.1:{port}/"
+    try:
+        end = time.monotonic() + 60
+        while True:
+            try:
+                urlopen(url, timeout=5).close()
+                break
+            except OSError:
+                assert process.poll() is None, log.read_text()
+                assert time.monotonic() < end, log.read_text()
+                time.sleep(0.2)
+        yield url
+    finally:
+        process.terminate()
+        process.wait(30)
+    text = log.read_text()
+    assert text.splitlines() == [f"leastaction app: {url.removesuffix('/')} (end it with Ctrl-C)"], text
+    # Nothing is left beside the log: the app keeps no files.
+    assert [path.name for path in folder.iterdir()] == ["log.txt"]
+
+
+@dataclass
+class Tab:
+    """A page of a browser of its own, and everything it has asked for or complained about."""
+
+    page: object
+    address: str
+    foreign: list[str] = field(default_factory=list)
+    complaints: list[str] = field(default_factory=list)
+
+    def watch(self) -> None:
+        own = (self.address, self.address.replace("http:", "ws:"), "data:", "blob:")
+        page = self.page
+        page.on("request", lambda r: None if r.url.startswith(own) else self.foreign.append(r.url))
+        page.on("websocket", lambda w: None if w.url.startswith(own) else self.foreign.append(w.url))
+        page.on("pageerror", lambda e: self.complaints.append(str(e)))
+        page.on("console", lambda m: self.complaints.append(m.text) if m.type == "error" else None)
+
+    def overflow(self) -> int:
+        return self.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
+
+    def see(self, text: str, seconds: float = 60.0) -> None:
+        self.page.get_by_text(text).first.wait_for(timeout=1000 * seconds)
+
+    def click(self, text: str) -> None:
+        self.page.get_by_role("button", name=text).first.click()
+
+
+@pytest.fixture
+def open_tab(chromium: str, address: str, tmp_path: Path):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        contexts = []
+
+        def start(size: tuple[int, int] = _LAPTOP, scheme: str = "light") -> Tab:
+            context = playwright.chromium.launch_persistent_context(
+                str(tmp_path / f"profile-{len(contexts)}"),
+                executable_path=chromium,
+                args=_OPTIONS,
+                viewport={"width": size[0], "height": size[1]},
+                color_scheme=scheme,
+                accept_downloads=True,
+            )
+            contexts.append(context)
+            tab = Tab(context.pages[0], address)
+            tab.watch()
+            tab.page.goto(address)
+            tab.see("Or a measured example")
+            tabs.append(tab)
+            return tab
+
+        tabs: list[Tab] = []
+        yield start
+        for context in contexts:
+            context.close()
+    for tab in tabs:
+        assert tab.foreign == []
+        assert tab.complaints == []
+
+
+def test_from_a_file_to_the_downloads(open_tab, tmp_path):
+    tab = open_tab()
+    page = tab.page
+    path = app_helpers.driven_pendulum(tmp_path / "swing.csv")
+    page.locator("input[type=file]").set_input_files(path)
+    tab.see("What was measured")
+    page.locator(".figure svg").first.wait_for()
+    roles = page.locator(".role .q-field__native").all_inner_texts()
+    assert [text.strip() for text in roles] == ["trial", "time (s)", "angle (rad)", "force on theta"]
+    tab.click("Continue to the candidates")
+    tab.see("What may the Lagrangian be made of?")
+    page.get_by_text("compact:").click()
+    page.get_by_text("viscous, θ").click()
+    tab.see("1 for friction; 2 trials fitted, 1 held out")
+    tab.click("Find the Lagrangian")
+    tab.see("How many terms?")
+    tab.see("None of the checks has failed")
+    assert page.locator(".formula math").count() == 2
+    page.locator(".stick polyline").first.wait_for()
+    with page.expect_download() as report:
+        tab.click("report.html")
+    with page.expect_download() as model:
+        tab.click("model.json")
+    text = Path(report.value.path()).read_text(encoding="utf-8")
+    assert text.startswith("<!DOCTYPE html>")
+    assert "swing" in text or "single_pendulum-0" in text
+    saved = tmp_path / "model.json"
+    model.value.save_as(saved)
+    found = la.load(saved)
+    assert [term.expression for term in found.terms] == ["theta_dot**2", "cos(theta)"]
+    assert found.terms[1].coefficient == pytest.approx(9.81, rel=0.02)
+    page.reload()
+    tab.see("How many terms?")  # a reload loses nothing
+
+
+def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):
+    tab = open_tab()
+    page = tab.page
+    bad = tmp_path / "bad.csv"
+    bad.write_text("t,x\n" + "".join(f"{0.1 * k:.1f},{k * k}\n" for k in range(60)) + "6.0,oops\n")
+    page.locator("input[type=file]").set_input_files(bad)
+    tab.see("bad.csv, line 62, column 'x': 'oops' is not a number")
+    assert page.locator(".fault").count() == 1
+    assert "Traceback" not in page.content()
+    assert page.locator(".step").nth(1).is_disabled()
+    nothing = tmp_path / "nothing.csv"
+    nothing.write_bytes(b"\x89PNG\0\0\0")
+    page.locator("input[type=file]").set_input_files(nothing)
+    tab.see("holds binary data, not text")
+    tab.click("Single pendulum")
+    tab.see("What was measured")
+    assert page.locator(".fault").count() == 0
+
+
+def test_a_cancelled_run_leaves_the_app_usable(open_tab):
+    tab = open_tab()
+    page = tab.page
+    tab.click("Double pendulum")
+    tab.click("Continue to the candidates")
+    tab.click("Find the Lagrangian")
+    tab.see("Preparing")
+    began = time.monotonic()
+    page.get_by_role("button", name="Cancel").click()
+    tab.see("Data and candidates are as they were")
+    assert time.monotonic() - began < 5.0
+    tab.click("Back to the candidates")
+    tab.see("16 candidates, 5 for friction; 18 trials fitted, 8 held out")
+    page.locator(".step").first.click()
+    tab.click("Single pendulum")
+    tab.click("Continue to the candidates")
+    tab.click("Find the Lagrangian")
+    tab.see("How many terms?")
+    # Along the trade-off curve; a refit can be cancelled too.
+    before = page.locator(".formula").all_inner_texts()
+    page.get_by_role("button", name="Fewer terms").click()
+    tab.see("The criterion prefers the chosen structure by")
+    page.wait_for_function("before => document.querySelector('.formula').innerText !== before", arg=before[0])
+    fewer = page.locator(".formula").all_inner_texts()
+    assert fewer != before
+    page.get_by_role("button", name="More terms").click()
+    tab.see("This is the structure that leastaction chose")
+    assert page.locator(".formula").all_inner_texts() == before
+
+
+def test_what_is_typed_is_checked_and_never_run(open_tab):
+    tab = open_tab()
+    page = tab.page
+    tab.click("Single pendulum")
+    tab.click("Continue to the candidates")
+    area = page.get_by_label("Candidates, one expression a line")
+    area.fill("theta_dot**2\ncos(thet)\n<img src=x onerror=document.title='run'>\n__import__('os').abort()")
+    tab.see("line 2: cannot read 'cos(thet)' at column 5: unknown name 'thet'; did you mean 'theta'?")
+    tab.see("3 lines among the candidates cannot be read")
+    assert page.get_by_role("button", name="Find the Lagrangian").is_disabled()
+    assert page.title() == "leastaction"
+    area.fill("theta_dot**2\ncos(theta)")
+    tab.see("2 expressions, all readable")
+    page.get_by_label("Known coefficients").fill("")
+    tab.see("then L = 0 solves every equation")
+    page.get_by_label("Known coefficients").fill("theta_dot**2 = much")
+    tab.see("'much' is not a finite number")
+    page.get_by_label("Known coefficients").fill("theta_dot**2 = 1")
+    tab.see("2 candidates, 2 for friction")
+    assert page.get_by_role("button", name="Find the Lagrangian").is_enabled()
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(_LAPTOP, "dark"), (_PHONE, "light"), (_PHONE, "dark")])
+def test_every_screen_fits_its_window(open_tab, size, scheme):
+    tab = open_tab(size, scheme)
+    page = tab.page
+    assert tab.overflow() <= 0
+    dark = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 26)"
+    assert dark == (scheme == "dark")
+    tab.click("Single pendulum")
+    page.locator(".figure svg").first.wait_for(state="attached")
+    assert tab.overflow() <= 0
+    # Of the two shapes of a figure one is seen.
+    assert page.locator(".figure .wide").first.is_visible() == (size == _LAPTOP)
+    assert page.locator(".figure .narrow").first.is_visible() == (size == _PHONE)
+    tab.click("Continue to the candidates")
+    page.get_by_text("Generated").click()
+    tab.see("The candidates as formulas")
+    page.get_by_text("The candidates as formulas").click()
+    page.locator(".term math").first.wait_for()
+    assert tab.overflow() <= 0
+    tab.click("Find the Lagrangian")
+    tab.see("How many terms?")
+    page.locator(".stick polyline").first.wait_for()
+    assert tab.overflow() <= 0
+
+
+def test_the_server_answers_to_this_computer_only(address):
+    with urlopen(address) as answer:
+        policy = answer.headers["Content-Security-Policy"]
+        page = answer.read().decode()
+    assert "default-src 'self'" in policy
+    assert "http" not in policy
+    assert "https://" not in page
+    with pytest.raises(OSError, match="400"):
+        urlopen(Request(address, headers={"Host": "evil.example"}))
+    with pytest.raises(OSError, match="413"):
+        urlopen(Request(address, data=b"", headers={"Content-Length": "999999999"}))
+    port = int(address.rstrip("/").rpartition(":")[2])
+    others = [info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
+    for host in {host for host in others if not host.startswith("127.")}:
+        with pytest.raises(OSError, match=r"."):
+            socket.create_connection((host, port), timeout=2).close()
+
+
+def test_a_port_in_use_is_one_line(address):
+    port = address.rstrip("/").rpartition(":")[2]
+    command = [sys.executable, "-m", "leastaction", "app", "--no-browser", "--port", port]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert result.returncode == 2
+    assert result.stderr.startswith(f"error: port {port} is in use")
+    assert len(result.stderr.splitlines()) == 1
