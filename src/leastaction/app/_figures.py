@@ -30,14 +30,16 @@ DRAWING = threading.Lock()
 _numbers = count()
 
 
-def _both(draw: Callable[[Axes], None], wide: tuple[int, int], narrow: tuple[int, int], alt: str) -> Markup:
+def _both(
+    draw: Callable[[Axes], None], wide: tuple[int, int], narrow: tuple[int, int], title: str, alt: str
+) -> Markup:
     """The same figure in two shapes, of which the style sheet shows one: text keeps its size."""
     parts = []
     with DRAWING, drawing():
         for name, size in (("wide", wide), ("narrow", narrow)):
-            axes = panel(*size)
+            axes = panel(size)
             draw(axes)
-            parts.append(f'<div class="{name}">{inline(axes, f"figure{next(_numbers)}", alt)}</div>')
+            parts.append(f'<div class="{name}">{inline(axes, f"figure{next(_numbers)}", title, alt)}</div>')
     return Markup("".join(parts))
 
 
@@ -51,10 +53,10 @@ def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str,
             t, q, quiet = legible_samples(run.t, run.q[:, i], float(smooth.noise_std[i]))
             dots(axes, t, q, "measured", 4.2 if quiet else 2.8, above=quiet)
             axes.plot(*thin_line(smooth.t, smooth.q[:, i], 1400), color=COLOURS["fit"], lw=1.4)
-        label(axes, "t (s)", name, y_unit=unit)
+        label(axes, "t", name, "s", unit)
 
     line = ", the smoothing spline as a line" if smooth is not None else ""
-    return _both(draw, (1080, 190), (350, 200), f"{name} over time: samples as dots{line}")
+    return _both(draw, (1080, 190), (350, 200), f"{name} over time", f"samples as dots{line}")
 
 
 def forecast_figure(motion: Motion, i: int, noise_std: float, name: str, unit: str) -> Markup:
@@ -75,9 +77,15 @@ def forecast_figure(motion: Motion, i: int, noise_std: float, name: str, unit: s
             axes.set_ylim(ends.min() - pad, ends.max() + pad)
         axes.plot(*thin_line(motion.t[there], run[there]), color=COLOURS["forecast"])
         axes.set_xlim(motion.t[0], motion.t[-1])
-        label(axes, "t (s)", name, y_unit=unit)
+        label(axes, "t", name, "s", unit)
 
-    return _both(draw, (560, 210), (350, 200), f"{name}: measured samples as dots, the forecast as a line")
+    return _both(
+        draw,
+        (560, 210),
+        (350, 200),
+        f"forecast of {name}",
+        "measured samples as dots, the forecast as a line",
+    )
 
 
 def walk_figure(walk: Walk, place: int) -> Markup:
@@ -106,4 +114,4 @@ def walk_figure(walk: Walk, place: int) -> Markup:
     alt = (
         "Criterion and misfit of the best structure of each size; the chosen one and the one shown are marked"
     )
-    return _both(draw, (560, 260), (350, 240), alt)
+    return _both(draw, (560, 260), (350, 240), "Number of terms against misfit", alt)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from nicegui import html, ui
 
 from leastaction._report._mathml import Notation
-from leastaction._report._tables import coefficient_rows
+from leastaction._report._tables import coefficient_groups
 from leastaction.app._figures import forecast_figure
 from leastaction.app._motion import frames, is_pendulum
 from leastaction.app._parts import action, aside, drawn, fault, math, panel, say, title
@@ -251,11 +251,12 @@ def _coefficients(model: LagrangianModel, notation: Notation) -> None:
             for text, side in (("term", ""), ("coefficient", "n"), ("95 % interval", "n"), ("z", "n")):
                 say(text, side, "th")
         with html.tbody():
-            for row in coefficient_rows(model, notation):
+            groups = coefficient_groups(model, notation)
+            for symbol, row in [(group["symbol"], row) for group in groups for row in group["rows"]]:
                 with html.tr().classes("known" if row["known"] else ""):
                     with html.td():
                         math(row["term"])
-                        if row["kind"] == "ψ":
+                        if symbol == "ψ":
                             say("friction", "tag", "span")
                     error = f" ± {row['error']}" if row["error"] else " (known)" if row["known"] else ""
                     say(row["value"] + error, "n", "td")
