@@ -1,8 +1,8 @@
-"""The two errors that leastaction raises on purpose; both are ``ValueError``."""
+"""The errors that leastaction raises on purpose; all are ``ValueError``."""
 
 from __future__ import annotations
 
-__all__ = ["DataError", "InputError"]
+__all__ = ["DataError", "InputError", "MissingPackageError"]
 
 
 class InputError(ValueError):
@@ -11,3 +11,25 @@ class InputError(ValueError):
 
 class DataError(ValueError):
     """The input is well formed, but the data cannot support any model; the text says why."""
+
+
+class MissingPackageError(InputError, ImportError):
+    """A package is not installed that only some uses need; the text says how to install it.
+
+    Parameters
+    ----------
+    use : str
+        What was asked for.
+    package, extra : str
+        The package, and the extra of leastaction that brings it.
+    instead : str
+        What would do without the package.
+    """
+
+    def __init__(self, use: str, package: str, extra: str, instead: str = "") -> None:
+        other = f", or {instead}" if instead else ""
+        super().__init__(f"{use} needs {package}; install it with: pip install 'leastaction[{extra}]'{other}")
+
+    def __reduce__(self):
+        # As InputError: the text is all there is, and unpickling must not ask for the four parts.
+        return (InputError, self.args)

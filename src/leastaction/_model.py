@@ -291,14 +291,13 @@ class LagrangianModel:
         pandas.DataFrame
             Index ``expression``; columns ``kind`` ("lagrangian" or "dissipation"), ``coefficient``,
             ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
-        """
-        import pandas as pd  # half a second that most runs of the command line do not need
 
-        terms = (*self.terms, *self.dissipation)
-        kinds = ["lagrangian"] * len(self.terms) + ["dissipation"] * len(self.dissipation)
-        names = ("coefficient", "standard_error", "lower", "upper", "z", "known")
-        columns = {"kind": kinds, **{name: [getattr(t, name) for t in terms] for name in names}}
-        return pd.DataFrame(columns, index=pd.Index([t.expression for t in terms], name="expression"))
+        Raises
+        ------
+        InputError
+            Which is also an ImportError, if pandas is not installed (extra ``pandas``).
+        """
+        return model_text.frame(self)
 
     def format_rows(self) -> list[tuple[str, ...]]:
         """Rows of text for a table, the first one the header; numbers are rounded to their errors."""

@@ -5,14 +5,16 @@ from __future__ import annotations
 import html
 from typing import TYPE_CHECKING
 
-from leastaction._errors import InputError
+from leastaction._errors import InputError, MissingPackageError
 from leastaction._names import quoted
 from leastaction._notation import coefficient_text, latex_sum, latex_symbols, plain_sum, rounded
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from leastaction._model import LagrangianModel
 
-__all__ = ["html_table", "latex", "rows", "summary", "table"]
+__all__ = ["frame", "html_table", "latex", "rows", "summary", "table"]
 
 _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
 
@@ -81,3 +83,18 @@ def html_table(model: LagrangianModel) -> str:
         f"<table><thead>{line(header, 'th')}</thead><tbody>{lines}</tbody></table>"
         f"<p>fit: {model.fit.status}</p>{f'<ul>{notes}</ul>' if notes else ''}"
     )
+
+
+def frame(model: LagrangianModel) -> pd.DataFrame:
+    """Coefficients with their errors, as a data frame of pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        instead = "use format_table(), or terms and dissipation"
+        raise MissingPackageError("table()", "pandas", "pandas", instead) from None
+
+    terms = (*model.terms, *model.dissipation)
+    kinds = ["lagrangian"] * len(model.terms) + ["dissipation"] * len(model.dissipation)
+    names = ("coefficient", "standard_error", "lower", "upper", "z", "known")
+    columns = {"kind": kinds, **{name: [getattr(t, name) for t in terms] for name in names}}
+    return pd.DataFrame(columns, index=pd.Index([t.expression for t in terms], name="expression"))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leastaction._checks import FloatArray, real_array
-from leastaction._errors import InputError
+from leastaction._errors import InputError, MissingPackageError
 from leastaction._files._atomic import read_bytes
 from leastaction._files._frames import trial_name
 from leastaction._files._layout import Layout, Table
@@ -74,10 +74,8 @@ def _read_mat73(path: Path, layout: Layout) -> tuple[Layout, Table]:
     try:
         import h5py
     except ImportError:
-        raise InputError(
-            f"{path}: reading MAT files of version 7.3 needs h5py; install it with: "
-            "pip install 'leastaction[mat73]', or save with -v7 in MATLAB"
-        ) from None
+        what = f"{path}: reading MAT files of version 7.3"
+        raise MissingPackageError(what, "h5py", "mat73", "save with -v7 in MATLAB") from None
     with ExitStack() as stack:
         try:
             file = stack.enter_context(h5py.File(path, "r"))

@@ -1,4 +1,4 @@
-"""CSV text to a table: pandas for speed, and a slow exact reader that finds the cell at fault.
+"""CSV text to a table: NumPy's reader for speed, and a slow exact reader that finds the cell at fault.
 
 The slow reader decides what is right. The fast one is used only where it is sure to give the same, and
 whatever it refuses is read again slowly, so that the message names line, column and text.
@@ -29,8 +29,7 @@ _DELIMITERS = (",", ";", "\t")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
 _MISSING = ("", "NA", "na", "Na", "NaN", "nan", "NAN", "Nan")
-# pandas turns a column that holds nothing but these into 1 and 0.
-_TRUTH = (b"True", b"TRUE", b"true", b"False", b"FALSE", b"false")
+_ODD_NAN = ("+nan", "-nan", "+NaN", "-NaN", "+NAN", "-NAN", "+Nan", "-Nan")
 
 
 @dataclass(frozen=True)
@@ -160,47 +159,51 @@ def _sniff(line: str, layout: Layout) -> tuple[str, tuple[str, ...]]:
 
 
 def _read_fast(text: _Text, layout: Layout) -> Table | None:
-    """Read with pandas; None where a cell is not a number or the rows may be taken apart differently."""
-    import pandas as pd  # slow to import, and not needed by most commands
-
+    """Read with NumPy; None where a cell is not a number or the rows may be taken apart differently."""
     if '"' in text.body:
         return None
-    data = text.body.encode("utf-8")
-    lines = _regular_lines(data, text.delimiter, len(text.header))
-    if lines is None:
+    lines = _regular_lines(text.body.encode("utf-8"), text.delimiter, len(text.header))
+    if lines is None or not _plain_missing(text.body):
         return None
-    columns = {text.header.index(name): name for name in layout.numbers}
-    trial = None if layout.trial is None else text.header.index(layout.trial)
-    dtype: dict[int, type] = dict.fromkeys(columns, np.float64)
-    if trial is not None:
-        dtype[trial] = str
-    release = tuple(int(part) for part in pd.__version__.split(".")[:2] if part.isdigit())
-    # Newer pandas always rounds correctly; older ones only when told to.
-    exact = {} if release >= (3, 1) else {"float_precision": "round_trip"}
+    columns = [text.header.index(name) for name in layout.numbers]
     try:
-        frame = pd.read_csv(
-            io.BytesIO(data),
-            sep=text.delimiter,
-            header=None,
-            names=list(range(len(text.header))),
-            index_col=False,
-            usecols=sorted(dtype),
-            dtype=dtype,
-            na_values={index: list(_MISSING) for index in columns},
-            keep_default_na=False,
-            skipinitialspace=True,
-            quoting=csv.QUOTE_NONE,
-            engine="c",
-            low_memory=False,
-            **exact,
+        values = np.loadtxt(
+            io.StringIO(_fill_empty(text.body, text.delimiter)),
+            delimiter=text.delimiter,
+            usecols=columns,
+            comments=None,
+            ndmin=2,
         )
-    except (ValueError, OverflowError):  # every parser error of pandas is a ValueError
+    except ValueError:
         return None
-    numbers = {name: frame[index].to_numpy(dtype=np.float64) for index, name in columns.items()}
-    if len(frame) != lines.size or _maybe_truth(numbers, data):
+    if len(values) != lines.size:
         return None
-    trials = None if trial is None else [name.strip() for name in frame[trial].tolist()]
+    numbers = {name: values[:, k].copy() for k, name in enumerate(layout.numbers)}
+    trials = None
+    if layout.trial is not None:
+        place = text.header.index(layout.trial)
+        filled = (line for line in text.body.split("\n") if line)
+        trials = [line.split(text.delimiter, place + 1)[place].strip() for line in filled]
     return _table(text, numbers, trials, lines)
+
+
+def _plain_missing(body: str) -> bool:
+    """Whether every "nan" is spelled as in `_MISSING`; NumPy also takes others, and signs before them."""
+    spelled = sum(body.count(word) for word in _MISSING if len(word) == 3)
+    return spelled == body.lower().count("nan") and not any(part in body for part in _ODD_NAN)
+
+
+def _fill_empty(body: str, delimiter: str) -> str:
+    """Put "nan" into empty cells. What a filled trial column holds does not matter."""
+    for before in (delimiter, "\n"):
+        for after in (delimiter, "\n"):
+            if before != after:  # an empty line is not an empty cell
+                body = body.replace(before + after, f"{before}nan{after}")
+    # Twice: in a run of delimiters every second pair is hidden by the one before.
+    body = body.replace(delimiter * 2, f"{delimiter}nan{delimiter}")
+    body = body.replace(delimiter * 2, f"{delimiter}nan{delimiter}")
+    start = "nan" if body.startswith(delimiter) else ""
+    return start + body + ("nan" if body.endswith(delimiter) else "")
 
 
 def _regular_lines(data: bytes, delimiter: str, n_columns: int) -> np.ndarray | None:
@@ -214,11 +217,6 @@ def _regular_lines(data: bytes, delimiter: str, n_columns: int) -> np.ndarray | 
     lengths = np.diff(ends, prepend=-1) - 1
     filled = lengths > 0
     return np.flatnonzero(filled) if (counts[filled] == n_columns - 1).all() else None
-
-
-def _maybe_truth(numbers: dict[str, FloatArray], data: bytes) -> bool:
-    suspect = any(((values == 0) | (values == 1) | np.isnan(values)).all() for values in numbers.values())
-    return suspect and any(word in data for word in _TRUTH)
 
 
 def _read_slowly(text: _Text, layout: Layout) -> Table:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from leastaction._checks import FloatArray
-from leastaction._errors import InputError
+from leastaction._errors import InputError, MissingPackageError
 from leastaction._files._atomic import read_bytes
 from leastaction._files._layout import Layout, Table
 from leastaction._names import quoted
@@ -66,9 +66,7 @@ def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     try:
         import pyarrow.parquet as parquet
     except ImportError:
-        raise InputError(
-            f"{path}: reading Parquet needs pyarrow; install it with: pip install 'leastaction[parquet]'"
-        ) from None
+        raise MissingPackageError(f"{path}: reading Parquet", "pyarrow", "parquet") from None
     if read_bytes(path, 4) != b"PAR1":
         raise InputError(f"{path} is not a Parquet file; check what wrote it")
     try:

@@ -1,0 +1,80 @@
+"""The core does without the packages of the extras, and says which one is missing where it cannot."""
+
+import pickle
+import subprocess
+import sys
+
+import pytest
+
+from leastaction import InputError, LagrangianModel
+from leastaction._errors import MissingPackageError
+from leastaction._model import ModelTerm
+
+BLOCKED = ("pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
+
+MAIN_PATH = """
+import sys
+from importlib.abc import MetaPathFinder
+from pathlib import Path
+
+tried = []
+
+class Blocker(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in BLOCKED:
+            tried.append(name)
+            raise ImportError(f"{name} is blocked")
+
+sys.meta_path.insert(0, Blocker())
+folder = Path(sys.argv[1])
+
+import leastaction as la
+from leastaction.cli import program
+
+def command(*words):
+    try:
+        program.main([str(word) for word in words])
+    except SystemExit as end:
+        assert not end.code, words
+
+run = folder / "run.csv"
+command("generate", "single_pendulum", "--noise", "0.01", "--trials", "2", "--duration", "8", "-o", run)
+(folder / "library.txt").write_text("theta_dot**2\\ncos(theta)\\nsin(theta)")
+command("discover", run, "--coordinates", "theta", "--forces", "theta_force", "--library",
+        folder / "library.txt", "--hold-out", "1", "--output", folder / "found")
+assert (folder / "found" / "report.html").stat().st_size > 10_000
+command("validate", folder / "found" / "model.json", run, "--forces", "theta_force")
+command("export", folder / "found" / "model.json", "--format", "python", "-o", folder / "model.py")
+
+model = la.load(folder / "found" / "model.json")
+assert {term.expression for term in model.terms} == {"theta_dot**2", "cos(theta)"}
+assert "cos(theta)" in str(model) and "cos(theta)" in model._repr_html_()
+assert tried == [], tried
+try:
+    model.table()
+except ImportError as error:
+    assert "pip install 'leastaction[pandas]'" in str(error), error
+else:
+    raise AssertionError("table() needs pandas")
+"""
+
+
+def test_main_path_without_any_extra(tmp_path):
+    script = MAIN_PATH.replace("BLOCKED", repr(BLOCKED))
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_missing_package_is_both_kinds_of_error(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    model = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5)])
+    for kind in (ImportError, InputError, ValueError):
+        with pytest.raises(kind, match=r"table\(\) needs pandas; install it with: .*use format_table\(\)"):
+            model.table()
+
+
+def test_missing_package_survives_pickling():
+    error = MissingPackageError("this", "that", "other")
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
