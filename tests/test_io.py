@@ -341,6 +341,41 @@ def test_read_many_names_the_trials_after_the_files(tmp_path, file):
         io.read_many([], ["theta"])
 
 
+def test_every_reader_takes_several_files(tmp_path, file):
+    """Lengths and grids may differ, and so may the sequence of the columns."""
+    other = "theta;t\n" + "".join(f"{k};{k / 7 + 0.01 * (k % 3)}\n" for k in range(9))
+    paths = [file(PLAIN, "monday.csv"), file(other, "tuesday.txt")]
+    for reader in (io.read, io.read_csv):
+        runs = reader(paths, ["theta"])
+        assert runs.names == ("monday", "tuesday")
+        assert [run.n_times for run in runs] == [6, 9]
+        np.testing.assert_array_equal(runs[1].q[:, 0], np.arange(9))
+        assert reader(iter(paths[:1]), ["theta"]).names == ("monday",)
+    arrays = [tmp_path / "a.npz", tmp_path / "b.npz"]
+    for path in arrays:
+        np.savez(path, t=np.arange(6.0), x=np.arange(6.0))
+    assert io.read_npz(arrays, ["x"]).names == ("a", "b")
+    np.savez(tmp_path / "c.npz", t=np.arange(6.0), theta=np.arange(6.0))
+    assert io.read([paths[0], tmp_path / "c.npz"], ["theta"]).names == ("monday", "c")
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ("t,phi\n0,1\n", r"bad\.csv has no column 'theta'"),
+        ("t,theta\n" + "0,1\n" * 6, r"bad\.csv, line 3, column 't': time 0.0 repeats"),
+        ("t,theta\n0,1\n1,x\n", r"bad\.csv, line 3, column 'theta': 'x' is not a number"),
+    ],
+)
+def test_errors_of_several_files_name_the_file(file, bad, message):
+    with pytest.raises(InputError, match=message):
+        io.read([file(PLAIN, "good.csv"), file(bad, "bad.csv")], ["theta"])
+    with pytest.raises(DataError, match=r"short\.csv: there are only 2 sample"):
+        io.read([file(PLAIN, "good.csv"), file(table("0,1", "1,2"), "short.csv")], ["theta"])
+    with pytest.raises(InputError, match=r"none\.csv: there is no such file"):
+        io.read([file(PLAIN, "good.csv"), "none.csv"], ["theta"])
+
+
 def test_read_many_counts_wraps_of_all_files(file):
     text = table("0,3", "1,-3", "2,3", "3,3", "4,3")
     runs = io.read_many([file(text, "a.csv"), file(text, "b.csv")], ["theta"], angles=["theta"])

@@ -23,7 +23,7 @@ from typing import Any
 from leastaction._files._arrays import read_mat_table, read_npz_table
 from leastaction._files._atomic import check_path, replace_file
 from leastaction._files._csv import read_csv_table
-from leastaction._files._dispatch import combined_trajectories, file_trajectories, reader_for
+from leastaction._files._dispatch import combined_trajectories
 from leastaction._files._frames import frame_table, read_parquet_table
 from leastaction._files._layout import Coordinates, Forces, Layout, to_trajectories
 from leastaction._files._write_csv import csv_bytes
@@ -46,7 +46,7 @@ StrPath = str | os.PathLike[str]
 
 
 def read_csv(
-    path: StrPath,
+    path: StrPath | Iterable[StrPath],
     coordinates: Coordinates,
     time: str = "t",
     forces: Forces = None,
@@ -61,8 +61,8 @@ def read_csv(
 
     Parameters
     ----------
-    path : path
-        File to read.
+    path : path, or iterable of paths
+        File to read; several files are trials of one system.
     coordinates : sequence of str, or mapping of str to str
         Coordinates, which are names of columns; or coordinate -> column.
     time : str
@@ -78,13 +78,15 @@ def read_csv(
     Returns
     -------
     Trajectories
-        In the order of the file. The trajectory of a file without a trial column has the file's name,
-        without suffix.
+        In the order of the files. The trajectory of a file without a trial column has the file's name,
+        without suffix. Of several files the trials are called ``file/trial``, with a number where names
+        are still the same; lengths and times may differ.
 
     Raises
     ------
     InputError
-        If the file cannot be used; the text names file, line and column.
+        If the file cannot be used; the text names file, line and column. If there is no path, or one is
+        given twice.
     DataError
         If a coordinate has fewer than 5 samples in a trial.
 
@@ -97,13 +99,12 @@ def read_csv(
     ...     read_csv(path, ["theta"], forces={"theta": "tau"})
     <Trajectories of theta: 1 trajectory, 6 samples, 5 s, driven>
     """
-    return file_trajectories(
-        read_csv_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
-    )
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    return combined_trajectories(path, layout, read_csv_table)
 
 
 def read_parquet(
-    path: StrPath,
+    path: StrPath | Iterable[StrPath],
     coordinates: Coordinates,
     time: str = "t",
     forces: Forces = None,
@@ -126,13 +127,12 @@ def read_parquet(
     InputError, DataError
         As for `read_csv`, with rows counted from 0 in place of lines; InputError if pyarrow is not installed.
     """
-    return file_trajectories(
-        read_parquet_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
-    )
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    return combined_trajectories(path, layout, read_parquet_table)
 
 
 def read_npz(
-    path: StrPath,
+    path: StrPath | Iterable[StrPath],
     coordinates: Coordinates,
     time: str = "t",
     forces: Forces = None,
@@ -167,13 +167,12 @@ def read_npz(
     >>> trajectories[0]
     <Trajectory 'run': x, y; 11 times, 1 s>
     """
-    return file_trajectories(
-        read_npz_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
-    )
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    return combined_trajectories(path, layout, read_npz_table)
 
 
 def read_mat(
-    path: StrPath,
+    path: StrPath | Iterable[StrPath],
     coordinates: Coordinates,
     time: str = "t",
     forces: Forces = None,
@@ -197,9 +196,8 @@ def read_mat(
         As for `read_npz`; InputError if the file has version 7.3 and h5py is not installed.
 
     """
-    return file_trajectories(
-        read_mat_table, check_path(path), Layout.of(coordinates, time, forces, trial, angles)
-    )
+    layout = Layout.of(coordinates, time, forces, trial, angles)
+    return combined_trajectories(path, layout, read_mat_table)
 
 
 def from_frame(
@@ -240,18 +238,18 @@ def from_frame(
 
 
 def read(
-    path: StrPath,
+    path: StrPath | Iterable[StrPath],
     coordinates: Coordinates,
     time: str = "t",
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
 ) -> Trajectories:
-    """Read trajectories from a file whose suffix tells its kind.
+    """Read trajectories from a file, or several, whose suffix tells the kind.
 
     Parameters
     ----------
-    path : path
+    path : path, or iterable of paths
         ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz`` or ``.mat``.
     coordinates, time, forces, trial, angles
         As for `read_csv`.
@@ -264,10 +262,20 @@ def read(
     ------
     InputError, DataError
         As for the reader of that kind; InputError for another suffix.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     paths = [
+    ...         write_text(f"{folder}/{day}.csv", "t,x" + "".join(f"\\n{k},{k / 8}" for k in range(n)))
+    ...         for day, n in [("monday", 6), ("tuesday", 8)]
+    ...     ]
+    ...     runs = read(paths, ["x"])
+    >>> runs.names, [run.n_times for run in runs]
+    (('monday', 'tuesday'), [6, 8])
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
-    file = check_path(path)
-    return file_trajectories(reader_for(file), file, layout)
+    return combined_trajectories(path, Layout.of(coordinates, time, forces, trial, angles))
 
 
 def read_many(
@@ -278,29 +286,8 @@ def read_many(
     trial: str | None = None,
     angles: Iterable[str] = (),
 ) -> Trajectories:
-    """Read several files as trials of one system.
-
-    Parameters
-    ----------
-    paths : iterable of paths, or path
-        Files as for `read`.
-    coordinates, time, forces, trial, angles
-        As for `read_csv`, the same for every file.
-
-    Returns
-    -------
-    Trajectories
-        In the order of the files. Names are those of the trials, which for several files become
-        ``file/trial``; a number is added where names are still the same.
-
-    Raises
-    ------
-    InputError, DataError
-        As for `read`; InputError if there is no path or one is given twice.
-    """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
-    files = [check_path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
-    return combined_trajectories(files, layout)
+    """Read several files as trials of one system: `read` under another name."""
+    return read(paths, coordinates, time, forces, trial, angles)
 
 
 def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
 from leastaction._errors import InputError
 from leastaction._files._arrays import read_mat_table, read_npz_table
+from leastaction._files._atomic import check_path
 from leastaction._files._csv import read_csv_table
 from leastaction._files._frames import read_parquet_table
 from leastaction._files._layout import Layout, Table, to_trajectories
 from leastaction._names import quoted
 from leastaction._trajectory import Trajectories, Trajectory
 
-__all__ = ["combined_trajectories", "file_trajectories", "reader_for", "stem"]
+__all__ = ["combined_trajectories", "reader_for", "stem"]
 
+StrPath = str | os.PathLike[str]
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
 
 _READERS: dict[str, TableReader] = {
@@ -52,36 +54,40 @@ def stem(path: Path) -> str:
     return Path(name).stem
 
 
-def file_trajectories(reader: TableReader, path: Path, layout: Layout) -> Trajectories:
-    """Read one file."""
-    return to_trajectories(*reader(path, layout), name=stem(path))
+def combined_trajectories(
+    path: StrPath | Iterable[StrPath], layout: Layout, reader: TableReader | None = None
+) -> Trajectories:
+    """Read one file, or several as trials of one system, with names that differ.
 
-
-def combined_trajectories(paths: Sequence[Path], layout: Layout) -> Trajectories:
-    """Read several files as trials of one system, with names that differ.
+    Parameters
+    ----------
+    reader : callable, optional
+        Of all files; by default the one for the suffix of each.
 
     Raises
     ------
     InputError
         If there is no path, or two paths are the same file.
     """
+    paths = [check_path(item) for item in _listed(path)]
     if not paths:
         raise InputError("there is no file to read; give at least one path")
     seen: set[str] = set()
-    for path in paths:
-        if os.path.realpath(path) in seen:
-            raise InputError(f"{path} is given twice; give each file once")
-        seen.add(os.path.realpath(path))
+    for file in paths:
+        if os.path.realpath(file) in seen:
+            raise InputError(f"{file} is given twice; give each file once")
+        seen.add(os.path.realpath(file))
     if len(paths) == 1:
-        return file_trajectories(reader_for(paths[0]), paths[0], layout)
+        read = reader or reader_for(paths[0])
+        return to_trajectories(*read(paths[0], layout), name=stem(paths[0]))
     items: list[Trajectory] = []
     taken: set[str] = set()
     # Unwrapped together at the end: the set then counts the wraps of all files.
     wrapped = replace(layout, angles=())
-    for path in paths:
-        found, table = reader_for(path)(path, wrapped)
+    for file in paths:
+        found, table = (reader or reader_for(file))(file, wrapped)
         for item in to_trajectories(found, table):
-            name = _free_name(stem(path) + (f"/{item.name}" if table.trials is not None else ""), taken)
+            name = _free_name(stem(file) + (f"/{item.name}" if table.trials is not None else ""), taken)
             taken.add(name)
             items.append(Trajectory(item.t, item.q, item.forces, item.coordinates, name))
     together = Trajectories(items)
@@ -93,3 +99,12 @@ def _free_name(name: str, taken: set[str]) -> str:
     while free in taken:
         free, number = f"{name}-{number}", number + 1
     return free
+
+
+def _listed(path: StrPath | Iterable[StrPath]) -> list[StrPath]:
+    if isinstance(path, (str, bytes, os.PathLike)):
+        return [path]  # type: ignore[list-item]
+    try:
+        return list(path)
+    except TypeError:
+        return [path]  # for check_path to refuse

@@ -187,11 +187,9 @@ class DataOptions:
 
     def read(self) -> Trajectories:
         """Read the files."""
-        from leastaction.io import read_many
+        from leastaction.io import read
 
-        return read_many(
-            self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles
-        )
+        return read(self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles)
 
 
 def _by_name(text: str) -> dict[str, str]:
