@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["DataError", "InputError", "MissingPackageError"]
+__all__ = ["DataError", "DataWarning", "InputError", "MissingPackageError"]
 
 
 class InputError(ValueError):
@@ -11,6 +11,10 @@ class InputError(ValueError):
 
 class DataError(ValueError):
     """The input is well formed, but the data cannot support any model; the text says why."""
+
+
+class DataWarning(UserWarning):
+    """Something was done to the data on the user's behalf; the text says what."""
 
 
 class MissingPackageError(InputError, ImportError):

@@ -15,7 +15,6 @@ a trial column is one trial. Times increase within a trial; from one to the next
 from __future__ import annotations
 
 import gzip
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -23,8 +22,9 @@ from typing import Any
 from leastaction._files._arrays import read_mat_table, read_npz_table
 from leastaction._files._atomic import check_path, replace_file
 from leastaction._files._csv import read_csv_table
-from leastaction._files._dispatch import combined_trajectories
+from leastaction._files._dispatch import StrPath, combined_trajectories
 from leastaction._files._frames import frame_table, read_parquet_table
+from leastaction._files._joint_states import read_mcap
 from leastaction._files._layout import Coordinates, Forces, Layout, to_trajectories
 from leastaction._files._write_csv import csv_bytes
 from leastaction._trajectory import Trajectories, Trajectory
@@ -35,14 +35,13 @@ __all__ = [
     "read_csv",
     "read_many",
     "read_mat",
+    "read_mcap",
     "read_npz",
     "read_parquet",
     "write_bytes",
     "write_csv",
     "write_text",
 ]
-
-StrPath = str | os.PathLike[str]
 
 
 def read_csv(
@@ -245,12 +244,13 @@ def read(
     trial: str | None = None,
     angles: Iterable[str] = (),
 ) -> Trajectories:
-    """Read trajectories from a file, or several, whose suffix tells the kind.
+    r"""Read trajectories from a file, or several, whose suffix tells the kind.
 
     Parameters
     ----------
     path : path, or iterable of paths
-        ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz`` or ``.mat``.
+        ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz``, ``.mat``,
+        or a ROS 2 bag (`read_mcap`): ``.mcap``, ``.db3`` or its directory.
     coordinates, time, forces, trial, angles
         As for `read_csv`.
 
@@ -268,7 +268,7 @@ def read(
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
     ...     paths = [
-    ...         write_text(f"{folder}/{day}.csv", "t,x" + "".join(f"\\n{k},{k / 8}" for k in range(n)))
+    ...         write_text(f"{folder}/{day}.csv", "t,x" + "".join(f"\n{k},{k / 8}" for k in range(n)))
     ...         for day, n in [("monday", 6), ("tuesday", 8)]
     ...     ]
     ...     runs = read(paths, ["x"])

@@ -10,13 +10,14 @@ from pathlib import Path
 from leastaction._errors import InputError
 from leastaction._files._arrays import read_mat_table, read_npz_table
 from leastaction._files._atomic import check_path
+from leastaction._files._bags import is_bag, read_bag_table
 from leastaction._files._csv import read_csv_table
 from leastaction._files._frames import read_parquet_table
 from leastaction._files._layout import Layout, Table, to_trajectories
 from leastaction._names import quoted
 from leastaction._trajectory import Trajectories, Trajectory
 
-__all__ = ["combined_trajectories", "reader_for", "stem"]
+__all__ = ["StrPath", "combined_trajectories", "reader_for", "stem"]
 
 StrPath = str | os.PathLike[str]
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
@@ -35,6 +36,8 @@ _READERS: dict[str, TableReader] = {
 
 def reader_for(path: Path) -> TableReader:
     """Return the reader for the suffix of `path`, or raise InputError."""
+    if is_bag(path):
+        return read_bag_table
     name = path.name.lower()
     suffix = Path(name.removesuffix(".gz")).suffix
     reader = _READERS.get(suffix)
@@ -43,7 +46,7 @@ def reader_for(path: Path) -> TableReader:
             raise InputError(f"{path} is a directory; give the path of a file in it")
         raise InputError(
             f"{path}: the suffix {quoted(path.suffix)} is not known; use a file with one of "
-            f"{', '.join(_READERS)} (text also with .gz), or the reader for its kind"
+            f"{', '.join(_READERS)} (text also with .gz), .mcap, .db3, or the reader for its kind"
         )
     return reader
 

@@ -111,8 +111,8 @@ def discover(
 ) -> None:
     """Find the Lagrangian behind measured coordinates.
 
-    DATA are CSV, Parquet, NPZ or MAT files. Writes DIR/model.json and DIR/report.html and prints the table
-    of terms. A model that does not hold is written too, marked as doubtful.
+    DATA are CSV, Parquet, NPZ or MAT files, or ROS 2 bags. Writes DIR/model.json and DIR/report.html
+    and prints the table of terms. A model that does not hold is written too, marked as doubtful.
     """
     folder = check_folder(output, OUTPUTS)
     with blame("--option"):

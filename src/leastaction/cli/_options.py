@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from leastaction._errors import InputError
+from leastaction._errors import DataWarning, InputError
 from leastaction._names import quoted
+from leastaction.cli._show import warn
 
 if TYPE_CHECKING:
     from leastaction import Trajectories
@@ -186,10 +188,16 @@ class DataOptions:
         return DataOptions(self.paths, ordered, self.time, self.trial, self.forces, self.angles)
 
     def read(self) -> Trajectories:
-        """Read the files."""
+        """Read the files, and pass on what was done to the data."""
         from leastaction.io import read
 
-        return read(self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", DataWarning)
+            data = read(self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles)
+        for item in caught:
+            warn(str(item.message))
+        return data
 
 
 def _by_name(text: str) -> dict[str, str]:

@@ -1,0 +1,89 @@
+"""`read_mcap`: which joints of a bag are coordinates, and which efforts are forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import partial
+
+from leastaction._errors import InputError
+from leastaction._files._bags import read_bag_table
+from leastaction._files._dispatch import StrPath, combined_trajectories
+from leastaction._files._layout import Coordinates, Forces, Layout
+from leastaction._trajectory import Trajectories
+
+__all__ = ["read_mcap"]
+
+
+def read_mcap(
+    path: StrPath | Iterable[StrPath],
+    *,
+    topic: str | None = None,
+    joints: Iterable[str] | None = None,
+    coordinates: Coordinates | None = None,
+    forces: Forces = None,
+    time: str = "t",
+    angles: Iterable[str] = (),
+) -> Trajectories:
+    """Read joint states from a ROS 2 bag; needs ``pip install 'leastaction[ros]'``.
+
+    Positions of the messages ``sensor_msgs/msg/JointState`` are coordinates. Joints may come in any sequence,
+    and where a message lacks a joint its sample is missing. Messages with the same time are merged.
+
+    Parameters
+    ----------
+    path : path, or iterable of paths
+        ``.mcap``, ``.db3``, or the directory of a bag; several are trials of one system.
+    topic : str, optional
+        By default the only topic with joint states.
+    joints : sequence of str, optional
+        Joints of the coordinates, in order; by default they have the coordinates' names.
+    coordinates : sequence of str, or mapping of str to str, optional
+        Coordinates; or coordinate -> joint. By default the names of `joints`.
+    forces : mapping of str to str, or sequence of str, optional
+        As for `read_csv`. The column ``<joint>.effort`` is the effort of a joint, ``effort`` that of the
+        coordinate's own joint, and ``forces="effort"`` takes those of all coordinates.
+    time : {"t", "log"}
+        Stamps of the headers, or when the messages were recorded. Times start at zero.
+    angles : sequence of str
+        Coordinates to unwrap.
+
+    Returns
+    -------
+    Trajectories
+
+    Raises
+    ------
+    InputError, DataError
+        If the bag cannot be used. InputError if rosbags is not installed.
+
+    Warns
+    -----
+    DataWarning
+        Where the headers have no stamps (times are then those of recording), messages repeat a time with
+        other values (the first are kept), or efforts are missing (they are interpolated).
+    """
+    columns = _joint_columns(joints, coordinates)
+    if forces == "effort":
+        forces = dict.fromkeys(columns, "effort")
+    layout = Layout.of(columns, time, forces, None, angles)
+    return combined_trajectories(path, layout, partial(read_bag_table, topic=topic))
+
+
+def _joint_columns(joints: Iterable[str] | None, coordinates: Coordinates | None) -> dict[str, str]:
+    """Coordinate -> joint."""
+    if joints is not None:
+        joints = [joints] if isinstance(joints, str) else list(joints)
+        if isinstance(coordinates, Mapping):
+            raise InputError("coordinates already say which joint each one is; leave out joints")
+        if coordinates is None:
+            coordinates = joints
+    if coordinates is None:
+        raise InputError('name the joints, e.g. coordinates={"theta": "shoulder"} or joints=["shoulder"]')
+    columns = Layout.of(coordinates, "t", None, None, ()).coordinates
+    if joints is None:
+        return columns
+    if len(joints) != len(columns):
+        raise InputError(
+            f"there are {len(joints)} joints for {len(columns)} coordinates ({', '.join(columns)})"
+        )
+    return dict(zip(columns, joints, strict=True))
