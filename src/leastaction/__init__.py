@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leastaction import _delay as delay  # noqa: F401
     from leastaction import _metrics as metrics
     from leastaction import casadi as casadi
     from leastaction import control as control
@@ -54,9 +55,11 @@ _HOMES = {
     "write_report": "_report",
 }
 
+# Modules for particular needs are reached by their name, but are not in the list below.
 _MODULES = {
     "casadi": "casadi",
     "control": "control",
+    "delay": "_delay",
     "io": "io",
     "metrics": "_metrics",
     "systems": "systems",

@@ -110,4 +110,4 @@ def _listed(path: StrPath | Iterable[StrPath]) -> list[StrPath]:
     try:
         return list(path)
     except TypeError:
-        return [path]  # for check_path to refuse
+        return [path]  # type: ignore[list-item]  # for check_path to refuse
