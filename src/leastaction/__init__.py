@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from leastaction import _metrics as metrics
     from leastaction import casadi as casadi
     from leastaction import control as control
+    from leastaction import _units as units  # noqa: F401
     from leastaction import io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
@@ -63,6 +64,7 @@ _MODULES = {
     "io": "io",
     "metrics": "_metrics",
     "systems": "systems",
+    "units": "_units",
 }
 
 __all__ = [
