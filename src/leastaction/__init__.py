@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from leastaction import _delay as delay  # noqa: F401
     from leastaction import _metrics as metrics
+    from leastaction import _units as units  # noqa: F401
     from leastaction import casadi as casadi
     from leastaction import control as control
-    from leastaction import _units as units  # noqa: F401
     from leastaction import io, systems
     from leastaction._discover import discover
     from leastaction._errors import DataError, InputError
