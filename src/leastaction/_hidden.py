@@ -90,10 +90,12 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
             continue
         value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
         fewer = len(structure.members) + 1 - len(found.members)
+        scaled = workspace.forces is not None and value / workspace.known[k] > 0.0
+        units = f", or the forces are {value / workspace.known[k]:.3g} times too large" if scaled else ""
         out.append(
             f"the known coefficient of {text} may be wrong: set free it becomes {value:.3g} instead of "
             f"{workspace.known[k]:.3g}, and "
             + (f"{fewer} terms fewer" if fewer > 1 else "the other terms")
-            + " explain the motion better"
+            + f" explain the motion better{units}"
         )
     return out

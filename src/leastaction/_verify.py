@@ -69,7 +69,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
             f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
-            + ("see the likely cause below" if causes else _ANY_CAUSE)
+            + _ANY_CAUSE
+            + ("; see the likely cause below" if causes else "")
         )
     doubts += causes
     if unexplained and samples_per_period >= _FEW_SAMPLES:
