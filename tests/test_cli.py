@@ -24,7 +24,7 @@ from leastaction import systems
 from leastaction._model_parts import ModelTerm
 from leastaction.cli import _demo, _demonstrate, _generate, _options, _show, _text, program
 
-COMMANDS = ("discover", "simulate", "validate", "export", "generate", "demo")
+COMMANDS = ("app", "discover", "simulate", "validate", "export", "generate", "demo")
 LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
 
 

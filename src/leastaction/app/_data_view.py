@@ -86,13 +86,14 @@ class DataView:
             say("Laboratory recordings by Kaheman et al., MIT licence.", "help")
 
     async def _uploaded(self, event: events.UploadEventArguments) -> None:
-        self._tell("Reading…")
+        self._begin()
         try:
             if event.file.size() > MOST_BYTES:
                 raise columns.InputError(f"the file is larger than {MOST_BYTES // 1_000_000} MB")
             content = await event.file.read()
             await aside(self.session.open_upload, event.file.name, content)
         except Exception as error:
+            self._show_table()
             self._fail(self.page.words(error))
             self.upload.reset()
         else:
@@ -105,13 +106,20 @@ class DataView:
         )
 
     async def _open_example(self, key: str) -> None:
-        self._tell("Reading…")
+        self._begin()
         try:
             await aside(self.session.open_example, key)
         except Exception as error:
+            self._show_table()
             self._fail(self.page.words(error))
         else:
             self._loaded()
+
+    def _begin(self) -> None:
+        """Take the old table away, so that nobody goes on with it while the new one is read."""
+        self.table.clear()
+        self.plots.clear()
+        self._tell("Reading…")
 
     def _loaded(self) -> None:
         self.page.show("data")

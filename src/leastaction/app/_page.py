@@ -64,7 +64,7 @@ class Page:
         with html.header().classes("top"):
             say("leastaction", "brand", "span")
             self.steps = html.nav().classes("steps").props('aria-label="Steps"')
-            self.theme = ui.button(icon="contrast", on_click=self._next_theme, color=None)
+            self.theme = ui.button("\N{CIRCLE WITH LEFT HALF BLACK}", on_click=self._next_theme, color=None)
             self.theme.props("flat round dense").classes("theme")
         self._name_theme()
         self.main = html.main().classes("content")
