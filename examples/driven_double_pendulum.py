@@ -104,7 +104,7 @@ figure.tight_layout()
 plt.show()
 
 # %%
-# What to learn: give friction a chance from the start, keep some trials aside, and believe free runs
+# **What to learn.** Give friction a chance from the start, keep some trials aside, and believe free runs
 # rather than small residuals. Where vibrations of the machine make fine splines misleading, the search
 # notices that finer knots make the equations worse and starts again on the coarsest grid that shows the
 # motion.

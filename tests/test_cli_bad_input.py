@@ -455,7 +455,9 @@ def test_fmu_without_a_compiler(monkeypatch):
     monkeypatch.setenv("PATH", "")
     fails(2, "export", "model.json", "--format", "fmu2", "-o", "m.fmu", says=("no C compiler", "install one"))
     assert not Path("m.fmu").exists()
-    fails(2, "generate", "triple_pendulum", "-o", "a.csv", says=("'triple_pendulum'", "double_pendulum"))
+    fails(
+        2, "generate", "quadruple_pendulum", "-o", "a.csv", says=("'quadruple_pendulum'", "double_pendulum")
+    )
     fails(2, "demo", "--system", "triple", says=("triple", "double"))
 
 

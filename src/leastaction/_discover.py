@@ -152,8 +152,9 @@ def discover(
             selection = confirm_structure(workspace, smoothed, selection, clock.report, relevance)
     if selection.structure.fit.status == "not finite":
         raise DataError(
-            "no combination of these candidates gives finite equations along the data; check the library for "
-            "functions that are undefined there, such as log or sqrt of a coordinate that changes sign"
+            "no combination of these candidates can be followed along the data: the library may "
+            "lack a kinetic term of a coordinate, a known value be far off, or a candidate such as log or "
+            "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
     clock.start("verify")
     verdict = verify(workspace, selection, smoothed, prepared.knots.samples_per_period)
