@@ -33,6 +33,7 @@ def test_simulated_delays(delay, noise, width):
     assert f"{1e3 * found.delay:.3g} ±" in repr(found)
 
 
+@pytest.mark.slow
 def test_standard_error_covers_the_truth():
     """Eight data sets: the errors in units of their standard errors are of size one."""
     delays = np.linspace(-0.04, 0.04, 8)
