@@ -28,9 +28,9 @@ __all__ = [
 
 FloatArray = NDArray[np.float64]
 
-# A jump must exceed pi by this much: without it, rounding could turn a jump of exactly pi back and forth.
 _NOISY_STEP = 0.5  # rad from sample to sample: six times as much is pi
 _TREND = 16
+# A jump must exceed pi by this much: without it, rounding could turn a jump of exactly pi back and forth.
 _WRAP_TOLERANCE = 1e-9
 
 

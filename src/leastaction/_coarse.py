@@ -14,7 +14,7 @@ from leastaction._errors import InputError
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
 from leastaction._mechanics import Mechanics
-from leastaction._prepare import excerpt
+from leastaction._prepare import KNOTS_PER_RADIAN, excerpt
 from leastaction._selection import EXPLAINED, Progress, Selection, select_structure
 from leastaction._smoothing import smooth
 
@@ -50,7 +50,7 @@ def search_coarse(
     other = select_structure(coarse, curve, progress, relevance, seed)
     if not other.structure.fit.converged:
         return fine, found
-    period = 2.0 * np.pi * 4.0 / knots_per_second
+    period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second
     first, second = (
         forecast_error(w, s.structure, _HORIZON * period) for w, s in ((fine, found), (coarse, other))
     )

@@ -12,7 +12,6 @@ import copy
 import numpy as np
 
 from leastaction._euler_lagrange import EulerLagrange
-from leastaction._fit.evidence import Start
 from leastaction._fit.gauss_newton import score_candidates
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library
@@ -83,8 +82,7 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
         released.known[k] = np.nan
         other = Refiner(released, lambda stage, details: None)
         members = tuple(sorted((*structure.members, int(k))))
-        start = Start(structure.fit.control_points, structure.coefficients, structure.fit.weights)
-        found = other.refine(released.fit(members, start))
+        found = other.refine(released.fit(members, structure.start))
         gain = 2.0 * (other.value(found) - before)
         if not gain > _DECISIVE:
             continue

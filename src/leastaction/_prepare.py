@@ -16,9 +16,9 @@ from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories, Trajectory
 
-__all__ = ["Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
+__all__ = ["KNOTS_PER_RADIAN", "Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
 
-_KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
+KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 _FEWEST_SAMPLES = 20
 _MOST_GRIDS = 6
@@ -275,7 +275,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
 
     def knots_for(nu: int) -> float:
         fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
-        return min(_KNOTS_PER_RADIAN * fastest, 2.0 * rate)
+        return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
 
     smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values)
     coarse = knots = knots_for(0)
@@ -287,7 +287,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         knots = wanted
     else:
         smoothed = smooth(lay_grid(times, knots, degree), times, values)
-    period = 2.0 * np.pi * _KNOTS_PER_RADIAN / knots_for(1)
+    period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
     return Knots(knots, coarse, rate * period, smoothed, spread(1))
 
 

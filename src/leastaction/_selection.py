@@ -64,8 +64,6 @@ class Selection:
         Price of a term in units of χ².
     knots_settled : bool
         Whether finer knots changed nothing any more.
-    vibrates : bool
-        Whether finer knots made a large equation error larger.
     feeding : tuple of int
         Columns of dissipation that were left out because they would have fed energy in.
     """
@@ -74,7 +72,6 @@ class Selection:
     levels: dict[int, list[Choice]]
     penalty: float
     knots_settled: bool
-    vibrates: bool = False
     feeding: tuple[int, ...] = ()
 
 
@@ -107,7 +104,8 @@ def propose_supports(
     replicates = smooth.replicates(_REPLICATES, np.random.default_rng(seed), floor)
     found: list[Proposal] = []
     grams = form.grams(smooth.control_points, replicates)
-    for bases in (None, kinetic_bases(workspace, smooth)):
+    for from_bases in (False, True):
+        bases = kinetic_bases(workspace, smooth) if from_bases else None
         for gram in grams:
             proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram, bases))
             progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
@@ -256,13 +254,7 @@ class Refiner:
             self.workspace.known = self.workspace.known.copy()
             self.workspace.known[negative] = 0.0
             members = tuple(m for m in structure.members if m not in negative)
-            structure = self.refine(
-                self.workspace.fit(
-                    members,
-                    Start(structure.fit.control_points, structure.coefficients, structure.fit.weights),
-                ),
-                rounds=4,
-            )
+            structure = self.refine(self.workspace.fit(members, structure.start), rounds=4)
         return structure, tuple(out)
 
     def levels(self, structure: StructureFit) -> dict[int, list[Choice]]:
@@ -333,12 +325,12 @@ def select_structure(
         if other is best:
             workspace.set_knots(fine)
         else:
-            structure, settled, vibrates = refine_knots(workspace, other, progress)
+            structure, settled, _ = refine_knots(workspace, other, progress)
     again = refiner.refine(structure, rounds=4)
     if again.members != structure.members:
-        again, settled, vibrates = refine_knots(workspace, again, progress)
+        again, settled, _ = refine_knots(workspace, again, progress)
     pruned, feeding = refiner.dissipate(refiner.prune(again, relevance))
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, vibrates, feeding)
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, feeding)
 
 
 def _best_structure(refiner: Refiner, proposals: list[Proposal], best: StructureFit | None) -> StructureFit:
@@ -381,7 +373,7 @@ def confirm_structure(
     )
     refined = refiner.refine(workspace.fit(structure.members, start), rounds=4)
     pruned, feeding = refiner.dissipate(refiner.prune(refined, relevance))
-    return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled, feeding=feeding)
+    return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled, feeding)
 
 
 def refine_knots(
@@ -395,6 +387,14 @@ def refine_knots(
 
     Where the library is not exact, finer splines may follow vibrations that it knows nothing of: refinement
     ends when it makes a large equation error larger.
+
+    Returns
+    -------
+    StructureFit
+    bool
+        Whether finer knots changed nothing any more, or should not be laid.
+    bool
+        Whether that is so because they made a large equation error larger.
     """
     rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
     growth = np.ones(workspace.observations.n_dof)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import sympy as sp
@@ -38,9 +37,8 @@ _ANY_CAUSE = (
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """Status, what is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
+    """What is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
 
-    status: Literal["ok", "doubtful"]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     chi2_per_sample: float
@@ -93,8 +91,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     notes += _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
-    status = "doubtful" if doubts else "ok"
-    return Verdict(status, tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+    return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
 
 
 def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:

@@ -43,6 +43,11 @@ class StructureFit:
         return np.sqrt(np.clip(np.diag(self.fit.covariance), 0.0, None))
 
     @property
+    def start(self) -> Start:
+        """Where a fit of another structure may begin."""
+        return Start(self.fit.control_points, self.coefficients, self.fit.weights)
+
+    @property
     def estimates(self) -> np.ndarray:
         """(n_members,) coefficients of the members."""
         return self.coefficients[list(self.members)]
