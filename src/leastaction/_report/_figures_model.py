@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
+from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
 from leastaction._diagnostics import PathPoint
@@ -14,7 +15,15 @@ from leastaction._report._series import Energy, legible_samples, thin_line
 from leastaction._report._svg import COLOURS, HALF, dots, inline, label, panel
 from leastaction._report._text import plain, signed
 
-__all__ = ["energy_of_trial", "energy_of_trials", "folded", "forecast_panel", "path_figure", "unfolded"]
+__all__ = [
+    "energy_of_trial",
+    "energy_of_trials",
+    "folded",
+    "forecast_panel",
+    "frame_path",
+    "path_figure",
+    "unfolded",
+]
 
 _LINEAR = 10.0  # the axis of the path is linear within this and logarithmic beyond
 _MOST_TRIALS = 60
@@ -38,14 +47,7 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
     dots(axes, sizes, bic, "fit", 7.0)
     dots(axes, np.array([p.n_terms for p in rest]), folded(np.array([p.bic for p in rest])), "fit", 4.0, 0.55)
     dots(axes, np.array([chosen.n_terms]), np.zeros(1), "forecast", 12.0, above=True)
-    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-    axes.set_xlim(sizes[0] - 0.5, sizes[-1] + 0.5)
-    low, high = float(min(cost.min(), bic.min())), float(max(cost.max(), bic.max()))
-    ticks = range(int(np.floor(low)), int(np.ceil(high)) + 1)
-    every = max(1, len(ticks) // 7)
-    axes.yaxis.set_major_locator(FixedLocator([k for k in ticks if k % every == 0]))
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: unfolded(round(v))))
-    axes.set_ylim(low - 0.3, high + 0.3)
+    frame_path(axes, sizes, np.concatenate([cost, bic]), 7)
     label(axes, "number of free terms", "difference from the chosen structure")
     said = ", ".join(f"{n}: {signed(best[n].bic)}" for n in sizes if n != chosen.n_terms)
     return inline(
@@ -54,6 +56,18 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
         f"ΔBIC against the number of free terms; {chosen.n_terms} are chosen",
         f"BIC of the best structure of each size, from the chosen one: {said or 'no other size'}",
     )
+
+
+def frame_path(axes: Axes, sizes: np.ndarray, values: np.ndarray, n_ticks: int) -> None:
+    """Axes of a selection path: whole numbers of terms, and folded differences written in full."""
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    axes.set_xlim(sizes[0] - 0.5, sizes[-1] + 0.5)
+    low, high = float(values.min()), float(values.max())
+    ticks = range(int(np.floor(low)), int(np.ceil(high)) + 1)
+    every = max(1, len(ticks) // n_ticks)
+    axes.yaxis.set_major_locator(FixedLocator([k for k in ticks if k % every == 0]))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: unfolded(round(v))))
+    axes.set_ylim(low - 0.3, high + 0.3)
 
 
 def folded(value: np.ndarray) -> np.ndarray:

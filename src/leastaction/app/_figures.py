@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
-from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 
-from leastaction._report._figures_model import folded, unfolded
+from leastaction._report._figures_model import folded, frame_path
 from leastaction._report._series import legible_samples, thin_line, thin_points
 from leastaction._report._svg import COLOURS, dots, drawing, inline, label, panel
 
@@ -101,14 +100,7 @@ def walk_figure(walk: Walk, place: int) -> Markup:
         dots(axes, sizes, bic, "fit", 7.0)
         chosen = walk.chosen
         dots(axes, sizes[chosen : chosen + 1], bic[chosen : chosen + 1], "forecast", 12.0, above=True)
-        axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
-        axes.set_xlim(sizes[0] - 0.5, sizes[-1] + 0.5)
-        low, high = float(min(cost.min(), bic.min())), float(max(cost.max(), bic.max()))
-        ticks = range(int(np.floor(low)), int(np.ceil(high)) + 1)
-        every = max(1, len(ticks) // 6)
-        axes.yaxis.set_major_locator(FixedLocator([k for k in ticks if k % every == 0]))
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda v, _: unfolded(round(v))))
-        axes.set_ylim(low - 0.3, high + 0.3)
+        frame_path(axes, sizes, np.concatenate([cost, bic]), 6)
         label(axes, "number of free terms", "worse than the chosen structure by")
 
     alt = (
