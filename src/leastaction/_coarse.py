@@ -15,7 +15,8 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
 from leastaction._mechanics import Mechanics
 from leastaction._prepare import KNOTS_PER_RADIAN, excerpt
-from leastaction._selection import EXPLAINED, Progress, Selection, select_structure
+from leastaction._refinement import EXPLAINED, Progress
+from leastaction._selection import Selection, select_structure
 from leastaction._smoothing import smooth
 
 __all__ = ["forecast_error", "search_coarse"]

@@ -12,7 +12,8 @@ from leastaction._fit.adam_options import AdamOptions
 from leastaction._fit.gauss_newton import JointFit
 from leastaction._fit.problem import Physics, Weights, linearise
 from leastaction._fit.workspace import StructureFit, Workspace, greville_sites
-from leastaction._selection import Progress, Selection
+from leastaction._refinement import Progress
+from leastaction._selection import Selection
 from leastaction._smoothing import Smooth, smooth
 
 __all__ = ["select_by_descent"]

@@ -20,7 +20,8 @@ from leastaction._library import Library
 from leastaction._model import LagrangianModel
 from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._prepare import Prepared, prepare
-from leastaction._selection import Progress, Selection, confirm_structure, select_structure
+from leastaction._refinement import Progress
+from leastaction._selection import Selection, confirm_structure, select_structure
 from leastaction._trajectory import Trajectories, Trajectory
 from leastaction._verify import Verdict, verify
 

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,22 +16,19 @@ import numpy as np
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._kinetic import kinetic_bases
+from leastaction._refinement import EXPLAINED, Progress, refine_knots
 from leastaction._search import beam_search, grow_bases, solve_support, support_score
 from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakForm, WeakGram
 
 __all__ = [
-    "EXPLAINED",
-    "Progress",
     "Refiner",
     "Selection",
     "confirm_structure",
     "propose_supports",
     "select_structure",
 ]
-
-Progress = Callable[[str, dict], None]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
@@ -42,11 +39,6 @@ _LOST = 5.0
 _PROPOSED = 2  # supports fitted a round, at most
 _TRIED = 60  # supports whose mass matrix is looked at
 _REGULAR = 0.999
-_DIGITS = 1e-6
-_FASTEST_GROWTH = 10.0
-_SLACK_LEFT = 30.0
-EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
-_GROWN = 1.1
 _NEGATIVE = -3.0  # standard errors
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
@@ -374,57 +366,3 @@ def confirm_structure(
     refined = refiner.refine(workspace.fit(structure.members, start), rounds=4)
     pruned, feeding = refiner.dissipate(refiner.prune(refined, relevance))
     return Selection(pruned, refiner.levels(pruned), refiner.penalty, found.knots_settled, feeding)
-
-
-def refine_knots(
-    workspace: Workspace,
-    structure: StructureFit,
-    progress: Progress,
-    max_rounds: int = 6,
-    factor: float = 1.4,
-) -> tuple[StructureFit, bool, bool]:
-    """Refine until coefficients move by less than a tenth, and standard errors by less than 3 %.
-
-    Where the library is not exact, finer splines may follow vibrations that it knows nothing of: refinement
-    ends when it makes a large equation error larger.
-
-    Returns
-    -------
-    StructureFit
-    bool
-        Whether finer knots changed nothing any more, or should not be laid.
-    bool
-        Whether that is so because they made a large equation error larger.
-    """
-    rate = max(t.size / (t[-1] - t[0]) for t in workspace.times)
-    growth = np.ones(workspace.observations.n_dof)
-    for done in range(max_rounds):
-        before = workspace.knots_per_second
-        if not structure.fit.converged or before > 3.0 * rate:
-            return structure, False, False
-        left = workspace.equation_error(structure)[0]
-        start = workspace.refine_knots(factor, structure, growth)
-        progress("knots", {"knots_per_second": workspace.knots_per_second})
-        finer = workspace.fit(structure.members, start)
-        if not finer.fit.converged or not np.isfinite(finer.evidence):
-            workspace.set_knots(before)
-            return structure, False, False
-        off = workspace.equation_error(finer)[0]
-        if np.any((off > EXPLAINED) & (off > _GROWN * left)):
-            workspace.set_knots(before)
-            return structure, True, True
-        if done and np.any(off > EXPLAINED):  # not for want of knots
-            return finer, False, False
-        # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
-        least = _DIGITS * np.abs(finer.estimates)
-        spread = np.maximum(structure.standard_errors, np.maximum(least, 1e-150))
-        moved = np.abs(finer.estimates - structure.estimates) / spread
-        shrunk = np.maximum(finer.standard_errors, least) / spread
-        # finer splines leave a smaller equation error, by nearly the same factor in every round, until
-        # hardly any of it is left and its weight no longer matters
-        growth = np.clip(finer.fit.weights.physics / structure.fit.weights.physics, 1.0, _FASTEST_GROWTH)
-        growth[finer.fit.weights.slack < _SLACK_LEFT] = 1.0
-        structure = finer
-        if np.all(moved < 0.1) and np.all(shrunk > 0.97):
-            return structure, True, False
-    return structure, False, False

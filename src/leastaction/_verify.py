@@ -11,8 +11,9 @@ from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import Workspace
 from leastaction._hidden import hidden_friction, wrong_known
+from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
-from leastaction._selection import EXPLAINED, Selection
+from leastaction._selection import Selection
 from leastaction._smoothing import Smooth
 
 __all__ = ["Verdict", "verify"]

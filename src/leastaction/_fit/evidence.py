@@ -21,8 +21,9 @@ import numpy as np
 from leastaction._fit.gauss_newton import JointFit, assemble, cholesky, fit_joint, logdet
 from leastaction._fit.problem import Observations, Physics, Weights, linearise
 
-__all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
+__all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
+SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is left
 _LOG_STEP = 0.05
 _REGULAR = 0.9
 _HALVINGS = 4
@@ -80,7 +81,7 @@ def start_weights(
 
 
 def update_weights(observations: Observations, fit: JointFit) -> Weights:
-    """One fixed-point update of w (and σ), each w limited to a factor of 30."""
+    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters."""
     weights, at = fit.weights, fit.linearisation
 
     band = assemble(observations, at, weights)
@@ -99,7 +100,9 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
     for i in range(n):
         slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
-        new_physics[i] = weights.physics[i] * np.clip(ratio, 1 / 30, 30)
+        # where hardly any equation error is left, its size is mostly rounding: do not fall for it
+        lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
+        new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
         used = slope(observations.gram(i) / weights.noise_std[i] ** 2, n, i)
         estimate = np.sqrt(at.squares[i] / max(observations.counts[i] - used, 1.0))
         new_noise[i] = max(estimate, observations.noise_floor[i])
