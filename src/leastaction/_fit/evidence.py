@@ -123,12 +123,13 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps = best.n_steps
+    steps, stride = best.n_steps, 1.0
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
             break
-        weights = _accelerate(best.weights, update_weights(observations, best))
+        update = _accelerate(best.weights, update_weights(observations, best))
         for _ in range(_HALVINGS):
+            weights = _part_of_the_way(best.weights, update, stride)
             fit = fit_joint(
                 observations,
                 physics,
@@ -141,7 +142,8 @@ def fit_weights(
             value = evidence(observations, fit)
             if np.isfinite(value) and value >= best_evidence - 0.5:
                 break
-            weights = _halfway(best.weights, weights)
+            # equations compete for the same error and take it from each other in turn
+            stride *= 0.5
         else:
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
@@ -153,9 +155,10 @@ def fit_weights(
     return best
 
 
-def _halfway(old: Weights, new: Weights) -> Weights:
-    """Geometric mean: the fixed point may overshoot when the equations compete for the same error."""
-    return Weights(np.sqrt(old.noise_std * new.noise_std), np.sqrt(old.physics * new.physics), new.slack)
+def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
+    """Between old and new weights, by their logarithms."""
+    noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
+    return Weights(noise_std, old.physics * (new.physics / old.physics) ** share, new.slack)
 
 
 def _accelerate(old: Weights, new: Weights) -> Weights:
