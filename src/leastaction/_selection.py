@@ -260,14 +260,20 @@ class Refiner:
         }
 
     def _propose(self, structure: StructureFit) -> Iterator[tuple[tuple[int, ...], Start]]:
-        """Better supports by the quadratic model, with their starts: the best of a few sizes."""
+        """Better supports by the quadratic model, with their starts: the best, one near by, the second best.
+
+        Far from the law the best may be a heap of terms whose fit fails; then the best with one term more
+        than now, at most, is a step on firmer ground.
+        """
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
         ranked = sorted((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
-        for choice in ranked[:_PROPOSED]:
-            if choice.members == current:
-                break
-            yield self._columns(choice.members), self._start(structure, model.solution(choice.members))
+        here = next((n for n, choice in enumerate(ranked) if choice.members == current), len(ranked))
+        better = ranked[:here]
+        near = [c for c in better if len(c.members) <= len(current) + 1]
+        chosen = {c.members: c for c in (*better[:1], *near[:1], *better[1:_PROPOSED])}
+        for members in chosen:
+            yield self._columns(members), self._start(structure, model.solution(members))
 
     def _model(self, structure: StructureFit) -> tuple[QuadraticModel, tuple[int, ...]]:
         """Quadratic model over the free columns about a fit, and where its members are among them."""

@@ -11,6 +11,10 @@ A support S sets δ = −λ₀ outside of S, which is u, and is free to choose �
 so thousands of supports are compared without a refit; relative to the fit itself, because the whole cost is
 so large without noise that its last digits would decide.  Each free term costs log n + 2 log K
 (extended BIC, Chen & Chen 2008, Biometrika 95:759), which accounts for having searched K candidates.
+
+A local search from the present support cannot leave a group of terms that only together imitate another
+group: four exponentials and the powers of their Taylor series.  A second one therefore begins where all
+candidates compete at once, by automatic relevance determination (Tipping 2001, JMLR 1:211).
 """
 
 from __future__ import annotations
@@ -19,10 +23,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Choice", "QuadraticModel", "search_subsets", "term_penalty", "trade_off"]
+__all__ = ["Choice", "QuadraticModel", "relevant", "search_subsets", "term_penalty", "trade_off"]
 
 _RIDGE = 1e-11
 _NO_BETTER = 1e-3  # in units of χ²
+_VAGUE = 1e-6  # prior precision at the start; 1 is that of the data, the other coefficients held
+_IRRELEVANT = 10.0
+_ROUNDS = 300
+_SETTLED = 1e-2
 
 
 def term_penalty(n_samples: int, n_candidates: int) -> float:
@@ -102,14 +110,60 @@ class QuadraticModel:
         return out
 
 
+def relevant(model: QuadraticModel, penalty: float) -> tuple[int, ...]:
+    """A support found from all candidates at once.
+
+    Every coefficient has a normal prior whose precision α maximises the marginal likelihood,
+    α_i ← (1 − α_i Σ_ii) / μ_i²; it grows without bound for candidates that are not needed.  Those that
+    remain are dropped one by one while that lowers the criterion.
+    """
+    kept = np.arange(model.n)
+    precision = np.full(model.n, _VAGUE)
+    right = model.matrix @ model.here - model.gradient
+    for _ in range(_ROUNDS):
+        try:
+            covariance = np.linalg.inv(model.matrix[np.ix_(kept, kept)] + np.diag(precision))
+        except np.linalg.LinAlgError:
+            break
+        mean = covariance @ right[kept]
+        determined = np.maximum(1.0 - precision * np.diag(covariance), 1e-12)
+        updated = determined / np.maximum(mean**2, 1e-300)
+        settled = np.all(np.abs(np.log(updated / precision)) < _SETTLED)
+        stays = updated < _IRRELEVANT
+        kept, precision = kept[stays], updated[stays]
+        if settled or not kept.size:
+            break
+    members = tuple(int(k) for k in kept)
+    while len(members) > 1:
+        here = model.best({members}, 1)[0]
+        smaller = model.best(_neighbours(members, model.n, -1), 1)[0]
+        if smaller.criterion(penalty) > here.criterion(penalty):
+            break
+        members = smaller.members
+    return members
+
+
 def search_subsets(
     model: QuadraticModel, start: tuple[int, ...], penalty: float, width: int = 6
 ) -> dict[int, list[Choice]]:
-    """The best supports of each size met on a local search from a start, best first.
+    """The best supports of each size met on local searches, best first.
 
-    Grows and shrinks the start one candidate at a time, with swaps at every size, until two more terms
-    (or two fewer) no longer improve the criterion.
+    One begins at a given support, another at that of :func:`relevant`.
     """
+    levels = _search_from(model, start, penalty, width)
+    other = relevant(model, penalty)
+    if other and all(c.members != other for c in levels.get(len(other), [])):
+        for size, found in _search_from(model, other, penalty, width).items():
+            merged = {c.members: c for c in (*levels.get(size, []), *found)}
+            levels[size] = sorted(merged.values(), key=lambda c: c.cost)[:width]
+    return levels
+
+
+def _search_from(
+    model: QuadraticModel, start: tuple[int, ...], penalty: float, width: int
+) -> dict[int, list[Choice]]:
+    """Grow and shrink a support one candidate at a time, with swaps at every size, until two more terms
+    (or two fewer) no longer improve the criterion."""
     levels: dict[int, list[Choice]] = {}
     levels[len(start)] = _swap_until_best(model, model.best({tuple(sorted(start))}, width), width)
     for step in (1, -1):
