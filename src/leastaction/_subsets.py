@@ -162,8 +162,10 @@ def search_subsets(
 def _search_from(
     model: QuadraticModel, start: tuple[int, ...], penalty: float, width: int
 ) -> dict[int, list[Choice]]:
-    """Grow and shrink a support one candidate at a time, with swaps at every size, until two more terms
-    (or two fewer) no longer improve the criterion."""
+    """Grow and shrink a support one candidate at a time, with swaps at every size.
+
+    Ends when two more terms (or two fewer) do not improve the criterion.
+    """
     levels: dict[int, list[Choice]] = {}
     levels[len(start)] = _swap_until_best(model, model.best({tuple(sorted(start))}, width), width)
     for step in (1, -1):
