@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 
 from leastaction._search import beam_search, solve_support, support_score
-from leastaction._subsets import QuadraticModel, search_subsets, term_penalty
+from leastaction._subsets import QuadraticModel, relevant, search_subsets, term_penalty
 from leastaction._weak import WeakGram
 
 N = 8
@@ -242,6 +242,24 @@ def test_larger_search_finds_the_planted_support(seed):
     best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(penalty))
     assert best.members == planted
     assert best.cost == pytest.approx(cost(planted), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_group_is_exchanged_for_another_at_once(seed):
+    """Exponentials of a chain against their Taylor series: swaps of one or two terms cannot get there."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(-0.8, 0.8, (2, 3000))
+    groups = [np.exp(-a), np.exp(a - b), np.exp(b)]
+    powers = [a**i * b**j for i in range(5) for j in range(5) if 0 < i + j < 5]
+    x = np.column_stack([*groups, *powers, np.ones_like(a)])
+    y = x[:, :3].sum(axis=1) + 0.05 * rng.standard_normal(a.size)
+    everything = x.T @ x
+    penalty = term_penalty(a.size, x.shape[1])
+    model = QuadraticModel(everything, -x.T @ y, np.zeros(x.shape[1]))
+    levels = search_subsets(model, tuple(range(3, 15)), penalty)
+    best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(penalty))
+    assert best.members == (0, 1, 2)
+    assert relevant(model, penalty) == (0, 1, 2)
 
 
 def test_rounding_does_not_keep_a_term_in_a_fit_without_noise():

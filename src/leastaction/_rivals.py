@@ -13,19 +13,26 @@ from leastaction._subsets import QuadraticModel
 __all__ = ["rival_warnings"]
 
 _AS_LIKELY = 5.0  # −2 log likelihood
+_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier (Akaike)
 _MOST = 3
 _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 
 def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
-    """One sentence for each rival of the chosen size, the most likely first."""
+    """One sentence for each rival, the most likely first.
+
+    Rivals have as many terms as the chosen structure, or one more and not all of the chosen ones: where the
+    motion shows little, the law itself may lose by the price of a term.
+    """
     chosen = tuple(sorted(selection.structure.members))
-    level = selection.levels.get(len(chosen), [])
-    cost = next((c.cost for c in level if c.members == chosen), None)
+    size, levels = len(chosen), selection.levels
+    cost = next((c.cost for c in levels.get(size, []) if c.members == chosen), None)
     if cost is None:
         return []
-    rivals = [c.members for c in level if c.members != chosen and c.cost - cost < _AS_LIKELY][:_MOST]
+    rivals = [c for c in levels[size] if c.members != chosen and c.cost - cost < _AS_LIKELY]
+    larger = (c for c in levels.get(size + 1, []) if not set(chosen) <= set(c.members))
+    rivals += [c for c in larger if c.cost < cost - _ONE_MORE]
     if not rivals:
         return []
     structure, free = selection.structure, workspace.free
@@ -34,7 +41,7 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     texts = [term.text for term in workspace.columns.terms]
     position = {int(k): p for p, k in enumerate(free)}
     out = []
-    for rival in rivals:
+    for rival in [c.members for c in rivals[:_MOST]]:
         mine = ", ".join(texts[m] for m in chosen if m not in rival)
         theirs = ", ".join(texts[m] for m in rival if m not in chosen)
         coefficients = structure.coefficients.copy()

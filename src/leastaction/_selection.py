@@ -39,6 +39,7 @@ _LOST = 5.0
 _PROPOSED = 2  # supports fitted a round, at most
 _TRIED = 60  # supports whose mass matrix is looked at
 _REGULAR = 0.999
+_MOSTLY_REGULAR = 0.9
 _NEGATIVE = -3.0  # standard errors
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
@@ -132,7 +133,7 @@ def _best_support(
         coefficients = np.where(np.isnan(workspace.known), 0.0, workspace.known)
         coefficients[free] = solve_support(gram, error, support.members)
         answer = tuple(int(free[m]) for m in support.members), coefficients
-        if workspace.regular(coefficients, smooth.control_points) > 0.9:
+        if workspace.regular(coefficients, smooth.control_points) > _MOSTLY_REGULAR:
             return answer
         first = first or answer
     assert first is not None
@@ -267,13 +268,25 @@ class Refiner:
         """
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
-        ranked = sorted((level[0] for level in levels.values()), key=lambda c: c.criterion(self.penalty))
+        regular = (self._first_regular(model, structure, level) for level in levels.values())
+        ranked = sorted(filter(None, regular), key=lambda c: c.criterion(self.penalty))
         here = next((n for n, choice in enumerate(ranked) if choice.members == current), len(ranked))
         better = ranked[:here]
         near = [c for c in better if len(c.members) <= len(current) + 1]
         chosen = {c.members: c for c in (*better[:1], *near[:1], *better[1:_PROPOSED])}
         for members in chosen:
             yield self._columns(members), self._start(structure, model.solution(members))
+
+    def _first_regular(
+        self, model: QuadraticModel, structure: StructureFit, level: list[Choice]
+    ) -> Choice | None:
+        """The best support of one size whose equations can be solved for q̈ along the motion."""
+        coefficients = structure.coefficients.copy()
+        for choice in level:
+            coefficients[self.workspace.free] = model.solution(choice.members)
+            if self.workspace.regular(coefficients, structure.fit.control_points) > _MOSTLY_REGULAR:
+                return choice
+        return None
 
     def _model(self, structure: StructureFit) -> tuple[QuadraticModel, tuple[int, ...]]:
         """Quadratic model over the free columns about a fit, and where its members are among them."""
