@@ -40,6 +40,7 @@ def discover(
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
     force_offset: Iterable[str] = (),
+    robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
     seed: int = 0,
@@ -78,6 +79,10 @@ def discover(
         Coordinates on which a constant force of unknown size may act beside the known ones, such as the bias
         of an actuator or of its sensor. Each adds the coordinate itself as a candidate of L, whose
         coefficient is the force.
+    robust : bool
+        Leave out samples that are more than five standard deviations off a smooth motion and alone there
+        (glitches of a camera, lost counts); a note says how many. Noise with heavy tails, more than 5 % of it
+        out there, is kept. Without outliers nothing changes. ``method="adam"`` keeps every sample.
     degree : int
         Degree of the splines, at least 3; by default 5, and 3 for ``method="adam"`` as in the paper.
     relevance : float
@@ -132,7 +137,8 @@ def discover(
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
     most = None if method == "adam" else _ENOUGH
     offsets = [force_offset] if isinstance(force_offset, str) else list(force_offset)
-    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, offsets)
+    robust = robust and method != "adam"
+    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, offsets, robust)
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     _check_columns(workspace, prepared)
     if method == "adam":
@@ -168,6 +174,7 @@ def discover(
         "known": {str(k): float(v) for k, v in (known or {}).items()},
         "dissipation": [t.text for t in prepared.library.dissipation],
         "angles": list(prepared.library.angles if angles is None else angles),
+        "robust": robust,
     }
     if method == "adam":
         given["adam"] = asdict(settings)

@@ -12,6 +12,7 @@ import sympy as sp
 from leastaction._errors import DataError, InputError
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
+from leastaction._outliers import leave_out_outliers
 from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories, Trajectory
@@ -78,6 +79,7 @@ def prepare(
     degree: int,
     most_samples: int | None = None,
     force_offset: Iterable[str] = (),
+    robust: bool = True,
 ) -> Prepared:
     """Check and complete everything that a search needs.
 
@@ -85,6 +87,8 @@ def prepare(
     ----------
     most_samples : int, optional
         Search on pieces of longer recordings.
+    robust : bool
+        Leave out outliers.
 
     Raises
     ------
@@ -110,9 +114,12 @@ def prepare(
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
+    notes, doubts = _about_angles(trajectories, angles)
+    if robust:
+        trajectories, left_out = leave_out_outliers(trajectories, degree)
+        notes += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
-    notes, doubts = _about_angles(trajectories, angles)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
         for c, r in zip(library.coordinates, knots.rates, strict=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction._euler_lagrange import Points
+from leastaction._fit.evidence import SLACK_LEFT
 from leastaction._fit.problem import positive_definite
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._selection import Selection
@@ -13,7 +14,6 @@ from leastaction._subsets import QuadraticModel
 __all__ = ["rival_warnings"]
 
 _AS_LIKELY = 5.0  # −2 log likelihood
-_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier (Akaike)
 _MOST = 3
 _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
@@ -23,7 +23,8 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     """One sentence for each rival, the most likely first.
 
     Rivals have as many terms as the chosen structure, or one more and not all of the chosen ones: where the
-    motion shows little, the law itself may lose by the price of a term.
+    motion shows little, the law itself may lose by the price of a term.  Not where the library is inexact:
+    there a further term always helps.
     """
     chosen = tuple(sorted(selection.structure.members))
     size, levels = len(chosen), selection.levels
@@ -31,8 +32,9 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     if cost is None:
         return []
     rivals = [c for c in levels[size] if c.members != chosen and c.cost - cost < _AS_LIKELY]
-    larger = (c for c in levels.get(size + 1, []) if not set(chosen) <= set(c.members))
-    rivals += [c for c in larger if c.cost < cost - _ONE_MORE]
+    if np.all(selection.structure.fit.weights.slack < SLACK_LEFT):
+        larger = (c for c in levels.get(size + 1, []) if not set(chosen) <= set(c.members))
+        rivals += [c for c in larger if c.cost < cost]
     if not rivals:
         return []
     structure, free = selection.structure, workspace.free

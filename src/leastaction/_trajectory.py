@@ -363,6 +363,30 @@ class Trajectories(Sequence[Trajectory]):
                     digest.update(np.ascontiguousarray(plain, dtype="<f8").tobytes())
         return digest.hexdigest()
 
+    def without(self, masks: Sequence[np.ndarray]) -> Trajectories:
+        """Leave samples out.
+
+        Parameters
+        ----------
+        masks : sequence of (n_times, n_dof) bool arrays
+            One for each trajectory; true samples become NaN.
+
+        Returns
+        -------
+        Trajectories
+
+        Examples
+        --------
+        >>> data = Trajectories([Trajectory([0, 1, 2], [0.1, 9.0, 0.3], coordinates=["x"])])
+        >>> data.without([np.array([[False], [True], [False]])]).n_samples
+        2
+        """
+        items = [
+            Trajectory(t.t, np.where(mask, np.nan, t.q), t.forces, t.coordinates, t.name)
+            for t, mask in zip(self._items, masks, strict=True)
+        ]
+        return self._with(items, self._wraps, self._names)
+
     @classmethod
     def _with(
         cls, items: Iterable[Trajectory], wraps: Iterable[tuple[int, ...]], names: Iterable[str]

@@ -63,6 +63,11 @@ Example:
     help="Coordinates on which an unknown constant force may act: the bias of an actuator or sensor.",
 )
 @click.option(
+    "--keep-outliers",
+    is_flag=True,
+    help="Fit samples that are far off the motion, too; otherwise they are left out and counted.",
+)
+@click.option(
     "--method",
     default="gauss-newton",
     show_default=True,
@@ -103,6 +108,7 @@ def discover(
     known: tuple[str, ...],
     dissipation: str | None,
     force_offset: str | None,
+    keep_outliers: bool,
     method: str,
     settings: tuple[str, ...],
     seed: int,
@@ -138,6 +144,7 @@ def discover(
             candidates,
             known=given,
             force_offset=offsets,
+            robust=not keep_outliers,
             method=method,
             seed=seed,
             options=chosen,
