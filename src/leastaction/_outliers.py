@@ -27,8 +27,8 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     """Replace outliers by NaN, and say how many.
 
     Smooths all samples, leaves out those that are far off and alone there, and smooths again without them
-    until nothing changes.  Far off is measured against all residuals of samples not yet left out: encoders that
-    are often off by one count have noise with heavy tails, which is no reason to leave anything out.
+    until nothing changes.  Far off is measured against all residuals of samples not yet left out: encoders
+    that are often off by one count have noise with heavy tails, which is no reason to leave anything out.
 
     Parameters
     ----------
