@@ -48,7 +48,7 @@ def search_coarse(
         return fine, found
     coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
     curve = smooth(coarse.grid, coarse.times, coarse.values)
-    other = select_structure(coarse, curve, progress, relevance, seed)
+    other = select_structure(coarse, curve, progress, relevance, seed, thorough=False)
     if not other.structure.fit.converged:
         return fine, found
     period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second

@@ -316,6 +316,7 @@ def select_structure(
     progress: Progress,
     relevance: float = 0.05,
     seed: int = 0,
+    thorough: bool = True,
 ) -> Selection:
     """Run the search; the workspace ends with the knots of the result.
 
@@ -323,12 +324,14 @@ def select_structure(
     ----------
     relevance : float
         Share of the equation error's variance that a term has to remove; see :meth:`Refiner.prune`.
+    thorough : bool
+        Search once more where the equations do not hold.
     """
     refiner = Refiner(workspace, progress)
     first = workspace.knots_per_second
     best = _best_structure(refiner, propose_supports(workspace, smooth, progress, seed), None)
     structure, settled, vibrates = refine_knots(workspace, best, progress)
-    if not vibrates and not _explains(refiner, structure):
+    if thorough and not vibrates and not _explains(refiner, structure):
         fine = workspace.knots_per_second
         workspace.set_knots(first)
         proposals = propose_supports(workspace, smooth, progress, seed + 1, thorough=True)
