@@ -14,6 +14,7 @@ from leastaction._subsets import QuadraticModel
 __all__ = ["rival_warnings"]
 
 _AS_LIKELY = 5.0  # −2 log likelihood
+_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier (Akaike)
 _MOST = 3
 _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
@@ -34,7 +35,7 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     rivals = [c for c in levels[size] if c.members != chosen and c.cost - cost < _AS_LIKELY]
     if np.all(selection.structure.fit.weights.slack < SLACK_LEFT):
         larger = (c for c in levels.get(size + 1, []) if not set(chosen) <= set(c.members))
-        rivals += [c for c in larger if c.cost < cost]
+        rivals += [c for c in larger if c.cost < cost - _ONE_MORE]
     if not rivals:
         return []
     structure, free = selection.structure, workspace.free
