@@ -10,7 +10,7 @@ from leastaction import InputError, LagrangianModel
 from leastaction._errors import MissingPackageError
 from leastaction._model import ModelTerm
 
-BLOCKED = ("pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
+BLOCKED = ("matplotlib", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
 
 MAIN_PATH = """
 import sys
