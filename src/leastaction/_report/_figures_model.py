@@ -75,12 +75,9 @@ def energy_of_trial(energy: Energy, balance: bool) -> Markup:
     if balance:
         # A band below the line of the total: where the balance holds, the line lies in it.
         axes.line(*thin_line(energy.t, energy.expected - floor), "measured", 5.0)
-    for values, colour, width in (
-        (energy.kinetic, "forecast", 1.2),
-        (energy.potential - floor, "fit", 1.2),
-        (total, "ink", 1.6),
-    ):
-        axes.line(*thin_line(energy.t, values), colour, width)
+    axes.line(*thin_line(energy.t, energy.kinetic), "forecast", 1.2)
+    axes.line(*thin_line(energy.t, energy.potential - floor), "fit", 1.2)
+    axes.line(*thin_line(energy.t, total), "ink", 1.6)
     axes.limit(y_from=0.0)
     axes.label("t (s)", "energy (units of L)")
     said = f"The total goes from {plain(float(total[0]))} to {plain(float(total[-1]))}, in units of L"

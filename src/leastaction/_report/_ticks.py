@@ -14,7 +14,7 @@ __all__ = ["Folded", "Linear", "Scale", "Ticks", "folded", "in_powers", "with_po
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LINEAR = 10.0  # a folded axis is linear within this and logarithmic beyond
-_SMALLEST = 1e-290  # below, what is called a length could vanish when it is divided
+_SMALLEST = 1e-300  # a step below it could vanish where it is divided
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Linear:
 class Folded:
     """Logarithmic to both sides and linear within ±10: for differences of every size and either sign."""
 
-    room: float = 45.0
+    room: float = 36.0
 
     def place(self, values: np.ndarray) -> np.ndarray:
         return folded(values)
