@@ -49,6 +49,11 @@ command("export", folder / "found" / "model.json", "--format", "python", "-o", f
 model = la.load(folder / "found" / "model.json")
 assert {term.expression for term in model.terms} == {"theta_dot**2", "cos(theta)"}
 assert "cos(theta)" in str(model) and "cos(theta)" in model._repr_html_()
+
+# The figures of the app need no more than those of the report.
+from leastaction.app._figures import data_figure
+drawn = data_figure(la.read_csv(run, coordinates=["theta"], trial="trial")[0], None, 0, "θ", "rad")
+assert drawn.count("<svg") == 2
 assert tried == [], tried
 try:
     model.table()
