@@ -280,18 +280,24 @@ def test_any_data_make_a_figure(x, y):
 @pytest.mark.parametrize("size", [THIRD, HALF, (1080.0, 190.0), (350.0, 200.0)])
 @pytest.mark.parametrize("start", [0.0, 12345.5, 1.7e9])
 @pytest.mark.parametrize("span", [1e-3, 0.7, 40.0])
-def test_ticks_do_not_touch(size, start, span):
-    """With 8.5 px a digit, which is one of 11 px and the 1.4 times that it grows on a telephone."""
+@pytest.mark.parametrize("low", [-1e-7, -0.2, 0.01, 2e-6])
+def test_ticks_do_not_touch(size, start, span, low):
+    """On a telephone text of 11 px is 1.4 times as large; widths are those of DejaVu Sans, a wide font."""
+
+    def width(words: str) -> float:
+        ems = {"−": 0.838, ".": 0.318}
+        return 11 * 1.4 * sum(ems.get(c, 0.636) for c in words)
+
     axes = Axes(size)
-    axes.line(start + np.array([0.0, span]), np.array([-1e-7, 4e5]), "fit")
+    axes.line(start + np.array([0.0, span]), np.array([low, 4e5 * abs(low)]), "fit")
     figure = drawn(axes)
     below = figure.texts("tick", "middle")
     assert below
     for (x0, _, one), (x1, _, other) in pairwise(below):
-        assert x1 - x0 > 8.5 * 0.5 * (len(one) + len(other))
+        assert x1 - x0 > 0.5 * (width(one) + width(other)) + 3
     beside = sorted(figure.texts("tick", "end"), key=lambda text: text[1])
     assert all(lower[1] - upper[1] > 11 * 1.4 for upper, lower in pairwise(beside))
-    assert all(x - 8.5 * len(words) >= 0 for x, _, words in beside)
+    assert all(x - width(words) >= 0 for x, _, words in beside)
 
 
 def test_texts_are_escaped_named_and_classed():

@@ -25,7 +25,8 @@ _UPRIGHT = Linear(room=45.0, share=0.06, steps=(1.0, 2.0, 2.5, 5.0))
 
 # Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
 _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
-_DIGIT, _LETTER = 8.5, 10.5
+_DIGIT, _LETTER = 9.8, 10.5
+_WIDER = {"−": 1.35, ".": 0.5}  # in digits
 _BEHIND, _GRID, _FILL, _DOTS, _LINES, _ABOVE = range(6)  # what is drawn later covers what was earlier
 
 Ends = tuple[float | None, float | None]
@@ -221,13 +222,13 @@ class Axes:
         x_scale, y_scale = self._scales
         x_ends, y_ends = self._ends(0), self._ends(1)
         y_ticks = y_scale.ticks(*y_ends, max(3, int(self.height / y_scale.room)))
-        left = max(_LEFT, _DIGIT * max(map(len, y_ticks.texts), default=0) + 12)
+        left = max(_LEFT, _widest(y_ticks) + 8)
         right, bottom = self.width - _RIGHT, self.height - _BOTTOM
         frame = Frame(left, right, _TOP, bottom, x_scale, y_scale, x_ends, y_ends)
         for most in range(max(4, int(self.width / x_scale.room)), 0, -1):
             x_ticks = x_scale.ticks(*x_ends, most)
             apart = np.diff(frame.across(np.array(x_ticks.places)))
-            if _DIGIT * (max(map(len, x_ticks.texts), default=0) + 1) <= apart.min(initial=np.inf):
+            if _widest(x_ticks) + 0.5 * _DIGIT <= apart.min(initial=np.inf):
                 break
         return frame, x_ticks, y_ticks
 
@@ -261,6 +262,11 @@ class Axes:
 
     def _add(self, layer: int, draw: Callable[[Frame], str]) -> None:
         self._parts.append((layer, draw))
+
+
+def _widest(ticks: Ticks) -> float:
+    """Pixels that the longest of the texts takes where the style sheet enlarges them most."""
+    return _DIGIT * max((sum(_WIDER.get(c, 1.0) for c in words) for words in ticks.texts), default=0.0)
 
 
 def _grid(frame: Frame, ticks: Ticks) -> str:
