@@ -46,7 +46,7 @@ def test_linear_ticks(low, span, most, steps):
     assert low - slack <= places[0] < low + step[0] + slack
     assert high - step[0] - slack < places[-1] <= high + slack
     # Round: the step is one of these times a power of ten, and every tick a multiple of the step.
-    mantissa = step[0] / 10.0 ** math.floor(math.log10(step[0] * (1 + 1e-9)))
+    mantissa = step[0] / 10.0 ** math.floor(math.log10(step[0] * (1 + 1e-6)))
     assert min(abs(mantissa - s) for s in steps) < 1e-6
     np.testing.assert_allclose(places / step[0], np.rint(places / step[0]), atol=1e-6)
     # The texts are the numbers.
@@ -102,8 +102,9 @@ def test_the_folded_scale_is_logarithmic_beyond_ten():
     np.testing.assert_allclose(decade, np.log10([1.0, 2.0, 5.0, 10.0]))
 
 
-@given(low=st.floats(-12.0, 0.0), span=st.floats(0.7, 14.0), most=st.integers(3, 9))
+@given(low=st.floats(-12.0, 0.0), span=st.floats(0.81, 14.0), most=st.integers(3, 9))
 def test_folded_ticks(low, span, most):
+    # 5, 10 and 20 lie 0.5 and 0.301 apart, which is the widest: 0.81 holds two of them wherever it begins.
     ticks = Folded().ticks(low, low + span, most)
     places = np.array(ticks.places)
     assert 2 <= places.size <= max(2 * most, 10)
