@@ -5,7 +5,6 @@ from dataclasses import replace
 from importlib.resources import files
 from itertools import pairwise
 
-import matplotlib
 import numpy as np
 import pytest
 from markupsafe import escape
@@ -24,7 +23,6 @@ from leastaction._forecast import ForecastResult, ForecastTrace
 from leastaction._library import Dropped, make_term
 from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._report._mathml import number_parts
-from leastaction._report._svg import COLOURS
 from leastaction._report._text import percent
 from leastaction._spline import SplineGrid
 from report_helpers import Page, spring
@@ -145,8 +143,6 @@ def test_every_drawing_has_title_and_description(source):
 
 def test_figures_take_their_colours_from_the_style_sheet(source):
     page = Page(source)
-    for colour in COLOURS.values():
-        assert colour not in source
     for drawing in page.root.all("svg"):
         for element in drawing.elements():
             assert not re.search(r"(?:stroke|fill): ?#", element.attributes.get("style") or "")
@@ -157,16 +153,6 @@ def test_figures_take_their_colours_from_the_style_sheet(source):
 def test_same_model_same_page(source, pendulum, tmp_path):
     model, validation = pendulum
     again = written(tmp_path, model, validation=validation, command="leastaction discover a.csv")
-    assert again == source
-
-
-def test_settings_of_the_user_neither_matter_nor_change(source, pendulum, tmp_path):
-    model, validation = pendulum
-    theirs = {"text.usetex": True, "lines.linewidth": 9.0, "svg.fonttype": "path", "axes.grid": False}
-    with matplotlib.rc_context(theirs):
-        before = dict(matplotlib.rcParams)
-        again = written(tmp_path, model, validation=validation, command="leastaction discover a.csv")
-        assert dict(matplotlib.rcParams) == before
     assert again == source
 
 

@@ -11,6 +11,7 @@ from leastaction import Trajectories, Trajectory
 from leastaction._diagnostics import PathPoint
 from leastaction._forecast import ForecastResult, ForecastTrace
 from leastaction._model_parts import FitSummary, ModelTerm
+from leastaction._report._axes import shortened
 from leastaction._report._captions import (
     curve_title,
     energy_title,
@@ -20,7 +21,6 @@ from leastaction._report._captions import (
 )
 from leastaction._report._mathml import Notation, number_parts
 from leastaction._report._series import Series
-from leastaction._report._svg import shortened
 from leastaction._report._text import warning_parts
 from leastaction._report._verdict import verdict
 from leastaction._report._whisker import whisker

@@ -12,7 +12,6 @@ from leastaction import (
 from leastaction._diagnostics import PathPoint
 from leastaction._report._mathml import Notation
 from leastaction._report._series import Energy, Series, legible_samples, thin_line, thin_points
-from leastaction._report._svg import dots, drawing, inline, label, panel
 from leastaction._report._tables import path_rows
 from leastaction._report._text import plain
 from leastaction._spline import SplineGrid, uniform_space
@@ -122,19 +121,3 @@ def test_energy_balance_counts_known_forces():
     energy = Energy.of(Series(replace(model, diagnostics=diagnostics)), 0)
     assert energy.total[-1] > 3.0
     assert energy.imbalance < 1e-3
-
-
-def test_dots_are_one_path_and_big_numbers_go_into_the_unit():
-    x = np.linspace(0.0, 1.0, 3000)
-    with drawing():
-        axes = panel()
-        dots(axes, x, 1e-6 * np.sin(9 * x), "measured", 2.0)
-        dots(axes, x * np.nan, x, "measured", 2.0)
-        label(axes, "角 (s)", "θ₁", y_unit="rad")
-        source = inline(axes, "a", "a <title>", 'said of "it"')
-    assert source.count("h0") == 3000
-    assert "θ₁ (10⁻⁶ rad)" in source
-    assert "角 (s)" in source
-    assert len(source) < 60_000
-    svg = Page(str(source)).root.one("svg")
-    assert (svg.one("title").text, svg.one("desc").text) == ("a <title>", 'said of "it"')

@@ -9,8 +9,9 @@ import pytest
 from leastaction import InputError, LagrangianModel
 from leastaction._errors import MissingPackageError
 from leastaction._model import ModelTerm
+from leastaction.io import from_frame
 
-BLOCKED = ("pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
+BLOCKED = ("matplotlib", "narwhals", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
 
 MAIN_PATH = """
 import sys
@@ -49,6 +50,11 @@ command("export", folder / "found" / "model.json", "--format", "python", "-o", f
 model = la.load(folder / "found" / "model.json")
 assert {term.expression for term in model.terms} == {"theta_dot**2", "cos(theta)"}
 assert "cos(theta)" in str(model) and "cos(theta)" in model._repr_html_()
+
+# The figures of the app need no more than those of the report.
+from leastaction.app._figures import data_figure
+drawn = data_figure(la.read_csv(run, coordinates=["theta"], trial="trial")[0], None, 0, "θ", "rad")
+assert drawn.count("<svg") == 2
 assert tried == [], tried
 try:
     model.table()
@@ -73,6 +79,14 @@ def test_missing_package_is_both_kinds_of_error(monkeypatch):
     for kind in (ImportError, InputError, ValueError):
         with pytest.raises(kind, match=r"table\(\) needs pandas; install it with: .*use format_table\(\)"):
             model.table()
+
+
+@pytest.mark.parametrize(("library", "extra"), [("pandas", "pandas"), ("polars", "polars")])
+def test_data_frames_need_narwhals(monkeypatch, library, extra):
+    monkeypatch.setitem(sys.modules, "narwhals.stable.v1", None)
+    frame = pytest.importorskip(library).DataFrame({"t": [0.0, 1.0], "x": [0.0, 1.0]})
+    with pytest.raises(InputError, match=rf"reading data frames needs narwhals; .*'leastaction\[{extra}\]'"):
+        from_frame(frame, ["x"])
 
 
 def test_missing_package_survives_pickling():

@@ -64,7 +64,7 @@ def write_report(
     ...     page.read_text(encoding="utf-8")[:15]
     '<!DOCTYPE html>'
     """
-    # Matplotlib and the model take half a second: not for a command that only wants its help text.
+    # The model and the templates take a moment: not for a command that only wants its help text.
     from leastaction._forecast import ForecastResult
     from leastaction._model import LagrangianModel
     from leastaction._report._page import render

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from leastaction._report._axes import HALF, Axes
 from leastaction._report._mathml import Notation
 from leastaction._report._series import Series, legible_samples, sample_times, thin_line, thin_points
-from leastaction._report._svg import COLOURS, HALF, dots, inline, label, panel
 from leastaction._report._text import plain
 
 __all__ = ["DataFigures"]
@@ -28,92 +28,88 @@ class DataFigures:
     def overview(self, i: int) -> Markup:
         """The whole trial: samples and curve; the stretch of the zoom is shaded."""
         name, trial = self._name(i), self.series.shown
-        axes = panel(HALF)
+        axes = Axes(HALF)
         start, stop = self.series.zoom
-        axes.axvspan(start, stop, color=COLOURS["shade"], lw=0, zorder=0)
+        axes.band(x=(start, stop))
         noise = float(self.series.model.noise_std[i])
         seen_t, seen, quiet = legible_samples(trial.t, trial.q[:, i], noise, self._share(_POINTS))
-        dots(axes, seen_t, seen, "measured", 4.0 if quiet else 2.6, above=quiet)
+        axes.dots(seen_t, seen, "measured", 4.0 if quiet else 2.6, above=quiet)
         t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
-        axes.plot(
-            *thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), color=COLOURS["fit"], lw=1.1
-        )
-        label(axes, "t (s)", name, y_unit=self._unit(i))
+        axes.line(*thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), "fit", 1.1)
+        axes.label("t (s)", name, y_unit=self._unit(i))
         said = (
             f"{trial.n_samples} samples as dots, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
         )
-        return inline(axes, f"overview{i}", f"{name} over the whole trial {trial.name}", said)
+        return axes.svg(f"overview{i}", f"{name} over the whole trial {trial.name}", said)
 
     def zoom(self, i: int, derivative: int) -> Markup:
         """A stretch of the curve, or of its derivative, with the samples of the coordinate."""
         name, trial = self._name(i, derivative), self.series.shown
         start, stop = self.series.zoom
-        axes = panel(HALF)
+        axes = Axes(HALF)
         t = sample_times(start, stop, self._share(_ZOOM_POINTS))
         if derivative == 0:
             inside = (trial.t >= start) & (trial.t <= stop)
             noise = float(self.series.model.noise_std[i])
             seen_t, seen, quiet = legible_samples(trial.t[inside], trial.q[inside, i], noise)
-            dots(axes, seen_t, seen, "measured", 4.5 if quiet else 3.2, above=quiet)
+            axes.dots(seen_t, seen, "measured", 4.5 if quiet else 3.2, above=quiet)
         curve = self.series.curve(t, derivative)[:, i]
-        axes.plot(t, curve, color=COLOURS["fit"])
-        label(axes, "t (s)", name, y_unit=self._unit(i, derivative))
+        axes.line(t, curve, "fit")
+        axes.label("t (s)", name, y_unit=self._unit(i, derivative))
         what = (
             "Samples as dots and the fitted curve" if derivative == 0 else "The fitted curve; never measured"
         )
         said = f"{what}. {self._range(curve, i, derivative)}"
-        return inline(axes, f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s", said)
+        return axes.svg(f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s", said)
 
     def residuals(self, i: int) -> Markup:
         """Residuals of the shown trial over time, with the band that should hold 95 % of them."""
         name, trial = self._name(i), self.series.shown
         sigma = float(self.series.model.noise_std[i])
-        axes = panel()
-        dots(
-            axes,
+        axes = Axes()
+        axes.dots(
             *thin_points(trial.t, self.series.residuals[self.series.trial][:, i], self._share(_POINTS)),
             "measured",
             2.2,
         )
         for end in (-1.96 * sigma, 1.96 * sigma):
-            axes.axhline(end, color=COLOURS["fit"], lw=1.0, dashes=(4, 3))
-        axes.set_xlim(trial.t[0], trial.t[-1])
-        label(axes, "t (s)", f"{name}, measured − fitted", y_unit=self._unit(i))
+            axes.rule(end, "fit", 1.0, dashes="4 3")
+        axes.limit(x=(trial.t[0], trial.t[-1]))
+        axes.label("t (s)", f"{name}, measured − fitted", y_unit=self._unit(i))
         said = f"Dots, and dashed lines at ±1.96 σ, where σ is {plain(sigma)} {self._unit(i)}"
-        return inline(axes, f"residual{i}", f"Residuals of {name} over time", said)
+        return axes.svg(f"residual{i}", f"Residuals of {name} over time", said)
 
     def histogram(self, i: int) -> Markup:
         """Residuals of all trials in units of σ against the normal density."""
         sigma = max(float(self.series.model.noise_std[i]), 1e-300)
         z = self.series.all_residuals(i) / sigma
-        axes = panel()
+        axes = Axes()
         edges = np.linspace(-4.5, 4.5, 46)
         counts, _ = np.histogram(z, edges)
         density = counts / max(z.size, 1) / np.diff(edges)
-        axes.stairs(density, edges, fill=True, color=COLOURS["measured"], alpha=0.45, lw=0)
+        axes.bars(density, edges, "measured", 0.45)
         x = np.linspace(-4.5, 4.5, 61)
-        axes.plot(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), color=COLOURS["fit"])
-        axes.set_ylim(bottom=0)
-        label(axes, "residual / σ", f"density, {self._name(i)}")
+        axes.line(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), "fit")
+        axes.limit(y=(0.0, None))
+        axes.label("residual / σ", f"density, {self._name(i)}")
         said = f"Beside the normal density; {100 * float(np.mean(np.abs(z) > 3)):.2f} % lie beyond 3 σ"
-        return inline(axes, f"histogram{i}", f"Histogram of the residuals of {self._name(i)} over σ", said)
+        return axes.svg(f"histogram{i}", f"Histogram of the residuals of {self._name(i)} over σ", said)
 
     def correlation(self, i: int) -> Markup:
         """Autocorrelation of the residuals, with the band of white noise."""
         values = self.series.correlation(i)
         bound = 1.96 / np.sqrt(max(self.series.all_residuals(i).size, 1))
-        axes = panel()
-        axes.axhspan(-bound, bound, color=COLOURS["shade"], lw=0, zorder=0)
-        axes.axhline(0.0, color=COLOURS["muted"], lw=0.8)
+        axes = Axes()
+        axes.band(y=(-bound, bound))
+        axes.rule(0.0, "muted", 0.8)
         lags = np.arange(1, values.size + 1)
         ends = np.column_stack([np.zeros(values.size), np.nan_to_num(values), np.full(values.size, np.nan)])
-        axes.plot(np.repeat(lags, 3), ends.ravel(), color=COLOURS["measured"], lw=3.0, solid_capstyle="butt")
+        axes.line(np.repeat(lags, 3), ends.ravel(), "measured", 3.0, cap="butt")
         reach = max(0.25, 1.1 * float(np.max(np.abs(np.nan_to_num(values)), initial=0.0)))
-        axes.set_ylim(-reach, reach)
-        axes.set_xlim(0, max(values.size, 1) + 1)
-        label(axes, "lag (samples)", f"autocorrelation, {self._name(i)}")
+        axes.limit(x=(0.0, max(values.size, 1) + 1.0), y=(-reach, reach))
+        axes.label("lag (samples)", f"autocorrelation, {self._name(i)}")
         said = f"Lags of 1 to {values.size} samples; white noise stays within ±{bound:.2g}"
-        return inline(axes, f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
+        return axes.svg(f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
 
     def _share(self, points: int) -> int:
         """Points of one panel: fewer where there are many coordinates."""

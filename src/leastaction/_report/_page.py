@@ -21,7 +21,6 @@ from leastaction._report import _tables as tables
 from leastaction._report._figures_data import DataFigures
 from leastaction._report._mathml import Notation
 from leastaction._report._series import Energy, Series
-from leastaction._report._svg import drawing
 from leastaction._report._text import percent, plain, plural
 from leastaction._report._verdict import verdict
 from leastaction._report._whisker import axis as whisker_axis
@@ -49,8 +48,7 @@ def render(model: LagrangianModel, validation: ForecastResult | None, command: s
         loader=jinja2.FunctionLoader(source),
     )
     template = environment.get_template("page.html.j2")
-    with drawing():
-        return template.render(style=Markup(source("style.css")), **_context(model, validation, command))
+    return template.render(style=Markup(source("style.css")), **_context(model, validation, command))
 
 
 def _context(

@@ -229,11 +229,9 @@ class Session:
     def write_report(self) -> str:
         """The report on the model that is shown, as HTML."""
         import leastaction as la
-        from leastaction.app._figures import DRAWING
 
         path = self.folder / "report.html"
-        with DRAWING:
-            la.write_report(self.current.model, path, validation=self.current.validation)
+        la.write_report(self.current.model, path, validation=self.current.validation)
         return path.read_text(encoding="utf-8")
 
     def write_model(self) -> str:

@@ -1,6 +1,6 @@
 """The command line, ``leastaction``: the same program as ``python -m leastaction``.
 
-SymPy, SciPy and Matplotlib are imported inside the commands, so that ``--help`` answers at once.
+SymPy and SciPy are imported inside the commands, so that ``--help`` answers at once.
 Exit codes: 0 done (for ``discover``: a model was written, even if a doubtful one); 1 the data do not support
 any model, or a motion cannot be followed to the end; 2 wrong use or bad input; 70 a fault of the program;
 130 interrupted. A command that fails writes nothing.

@@ -1,0 +1,170 @@
+"""Scales of an axis: where a value lies on it, and which ticks are written beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+
+__all__ = ["Folded", "Linear", "Scale", "Ticks", "folded", "in_powers", "with_power"]
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LINEAR = 10.0  # a folded axis is linear within this and logarithmic beyond
+_SMALLEST = 1e-300  # a step below it could vanish where it is divided
+
+
+@dataclass(frozen=True)
+class Ticks:
+    """Ticks from low to high: places on the axis, texts, and the power of ten that the texts leave out."""
+
+    places: Sequence[float]
+    texts: Sequence[str]
+    power: int = 0
+
+
+class Scale(Protocol):
+    """Maps values to places on an axis; limits and margins are lengths on it."""
+
+    @property
+    def room(self) -> float:
+        """Pixels that one tick should have."""
+        ...
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        """Where values lie; the map rises."""
+        ...
+
+    def margin(self, low: float, high: float) -> float:
+        """What an axis shows beyond the data at either end."""
+        ...
+
+    def ticks(self, low: float, high: float, most: int) -> Ticks:
+        """At most `most` steps between the places `low` and `high`."""
+        ...
+
+
+@dataclass(frozen=True)
+class Linear:
+    """Equal lengths for equal differences; ticks at multiples of 1, 2 or 5 (`steps`) times a power of ten.
+
+    Parameters
+    ----------
+    room : float
+        Pixels that one tick should have.
+    share : float
+        Part of the range of the data that is shown beyond either end.
+    steps : sequence of float
+        Rising, from 1 to less than 10.
+    whole : bool
+        Ticks at whole numbers only.
+    """
+
+    room: float = 80.0
+    share: float = 0.01
+    steps: Sequence[float] = (1.0, 2.0, 5.0)
+    whole: bool = False
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        return values
+
+    def margin(self, low: float, high: float) -> float:
+        return self.share * (high - low)
+
+    def ticks(self, low: float, high: float, most: int) -> Ticks:
+        """The longest round step of at least (high − low) / most; a shorter one if it gave fewer than two.
+
+        Examples
+        --------
+        >>> Linear().ticks(-0.3, 7.9, 5)
+        Ticks(places=[0.0, 2.0, 4.0, 6.0], texts=['0', '2', '4', '6'], power=0)
+        >>> Linear().ticks(-1e-6, 2e-6, 4)
+        Ticks(places=[-1e-06, 0.0, 1e-06, 2e-06], texts=['−1', '0', '1', '2'], power=-6)
+        """
+        least = 1.0 if self.whole else 0.0
+        raw = max((high - low) / most, least, _SMALLEST)
+        exponent = math.floor(math.log10(raw))
+        # From the text of the number, which is exact where a product of floats need not be.
+        rising = [float(f"{step}e{exponent + k}") for k in (-1, 0, 1) for step in self.steps]
+        fitting = next(k for k, step in enumerate(rising) if step >= raw * (1 - 1e-9))
+        slack = 1e-9 * (high - low)
+        places: list[float] = []
+        for step in reversed(rising[: fitting + 1]):
+            first, last = math.ceil((low - slack) / step), math.floor((high + slack) / step)
+            places = [k * step for k in range(first, last + 1)]
+            if len(places) >= 2 or step <= least:
+                break
+        return Ticks(places, *_written(places))
+
+
+@dataclass(frozen=True)
+class Folded:
+    """Logarithmic to both sides and linear within ±10: for differences of every size and either sign."""
+
+    room: float = 36.0
+
+    def place(self, values: np.ndarray) -> np.ndarray:
+        return folded(values)
+
+    def margin(self, low: float, high: float) -> float:
+        return 0.3
+
+    def ticks(self, low: float, high: float, most: int) -> Ticks:
+        """Zero and powers of ten; every second, third, … of many; 1, 2 and 5 times them if there is but one.
+
+        Examples
+        --------
+        >>> Folded().ticks(-1.2, 2.9, 5).texts
+        ['−10', '0', '10', '100']
+        >>> Folded().ticks(-0.3, 0.8, 5).texts
+        ['−2', '−1', '0', '1', '2', '5']
+        """
+        levels = range(math.floor(low), math.ceil(high) + 1)
+        every = max(1, len(levels) // max(most, 1))
+        there = [k for k in levels if k % every == 0 and low <= k <= high]
+        if len(there) >= 2:
+            return Ticks([float(k) for k in there], [in_powers(k) for k in there])
+        sizes = [m * 10.0**k for k in range(max(abs(k) for k in levels) + 1) for m in (1.0, 2.0, 5.0)]
+        values = np.array([*(-size for size in reversed(sizes)), 0.0, *sizes])
+        values = values[(folded(values) >= low) & (folded(values) <= high)]
+        return Ticks(folded(values).tolist(), *_written(values.tolist()))
+
+
+def folded(values: np.ndarray) -> np.ndarray:
+    """±1 for ±10, ±2 for ±100, …; linear in between."""
+    size = np.abs(values)
+    beyond = 1.0 + np.log10(np.maximum(size, _LINEAR) / _LINEAR)
+    return np.sign(values) * np.where(size <= _LINEAR, size / _LINEAR, beyond)
+
+
+def in_powers(level: int) -> str:
+    """The value at a whole place of a folded axis."""
+    size = str(10 ** abs(level)) if abs(level) <= 3 else f"10{str(abs(level)).translate(_RAISED)}"
+    return f"{'−' if level < 0 else ''}{size}" if level else "0"
+
+
+def with_power(quantity: str, power: int, unit: str) -> str:
+    """A quantity with what its numbers are to be multiplied with.
+
+    Examples
+    --------
+    >>> with_power("x", -6, "m"), with_power("x", 0, "m"), with_power("x", 3, ""), with_power("x", 0, "")
+    ('x (10⁻⁶ m)', 'x (m)', 'x (10³)', 'x')
+    """
+    scale = f"10{str(power).translate(_RAISED)}" if power else ""
+    inside = f"{scale} {unit}".strip()
+    return f"{quantity} ({inside})" if inside else quantity
+
+
+def _written(places: Sequence[float]) -> tuple[list[str], int]:
+    """Texts with the decimals that the step asks for, and the power of ten left out where they are long."""
+    largest = max((abs(v) for v in places), default=0.0)
+    power = math.floor(math.log10(largest) + 1e-9) if largest > 0 else 0
+    power = 0 if -3 <= power < 5 else power
+    scaled = [v / float(f"1e{power}") for v in places]
+    step = min((b - a for a, b in pairwise(scaled)), default=1.0)
+    decimals = next((d for d in range(12) if abs(round(step, d) - step) <= 1e-3 * step), 12)
+    return [f"{v + 0.0:.{decimals}f}".replace("-", "−") for v in scaled], power
