@@ -9,9 +9,8 @@ import pytest
 from leastaction import InputError, LagrangianModel
 from leastaction._errors import MissingPackageError
 from leastaction._model import ModelTerm
-from leastaction.io import from_frame
 
-BLOCKED = ("matplotlib", "narwhals", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
+BLOCKED = ("matplotlib", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
 
 MAIN_PATH = """
 import sys
@@ -79,14 +78,6 @@ def test_missing_package_is_both_kinds_of_error(monkeypatch):
     for kind in (ImportError, InputError, ValueError):
         with pytest.raises(kind, match=r"table\(\) needs pandas; install it with: .*use format_table\(\)"):
             model.table()
-
-
-@pytest.mark.parametrize(("library", "extra"), [("pandas", "pandas"), ("polars", "polars")])
-def test_data_frames_need_narwhals(monkeypatch, library, extra):
-    monkeypatch.setitem(sys.modules, "narwhals.stable.v1", None)
-    frame = pytest.importorskip(library).DataFrame({"t": [0.0, 1.0], "x": [0.0, 1.0]})
-    with pytest.raises(InputError, match=rf"reading data frames needs narwhals; .*'leastaction\[{extra}\]'"):
-        from_frame(frame, ["x"])
 
 
 def test_missing_package_survives_pickling():

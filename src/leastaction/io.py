@@ -223,8 +223,7 @@ def from_frame(
     Raises
     ------
     InputError, DataError
-        As for `read_csv`, with rows counted from 0 in place of lines; or if narwhals is not installed, which
-        the extras `pandas`, `polars` and `parquet` bring.
+        As for `read_csv`, with rows counted from 0 in place of lines.
 
     Examples
     --------

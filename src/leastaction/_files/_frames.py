@@ -17,9 +17,6 @@ from leastaction._names import quoted
 
 __all__ = ["frame_table", "read_parquet_table", "trial_name"]
 
-_EXTRAS = {"polars": "polars", "pyarrow": "parquet"}
-"""Where a data frame comes from -> the extra that brings what reads it; `pandas` for all others."""
-
 
 def frame_table(frame: Any, layout: Layout, source: str = "data frame") -> tuple[Layout, Table]:
     """Take the columns of `layout` from a data frame.
@@ -27,13 +24,10 @@ def frame_table(frame: Any, layout: Layout, source: str = "data frame") -> tuple
     Raises
     ------
     InputError
-        If `frame` is no data frame, lacks a column, a column does not hold numbers, or narwhals is missing.
+        If `frame` is no data frame, lacks a column, or a column does not hold numbers.
     """
-    try:
-        import narwhals.stable.v1 as nw
-    except ImportError:
-        extra = _EXTRAS.get(type(frame).__module__.partition(".")[0], "pandas")
-        raise MissingPackageError("reading data frames", "narwhals", extra) from None
+    import narwhals.stable.v1 as nw
+
     if hasattr(frame, "iloc") and hasattr(frame, "columns"):
         # pandas allows a name twice, narwhals does not: say so in our own words.
         layout.find(list(frame.columns), source)
