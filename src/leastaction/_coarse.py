@@ -68,7 +68,7 @@ def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float
     mechanics = Mechanics(parts["lagrangian"], parts["dissipation"], data.coordinates)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
-    noise = structure.fit.weights.noise_std
+    noise = structure.fit.weights.position_std
     step = float(np.median(np.concatenate([np.diff(trajectory.t) for trajectory in data])))
     window = max(_WINDOW * horizon, _WINDOW_STEPS * step)
     try:

@@ -14,7 +14,7 @@ from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
 from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
-from leastaction._trajectory import Trajectories, Trajectory
+from leastaction._trajectory import Trajectories
 
 __all__ = ["KNOTS_PER_RADIAN", "Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
 
@@ -306,8 +306,7 @@ def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
     for whole in trajectories:
         for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
             if np.isfinite(whole.q[rows]).sum(axis=0).min() >= _FEWEST_SAMPLES:
-                forces = None if whole.forces is None else whole.forces[rows]
-                pieces.append(Trajectory(whole.t[rows], whole.q[rows], forces, whole.coordinates))
+                pieces.append(whole.rows(rows).changed(name=""))
     if not pieces:
         return trajectories
     count = min(len(pieces), max(1, round(share * len(pieces))))
