@@ -47,7 +47,7 @@ def search_coarse(
     if np.all(off <= EXPLAINED) or not knots_per_second < fine.knots_per_second:
         return fine, found
     coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
-    curve = smooth(coarse.grid, coarse.times, coarse.values)
+    curve = smooth(coarse.grid, coarse.times, coarse.values, rates=coarse.rates)
     other = select_structure(coarse, curve, progress, relevance, seed)
     if not other.structure.fit.converged:
         return fine, found

@@ -12,6 +12,7 @@ import sympy as sp
 from leastaction._errors import DataError, InputError
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
+from leastaction._rate_checks import doubts_about_rates
 from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
 from leastaction._trajectory import Trajectories
@@ -66,7 +67,9 @@ class Prepared:
         """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
         workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
         penalty = self.knots.smooth.penalty
-        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty)
+        return workspace, smooth(
+            workspace.grid, workspace.times, workspace.values, penalty, workspace.rates
+        )
 
 
 def prepare(
@@ -113,6 +116,7 @@ def prepare(
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
     notes, doubts = _about_angles(trajectories, angles)
+    doubts += doubts_about_rates(searched, knots.smooth.grid)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
         for c, r in zip(library.coordinates, knots.rates, strict=True)
@@ -277,16 +281,17 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
         return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
 
-    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values)
+    rates = trajectories.rates
+    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
-        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
         wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
         if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
             break
         knots = wanted
     else:
-        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
     return Knots(knots, coarse, rate * period, smoothed, spread(1))
 

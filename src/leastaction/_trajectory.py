@@ -232,6 +232,18 @@ class Trajectories(Sequence[Trajectory]):
         )
         return self._with(*pick)
 
+    def without_rates(self) -> Trajectories:
+        """Return the same trajectories with positions and forces alone.
+
+        Examples
+        --------
+        >>> run = Trajectory([0.0, 1.0], [0.1, 0.2], velocities=[0.1, 0.1])
+        >>> Trajectories([run]).without_rates()[0].velocities is None
+        True
+        """
+        items = [item.changed(**dict.fromkeys(RATES)) for item in self._items]
+        return self._with(items, self._wraps, self._names)
+
     def digest(self) -> str:
         """Return the SHA-256 of the data: coordinates, times, samples, forces and rates, not names of trials.
 
