@@ -116,7 +116,7 @@ def prepare(
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
     notes, doubts = _about_angles(trajectories, angles)
-    doubts += doubts_about_rates(searched, knots.smooth.grid)
+    doubts += doubts_about_rates(searched, knots.smooth)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
         for c, r in zip(library.coordinates, knots.rates, strict=True)
