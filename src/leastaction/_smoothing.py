@@ -25,6 +25,7 @@ _PENALTY_DERIVATIVE = 3
 _SMALLEST = 1e-6  # noise over range
 _LOG_STEP = 0.05
 _MOST_ROUNDS = 12
+_NEARLY_EXACT = 0.01  # noise over spread
 _SETTLED = 0.1  # relative change of the noise of a rate
 
 
@@ -159,27 +160,44 @@ def smooth(
 def _smooth_together(blocks, penalty: np.ndarray, grid: SplineGrid, kappa: float | None, result):
     """Smooth positions and rates of one coordinate, (design, samples) each, positions first.
 
-    Returns what ``_smooth_one`` does, the scaled design, and the noise of the rates.
+    ``result`` is that of the positions alone. Returns what ``_smooth_one`` does, the scaled design, and the
+    noise of the rates: the more likely of what is found from noise as the positions alone have it, and from
+    rates that are nearly exact. Few positions can be interpolated, which the first would never give up.
     """
-    floors = np.array([_SMALLEST * np.std(y) for _, y in blocks]) + 1e-300
+    spread = np.array([np.std(y) for _, y in blocks]) + 1e-300
+    alone = np.array([np.std(y - design @ result[0]) for design, y in blocks])
+    alone[0] = result[1]
+    exact = spread * np.array([1.0] + [_NEARLY_EXACT] * (len(blocks) - 1))
     grams = [banded_gram(design, grid.degree) for design, _ in blocks]
-    noise = np.maximum([np.std(y - design @ result[0]) for design, y in blocks], floors)
-    noise[0] = max(result[1], floors[0])
+    found = [
+        _settle_noise(blocks, grams, penalty, grid, kappa, np.maximum(start, _SMALLEST * spread))
+        for start in (alone, exact)
+    ]
+    return min(found, key=lambda f: f[0])[1:]
+
+
+def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, noise: np.ndarray):
+    """The fixed point from given noise; the criterion comes first, then as ``_smooth_together``."""
+    floors = np.array([_SMALLEST * np.std(y) for _, y in blocks]) + 1e-300
+    sizes = np.array([y.size for _, y in blocks])
     for _ in range(_MOST_ROUNDS):
         ratios = noise[0] / noise
         rows = sp.csr_array(sp.vstack([c * d for c, (d, _) in zip(ratios, blocks, strict=True)], "csr"))
         y = np.concatenate([c * y for c, (_, y) in zip(ratios, blocks, strict=True)])
-        result = coefficients, _, chosen, _ = _smooth_one(rows, y, penalty, grid, kappa)
+        result = coefficients, sigma, chosen, factor = _smooth_one(rows, y, penalty, grid, kappa)
         whole = chosen * penalty + sum(c**2 * gram for c, gram in zip(ratios, grams, strict=True))
         new = np.empty_like(noise)
         for k, (design, samples) in enumerate(blocks):
             used = _slope(whole, ratios[k] ** 2 * grams[k])
             left = np.sum((samples - design @ coefficients) ** 2)
-            new[k] = np.sqrt(left / max(samples.size - used, 1.0))
-        change, noise = np.maximum(new, floors) / noise, np.maximum(new, floors)
+            new[k] = max(np.sqrt(left / max(samples.size - used, 1.0)), floors[k])
+        change, noise = new / noise, new
         if np.all(np.abs(np.log(change / change[0])) < _SETTLED):
             break
-    return result, rows, result[1] / ratios[1:]
+    n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
+    score = 2.0 * (max(y.size - n_null, 1) * np.log(sigma + 1e-300) - sizes @ np.log(ratios))
+    score += 2.0 * np.log(factor[0]).sum() - (grid.n_ctrl - n_null) * np.log(chosen)
+    return score, result, rows, sigma / ratios[1:]
 
 
 def _slope(whole: np.ndarray, part: np.ndarray) -> float:
