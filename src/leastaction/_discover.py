@@ -238,6 +238,7 @@ def _model(
             error = 0.0 if is_known else float(members[k])
             value = float(structure.coefficients[k])
             parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
+    rate_noise = _rate_noise(workspace, weights)
     diagnostics = Diagnostics(
         workspace.trajectories,
         workspace.grid,
@@ -247,9 +248,9 @@ def _model(
         verdict.equation_error,
         _path(prepared, selection),
         prepared.library.dropped,
-        (*prepared.notes, *verdict.notes),
+        (*prepared.notes, *verdict.notes, *(f"{k}: noise {x:.3g}" for k, x in rate_noise.items())),
         timings,
-        _rate_noise(workspace, weights),
+        rate_noise,
     )
     return LagrangianModel(
         prepared.library.coordinates,

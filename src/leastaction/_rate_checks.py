@@ -61,7 +61,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[str]:
         clear = np.all(pairs.std(axis=0) > _CLEAR * gains * spread)
         text = _about(rate.derivative, pairs, bool(clear))
         if text:
-            doubts.append(f"the {rate.label(trajectories.coordinates)} {text}")
+            doubts.append(f"the measured {rate.label(trajectories.coordinates)} {text}")
     return doubts
 
 
