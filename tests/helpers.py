@@ -261,9 +261,7 @@ def assert_same_model(a, b, factors=None, *, rtol=2e-3, of_error=0.05) -> None:
 
 
 # ------------------------------------------------------------------------------- measured rates
-def with_rates(
-    system, truth, noise_std, velocity=None, acceleration=None, seed: int = 0
-) -> Trajectories:
+def with_rates(system, truth, noise_std, velocity=None, acceleration=None, seed: int = 0) -> Trajectories:
     """Noisy positions of simulated motions, and velocities and accelerations with noise of their own.
 
     ``velocity`` and ``acceleration`` are noise over the spread of the channel; None where it is not measured.

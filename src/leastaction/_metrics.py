@@ -258,9 +258,9 @@ def cramer_rao_bound(
 def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return rows B with BᵀB the information of one motion on the coefficients.
 
-    ``sigma`` and ``seen`` cover the state: positions, then velocities. Its initial state is projected out: the unknowns are the states at the starts of short pieces and the
-    coefficients. Each state is tied to the next by its transition matrix and eliminated by a QR decomposition
-    (a square-root information filter).
+    ``sigma`` and ``seen`` cover the state: positions, then velocities. Its initial value is projected out:
+    the unknowns are the states at the starts of short pieces and the coefficients. Each state is tied to the
+    next by its transition matrix and eliminated by a QR decomposition (a square-root information filter).
     """
     n, p = variational.n_dof, variational.n_terms
     forces = motion.drive
@@ -268,7 +268,8 @@ def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) 
         forces = CubicSpline(motion.t, motion.forces)
     steps = variational.transitions(motion.t, motion.q, motion.qdot, forces)
     length = max(1, round(_SEGMENT / float(np.mean(np.diff(motion.t)))))
-    joint = _JOINT / np.concatenate([sigma[:n], sigma[:n] / _SEGMENT])
+    scale = np.minimum(sigma[:n], sigma[n:] * _SEGMENT)  # of what is known most exactly
+    joint = _JOINT / np.concatenate([scale, scale / _SEGMENT])
     carry = np.zeros((0, 2 * n + p))
     for start in range(0, len(motion.t), length):
         size = min(length, len(motion.t) - start)

@@ -67,9 +67,7 @@ class Prepared:
         """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
         workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
         penalty = self.knots.smooth.penalty
-        return workspace, smooth(
-            workspace.grid, workspace.times, workspace.values, penalty, workspace.rates
-        )
+        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty, workspace.rates)
 
 
 def prepare(

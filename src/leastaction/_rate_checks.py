@@ -57,9 +57,11 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[str]:
         if len(pairs) < _FEWEST:
             continue
         # what the pairs would be if there were no motion, and the channel nothing but white noise
-        spread = [smooth.noise_std[rate.coordinate], np.nanstd(np.concatenate(rate.values))]
+        y = np.concatenate(rate.values)
+        spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
         clear = np.all(pairs.std(axis=0) > _CLEAR * gains * spread)
-        text = _about(rate.derivative, pairs, bool(clear))
+        constant = np.nanmax(y) == np.nanmin(y)
+        text = "is constant: leave it out" if constant else _about(rate.derivative, pairs, bool(clear))
         if text:
             doubts.append(f"the measured {rate.label(trajectories.coordinates)} {text}")
     return doubts
@@ -91,11 +93,14 @@ class _Samples:
         self.times, self.values = times[seen], values[seen]
 
     def average(self, middle: float, width: float, nu: int) -> tuple[float, float]:
-        """∫ χ⁽ᵛ⁾ y dt by a sum, and its standard deviation for unit noise; NaN where samples are too far apart."""
+        """∫ χ⁽ᵛ⁾ y dt by a sum, and its scatter for unit noise; NaN where samples are too far apart."""
         half = 0.5 * width
         a, b = np.searchsorted(self.times, [middle - half, middle + half])
         t = self.times[a:b]
-        if t.size < _FINEST or np.diff(t, prepend=middle - half, append=middle + half).max() > width / _FINEST:
+        if (
+            t.size < _FINEST
+            or np.diff(t, prepend=middle - half, append=middle + half).max() > width / _FINEST
+        ):
             return np.nan, np.nan
         x = (t - middle) / half
         # (1 − x²)⁴, whose integral is 256/315, and its derivatives
@@ -114,7 +119,9 @@ def _about(derivative: int, pairs: np.ndarray, clear: bool) -> str:
     flat, offset, error = _line(derived, measured)
     back, _, back_error = _line(measured, derived)
     if flat * back < _FOLLOWS:
-        text = "hardly follows the derivative of its coordinate: check the column, and that the times are the same"
+        text = (
+            "hardly follows the derivative of its coordinate: check the column, and that times are the same"
+        )
         return text if clear else ""
     steep = 1.0 / back
     low, high = sorted([flat, steep])
@@ -122,15 +129,15 @@ def _about(derivative: int, pairs: np.ndarray, clear: bool) -> str:
     if low > 1.0 + _FACTOR or high < 1.0 - _FACTOR:
         factor = 0.5 * (flat + steep)
         return (
-            f"is {factor:.3g} times the derivative of its coordinate{_unit(derivative, factor)}: convert it, or "
-            "leave it out"
+            f"is {factor:.3g} times the derivative of its coordinate{_unit(derivative, factor)}: convert it, "
+            "or leave it out"
         )
     other = offset + (flat - steep) * float(np.mean(derived))
     least = max(_SURE * error[1], _FACTOR * float(np.std(measured)))
     if min(abs(offset), abs(other)) > least and offset * other > 0.0:
         return (
-            f"has an offset of {offset:.3g} from the derivative of its coordinate: subtract it, it is what the "
-            "sensor shows at rest"
+            f"has an offset of {offset:.3g} from the derivative of its coordinate: subtract it, it is what "
+            "the sensor shows at rest"
         )
     return ""
 

@@ -201,7 +201,15 @@ class Trajectory:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Unpickled arrays are writable; going through the constructor makes them read-only again.
-        given = (self.t, self.q, self.forces, self.coordinates, self.name, self.velocities, self.accelerations)
+        given = (
+            self.t,
+            self.q,
+            self.forces,
+            self.coordinates,
+            self.name,
+            self.velocities,
+            self.accelerations,
+        )
         return (_restored, given)
 
     def __repr__(self) -> str:

@@ -250,8 +250,8 @@ class Trajectories(Sequence[Trajectory]):
         Returns
         -------
         str
-            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same, and so are
-            no velocities (accelerations) and only missing ones.
+            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same,
+            and so are no velocities (accelerations) and only missing ones.
 
         Examples
         --------

@@ -49,8 +49,9 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
     """Read the joints of `layout` from a bag.
 
     Columns are ``t`` (stamps of the headers, from the first one on), ``log`` (when messages were recorded),
-    the joints, ``<joint>.effort`` and ``<joint>.velocity``; the force ``effort`` and the velocity ``velocity``
-    are those of the coordinate's own joint. A column may name its topic, ``/arm/joint_states:shoulder``.
+    the joints, ``<joint>.effort`` and ``<joint>.velocity``; the force ``effort`` and the velocity
+    ``velocity`` are those of the coordinate's own joint. A column may name its topic,
+    ``/arm/joint_states:shoulder``.
 
     Raises
     ------
@@ -77,9 +78,10 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
     for kind, (word, role) in kinds.items():
         for coordinate, column in getattr(found, kind).items():
             if not column.endswith(f".{word}"):
+                joint = column.removesuffix(f".{_EFFORT}").removesuffix(f".{_VELOCITY}")
                 raise InputError(
                     f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is no {word}; "
-                    f"write {quoted(f'{column}.{word}')}"
+                    f"write {quoted(f'{joint}.{word}')}"
                 )
     times = _times(messages, found.time, source)
     numbers = _numbers(messages, found, source)

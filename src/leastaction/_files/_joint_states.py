@@ -71,7 +71,7 @@ def read_mcap(
     if forces == "effort":
         forces = dict.fromkeys(columns, "effort")
     if velocities == "velocity":
-        velocities = dict.fromkeys(columns, "velocity")
+        velocities = {coordinate: f"{joint}.velocity" for coordinate, joint in columns.items()}
     layout = Layout.of(columns, time, forces, None, angles, velocities)
     return combined_trajectories(path, layout, partial(read_bag_table, topic=topic))
 

@@ -15,7 +15,7 @@ __all__ = ["csv_bytes"]
 
 
 def csv_bytes(trajectories: Trajectories) -> bytes:
-    """Return the table ``trial,t,<coordinates>[,<coordinate>_force ...][,<coordinate>_dot ...]`` as UTF-8 text.
+    """Return the table ``trial,t,<coordinates>[,<coordinate>_force ...][,<coordinate>_dot ...]`` as UTF-8.
 
     Floats are written with as few digits as give the same float again; NaN is an empty cell.
 

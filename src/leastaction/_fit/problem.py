@@ -33,8 +33,8 @@ _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for
 class Weights:
     """Noise of each channel, equation weight w_i, and degrees of freedom left to the equation error.
 
-    The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack`` weighs
-    the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
+    The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack``
+    weighs the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
     """
 
     noise_std: np.ndarray

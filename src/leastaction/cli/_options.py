@@ -274,7 +274,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             "--velocity",
             multiple=True,
             metavar="NAME=COLUMN",
-            help="A measured velocity, e.g. theta=gyro; may be given several times. Not differenced positions.",
+            help="A measured velocity, not differences, e.g. theta=gyro; may be given several times.",
         ),
         click.option(
             "--acceleration",
