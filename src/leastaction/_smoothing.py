@@ -212,7 +212,7 @@ def _slope(whole: np.ndarray, part: np.ndarray) -> float:
 
 def _smooth_one(
     design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid, kappa: float | None = None
-):
+) -> tuple[np.ndarray, float, float, np.ndarray]:
     gram = banded_gram(design, grid.degree)
     moment = design.T @ y
     n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
@@ -242,13 +242,13 @@ def _smooth_one(
             return np.inf
 
     if kappa is not None:
-        _, coefficients, sigma2, kappa, factor = solve(np.log10(kappa / unit))
-        return coefficients, float(np.sqrt(sigma2)), kappa, factor
+        _, coefficients, sigma2, chosen, factor = solve(np.log10(kappa / unit))
+        return coefficients, float(np.sqrt(sigma2)), chosen, factor
     coarse = np.linspace(-12.0, 4.0, 9)
     scores = [objective(c) for c in coarse]
     best = coarse[int(np.argmin(scores))]
     found = minimize_scalar(
         objective, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.05}
     )
-    _, coefficients, sigma2, kappa, factor = solve(found.x if found.fun <= min(scores) else best)
-    return coefficients, float(np.sqrt(sigma2)), kappa, factor
+    _, coefficients, sigma2, chosen, factor = solve(found.x if found.fun <= min(scores) else best)
+    return coefficients, float(np.sqrt(sigma2)), chosen, factor
