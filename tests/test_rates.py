@@ -286,8 +286,11 @@ def test_a_channel_that_is_one_is_not_doubted(two_arms):
 
 
 def test_a_dead_sensor_is_named(two_arms):
-    (text,) = doubts(altered(two_arms, "velocities", lambda v: 0.0 * v))
-    assert text == "the measured velocity of theta1 is constant: leave it out"
+    dead = altered(two_arms, "velocities", lambda v: 0.0 * v)
+    assert doubts(dead) == ["the measured velocity of theta1 is constant: leave it out"]
+    model = discover(dead, systems.get("double_pendulum").library)
+    assert model.fit.status == "doubtful"
+    assert set(estimates(model)[0]) == set(systems.get("double_pendulum").free)
 
 
 @pytest.mark.parametrize("name", ["spherical_spring_pendulum", "spherical_pendulum", "magnetic_pendulum"])

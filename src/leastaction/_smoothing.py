@@ -164,22 +164,21 @@ def _smooth_together(blocks, penalty: np.ndarray, grid: SplineGrid, kappa: float
     noise of the rates: the more likely of what is found from noise as the positions alone have it, and from
     rates that are nearly exact. Few positions can be interpolated, which the first would never give up.
     """
-    spread = np.array([np.std(y) for _, y in blocks]) + 1e-300
     alone = np.array([np.std(y - design @ result[0]) for design, y in blocks])
+    spread = np.maximum([np.std(y) for _, y in blocks], alone) + 1e-300  # a dead sensor shows nothing
     alone[0] = result[1]
     exact = spread * np.array([1.0] + [_NEARLY_EXACT] * (len(blocks) - 1))
     grams = [banded_gram(design, grid.degree) for design, _ in blocks]
     found = [
-        _settle_noise(blocks, grams, penalty, grid, kappa, np.maximum(start, _SMALLEST * spread))
+        _settle_noise(blocks, grams, penalty, grid, kappa, start, _SMALLEST * spread)
         for start in (alone, exact)
     ]
     return min(found, key=lambda f: f[0])[1:]
 
 
-def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, noise: np.ndarray):
+def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, start, floors: np.ndarray):
     """The fixed point from given noise; the criterion comes first, then as ``_smooth_together``."""
-    floors = np.array([_SMALLEST * np.std(y) for _, y in blocks]) + 1e-300
-    sizes = np.array([y.size for _, y in blocks])
+    noise, sizes = np.maximum(start, floors), np.array([y.size for _, y in blocks])
     for _ in range(_MOST_ROUNDS):
         ratios = noise[0] / noise
         rows = sp.csr_array(sp.vstack([c * d for c, (d, _) in zip(ratios, blocks, strict=True)], "csr"))
