@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_lsq_spline
 
+from leastaction import systems
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._library import Term
 from leastaction._library._term import make_term
@@ -257,3 +258,25 @@ def assert_same_model(a, b, factors=None, *, rtol=2e-3, of_error=0.05) -> None:
         assert abs(other.coefficient - factor * term.coefficient) <= slack, term.expression
         assert other.standard_error == pytest.approx(abs(factor) * term.standard_error, rel=0.02, abs=0.0)
     assert a.fit.status == b.fit.status
+
+
+# ------------------------------------------------------------------------------- measured rates
+def with_rates(system, truth, noise_std, velocity=None, acceleration=None, seed: int = 0) -> Trajectories:
+    """Noisy positions of simulated motions, and velocities and accelerations with noise of their own.
+
+    ``velocity`` and ``acceleration`` are noise over the spread of the channel; None where it is not measured.
+    """
+    rng = np.random.default_rng([seed, 77])
+    exact = {
+        "velocities": (velocity, [m.qdot for m in truth]),
+        "accelerations": (acceleration, [system.acceleration(m.q, m.qdot, m.forces) for m in truth]),
+    }
+    out = []
+    for k, run in enumerate(systems.measure(system, truth, noise_std, seed=seed)):
+        fields = {
+            name: rates[k] + level * np.std(np.concatenate(rates), axis=0) * rng.standard_normal(run.q.shape)
+            for name, (level, rates) in exact.items()
+            if level is not None
+        }
+        out.append(run.changed(**fields))
+    return Trajectories(out)

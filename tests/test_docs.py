@@ -97,12 +97,12 @@ def test_every_warning_is_explained() -> None:
     explained = tuple(re.findall(r"^\| ([^|]+?) \|", page, re.MULTILINE))[1:]
     explained = tuple(text for text in explained if not text.startswith("---"))
     source = ROOT / "src/leastaction"
-    modules = ("_verify.py", "_rivals.py", "_hidden.py", "_causes.py")
+    modules = ("_verify.py", "_rivals.py", "_hidden.py", "_causes.py", "_rate_checks.py")
     sentences = [text for name in modules for text in _sentences(source / name)]
     for beginning in explained:
         assert any(text.startswith(beginning) for text in sentences), beginning
     subjects = ("the library", "these data", "the mass", "the motion", "the dissipation", "the solver")
-    subjects += ("friction seems", "energy seems", "the known", "the forces", "sampling is")
+    subjects += ("friction seems", "energy seems", "the known", "the forces", "the measured", "sampling is")
     for text in sentences:
         assert not text.startswith(subjects) or text.startswith(explained), text
 
@@ -136,7 +136,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scipy_io = pytest.importorskip("scipy.io")
     run = driven[0]
     scipy_io.savemat(pendulum / "run.mat", {"t": run.t, "theta": run.q[:, 0], "tau": run.forces[:, 0]})
-    return {"start": cart, "report": cart, "coming_from": pendulum, "lab": pendulum}
+    return {"start": cart, "report": cart, "choose": cart, "coming_from": pendulum, "lab": pendulum}
 
 
 @pytest.mark.parametrize(("name", "block"), OURS, ids=[name for name, _ in OURS])

@@ -9,6 +9,7 @@ from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction._fit.evidence import Start, evidence, fit_weights
 from leastaction._fit.gauss_newton import fit_joint
 from leastaction._fit.problem import Observations, Physics, Weights
+from leastaction._trajectory import Rate
 
 
 def oscillator(rng, *, duration=20.0, rate=50.0, noise=0.05, spectral_density=0.0, trials=2):
@@ -41,13 +42,13 @@ def two_curves(t: np.ndarray) -> np.ndarray:
     return np.column_stack([0.5 * np.sin(2.3 * t) + 0.2, 0.7 * np.cos(3.1 * t)])
 
 
-def restricted_likelihood(grid, times, values, operator, noise, weights) -> float:
+def restricted_likelihood(grid, times, values, operator, noise, weights, rates=()) -> float:
     """Log marginal likelihood of linear equations K q + C q̇ + M q̈ = 0 by dense algebra on the data.
 
     The curve has the improper Gaussian prior exp(−½ Σ_i w_i ∫ r_i² dt); its directions without a penalty
     (initial positions and rates of each trajectory) are projected out.
     """
-    n = len(noise)
+    n = len(weights)
     basis = [np.zeros((grid.points.size, grid.n_ctrl)) for _ in range(3)]
     for k, space in enumerate(grid.spaces):
         rows = np.flatnonzero(np.repeat(grid.owner == k, grid.points.shape[1]))
@@ -61,20 +62,25 @@ def restricted_likelihood(grid, times, values, operator, noise, weights) -> floa
     n_null = 2 * n * len(grid.spaces)
     design = np.kron(np.eye(n), grid.design(times).toarray())
     y = np.concatenate(values).T.ravel()
+    variance = np.repeat(np.square(noise[:n]), y.size // n)
+    for rate, sigma in zip(rates, noise[n:], strict=True):
+        more = np.kron(np.eye(n)[rate.coordinate], grid.design(times, rate.derivative).toarray())
+        design, y = np.vstack([design, more]), np.concatenate([y, *rate.values])
+        variance = np.append(variance, np.full(len(more), sigma**2))
     root = design @ vectors[:, n_null:] / np.sqrt(values_[n_null:])
     null = design @ vectors[:, :n_null]
-    covariance = np.diag(np.repeat(np.square(noise), y.size // n)) + root @ root.T
+    covariance = np.diag(variance) + root @ root.T
     inverse = np.linalg.inv(covariance)
     information = null.T @ inverse @ null
     projected = inverse - inverse @ null @ np.linalg.solve(information, null.T @ inverse)
     return -0.5 * (y @ projected @ y + np.linalg.slogdet(covariance)[1] + np.linalg.slogdet(information)[1])
 
 
-def held_evidence(grid, times, values, physics, coefficients, noise, weights) -> float:
+def held_evidence(grid, times, values, physics, coefficients, noise, weights, rates=()) -> float:
     """Evidence with all coefficients held: then the problem is linear in the curve."""
     held = Physics(physics.columns, np.zeros_like(physics.free), None)
-    observations = Observations(grid, times, values)
-    n = len(noise)
+    observations = Observations(grid, times, values, rates)
+    n = len(weights)
     weights = Weights(np.array(noise), np.array(weights), np.zeros(n))
     fit = fit_joint(observations, held, weights, np.zeros((grid.n_ctrl, n)), coefficients, tolerance=1e-8)
     return evidence(observations, fit)
@@ -115,6 +121,27 @@ def test_evidence_equals_the_marginal_likelihood_with_two_coordinates():
     found = [held_evidence(grid, times, values, physics, coefficients, *case) for case in cases]
     expected = [restricted_likelihood(grid, times, values, operator, *case) for case in cases]
     np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-4, atol=2e-2)
+
+
+def test_evidence_equals_the_marginal_likelihood_with_measured_rates():
+    rng = np.random.default_rng(6)
+    times, values = oscillator(rng, duration=3.0, rate=20.0, spectral_density=0.02)
+    h = np.gradient(times[0])[0]
+    velocity = Rate(0, 1, tuple(np.gradient(y[:, 0], h) + 0.1 * rng.standard_normal(len(y)) for y in values))
+    rough = Rate(0, 2, tuple(-4.0 * y[:, 0] + rng.standard_normal(len(y)) for y in values))
+    grid = uniform_grid([3.0, 3.0], 6.0, 5, 3)
+    physics, coefficients = oscillator_physics()
+    operator = [np.array([[c]]) for c in (4.0, 0.4, 1.0)]
+    common = (grid, times, values)
+    cases = [
+        ([0.05, 0.8, 1.0], [30.0]),
+        ([0.05, 0.2, 1.0], [30.0]),
+        ([0.08, 0.8, 2.0], [300.0]),
+        ([0.03, 0.8, 0.5], [5.0]),
+    ]
+    found = [held_evidence(*common, physics, coefficients, *case, (velocity, rough)) for case in cases]
+    expected = [restricted_likelihood(*common, operator, *case, (velocity, rough)) for case in cases]
+    np.testing.assert_allclose(np.diff(found), np.diff(expected), rtol=1e-4, atol=1e-2)
 
 
 def test_evidence_does_not_depend_on_the_scale_of_the_lagrangian():

@@ -16,6 +16,7 @@ from leastaction._fit.gauss_newton import condense, fit_joint
 from leastaction._fit.problem import Observations, Physics, Weights, linearise
 from leastaction._fit.workspace import Workspace
 from leastaction._spline import SplineGrid
+from leastaction._trajectory import Rate
 
 COORDINATES = ["x", "theta"]
 LAGRANGIAN = {
@@ -45,10 +46,11 @@ class Tiny:
     weights: Weights
     control: np.ndarray
     coefficients: np.ndarray
+    rates: tuple[Rate, ...] = ()
 
     @property
     def observations(self) -> Observations:
-        return Observations(self.grid, self.times, self.values)
+        return Observations(self.grid, self.times, self.values, self.rates)
 
     @property
     def here(self) -> np.ndarray:
@@ -67,8 +69,12 @@ class Tiny:
         for k, (t, y) in enumerate(zip(self.times, self.values, strict=True)):
             space, part = self.grid.spaces[k], self.grid.split(control)[k]
             spline = BSpline(space.knots, part, space.degree)
-            scaled = (y - spline(t)) / self.weights.noise_std
+            scaled = (y - spline(t)) / self.weights.position_std
             out.append(scaled[np.isfinite(y)])
+            for rate, sigma in zip(self.rates, self.weights.noise_std[2:], strict=True):
+                y_dot = rate.values[k]
+                scaled = (y_dot - spline(t, nu=rate.derivative)[:, rate.coordinate]) / sigma
+                out.append(scaled[np.isfinite(y_dot)])
             mine = self.grid.owner == k
             x = self.grid.points[mine].ravel()
             strong = self.physics.columns.strong(Points(*(spline(x, nu=nu) for nu in range(3))))
@@ -103,7 +109,12 @@ class Tiny:
 
 
 def tiny(
-    degree: int = 3, n_quadrature: int = 3, slack: float = 0.0, forced: bool = True, seed: int = 0
+    degree: int = 3,
+    n_quadrature: int = 3,
+    slack: float = 0.0,
+    forced: bool = True,
+    seed: int = 0,
+    rated: bool = False,
 ) -> Tiny:
     rng = np.random.default_rng(seed)
     columns = euler_lagrange(LAGRANGIAN, COORDINATES, DISSIPATION)
@@ -123,16 +134,30 @@ def tiny(
         strong = columns.strong(Points(*(s.reshape(-1, 2) for s in states)))
         forces = np.tensordot(truth, strong, 1).T.reshape(states[0].shape)
         forces = forces + 0.1 * rng.standard_normal(forces.shape)
-    weights = Weights(np.array([0.02, 0.03]), np.array([4.0, 9.0]), np.full(2, slack))
-    return Tiny(grid, times, values, Physics(columns, free, forces), weights, control, coefficients)
+    rates, noise = (), [0.02, 0.03]
+    if rated:  # acceleration of x; velocity of theta, now and then, and not in the second trajectory
+        h = 1e-4
+        velocity, acceleration = (
+            [(curve(t + h) - curve(t - h)) / (2 * h) for t in times],
+            [(curve(t + h) - 2 * curve(t) + curve(t - h)) / h**2 for t in times],
+        )
+        seen = np.where(np.arange(30) % 3 == 0, np.nan, velocity[0][:, 1] + 0.1 * rng.standard_normal(30))
+        rates = (
+            Rate(1, 1, (seen, np.full(30, np.nan))),
+            Rate(0, 2, tuple(a[:, 0] + rng.standard_normal(30) for a in acceleration)),
+        )
+        noise += [0.1, 1.0]
+    weights = Weights(np.array(noise), np.array([4.0, 9.0]), np.full(2, slack))
+    return Tiny(grid, times, values, Physics(columns, free, forces), weights, control, coefficients, rates)
 
 
 # --------------------------------------------------------------------------- normal equations
 @pytest.mark.parametrize("degree", [3, 5])
 @pytest.mark.parametrize("n_quadrature", [2, 3])
 @pytest.mark.parametrize("forced", [True, False])
-def test_cost_and_gradient_equal_brute_force(degree, n_quadrature, forced):
-    case = tiny(degree, n_quadrature, forced=forced)
+@pytest.mark.parametrize("rated", [True, False])
+def test_cost_and_gradient_equal_brute_force(degree, n_quadrature, forced, rated):
+    case = tiny(degree, n_quadrature, forced=forced, rated=rated)
     here = case.linearise()
     residuals = case.residuals(case.here)
     assert here.cost(case.weights) == pytest.approx(residuals @ residuals, rel=1e-12)
@@ -147,9 +172,10 @@ def test_cost_and_gradient_equal_brute_force(degree, n_quadrature, forced):
 
 @pytest.mark.parametrize("degree", [3, 5])
 @pytest.mark.parametrize("n_quadrature", [2, 3])
-def test_elimination_of_the_curve_equals_dense_algebra(degree, n_quadrature):
+@pytest.mark.parametrize("rated", [True, False])
+def test_elimination_of_the_curve_equals_dense_algebra(degree, n_quadrature, rated):
     """H, C, A of the Gauss–Newton matrix by finite differences; then log |H|, H⁻¹C, H⁻¹g, A − CᵀH⁻¹C."""
-    case = tiny(degree, n_quadrature)
+    case = tiny(degree, n_quadrature, rated=rated)
     gradient, matrix = case.dense()
     n = case.control.size
     found = case.condense()
@@ -206,6 +232,18 @@ def test_long_recordings_are_assembled_in_chunks(monkeypatch):
     assert case.linearise().cost(case.weights) == pytest.approx(cost, rel=1e-12)
 
 
+def test_every_measured_rate_is_a_channel():
+    case = tiny(5, 3, rated=True)
+    observations = case.observations
+    assert observations.counts.tolist() == [59, 57, 20, 60]
+    assert observations.coordinates.tolist() == [0, 1, 1, 0]
+    assert [r.size for r in observations.residuals(case.control)] == [59, 57, 20, 60]
+    plain = Observations(case.grid, case.times, case.values)
+    assert np.array_equal(plain.noise_floor, observations.noise_floor)
+    for i in (0, 1):
+        assert np.array_equal(plain.gram(i), observations.gram(i))
+
+
 def test_missing_samples_count_for_nothing():
     case = tiny(5, 3)
     assert case.observations.counts.tolist() == [59, 57]
@@ -222,9 +260,9 @@ def cost_of(fit) -> float:
     return fit.linearisation.cost(fit.weights)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_fit_finds_the_minimum_that_dense_least_squares_finds(seed):
-    case = tiny(5, 3, seed=seed)
+@pytest.mark.parametrize(("seed", "rated"), [(0, False), (1, False), (0, True)])
+def test_fit_finds_the_minimum_that_dense_least_squares_finds(seed, rated):
+    case = tiny(5, 3, seed=seed, rated=rated)
     fit = fit_joint(
         case.observations, case.physics, case.weights, case.control, case.coefficients, tolerance=1e-9
     )

@@ -15,6 +15,7 @@ from leastaction._names import quoted
 __all__ = [
     "FloatArray",
     "check_forces",
+    "check_rates",
     "check_samples",
     "check_times",
     "close_match",
@@ -130,6 +131,21 @@ def check_forces(forces: FloatArray, shape: tuple[int, ...], where: str) -> Floa
             "(zero where a coordinate is not driven)"
         )
     return forces
+
+
+def check_rates(rates: FloatArray, shape: tuple[int, ...], label: str) -> FloatArray:
+    """Return velocities or accelerations with the given shape, none infinite, or raise InputError."""
+    rates = _check_matrix(rates, shape[0], label)
+    if rates.shape != shape:
+        raise InputError(
+            f"{label} has {rates.shape[1]} column(s), but q has {shape[1]}; "
+            "give one column for each coordinate, with NaN where nothing is measured"
+        )
+    bad = np.argwhere(np.isinf(rates))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(f"{label}[{row}, {column}] is infinite; use NaN for a missing sample")
+    return rates
 
 
 def time_fault(t: FloatArray) -> tuple[int, str] | None:

@@ -47,7 +47,7 @@ def search_coarse(
     if np.all(off <= EXPLAINED) or not knots_per_second < fine.knots_per_second:
         return fine, found
     coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
-    curve = smooth(coarse.grid, coarse.times, coarse.values)
+    curve = smooth(coarse.grid, coarse.times, coarse.values, rates=coarse.rates)
     other = select_structure(coarse, curve, progress, relevance, seed, thorough=False)
     if not other.structure.fit.converged:
         return fine, found
@@ -68,7 +68,7 @@ def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float
     mechanics = Mechanics(parts["lagrangian"], parts["dissipation"], data.coordinates)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
-    noise = structure.fit.weights.noise_std
+    noise = structure.fit.weights.position_std
     step = float(np.median(np.concatenate([np.diff(trajectory.t) for trajectory in data])))
     window = max(_WINDOW * horizon, _WINDOW_STEPS * step)
     try:

@@ -121,7 +121,7 @@ def shift_forces(
                 f"a delay of {delay:g} s leaves nothing of trial {name!r}, which has {item.duration:g} s"
             )
         forces = None if item.forces is None else CubicSpline(item.t, item.forces)(item.t[kept] - delay)
-        out.append(Trajectory(item.t[kept], item.q[kept], forces, item.coordinates, name))
+        out.append(item.rows(kept).changed(forces=forces, name=name))
     return Trajectories(out)
 
 

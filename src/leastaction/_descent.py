@@ -78,7 +78,7 @@ def _structure(workspace: Workspace, found: AdamFit) -> StructureFit:
     physics, index = workspace.physics(members)
     at = linearise(workspace.observations, physics, found.control_points, found.coefficients[index])
     noise_std = np.sqrt(at.squares / np.maximum(workspace.observations.counts, 1))
-    unknown = np.full(len(noise_std), np.nan)
+    unknown = np.full(workspace.observations.n_dof, np.nan)
     status = "converged" if found.converged else "step limit"
     if not np.isfinite(found.loss):
         status = "not finite"
@@ -88,7 +88,7 @@ def _structure(workspace: Workspace, found: AdamFit) -> StructureFit:
         np.full((len(members), len(members)), np.nan),
         at,
         np.nan,
-        Weights(np.maximum(noise_std, workspace.observations.noise_floor), unknown, 0.0 * unknown),
+        Weights(np.maximum(noise_std, workspace.observations.floors), unknown, 0.0 * unknown),
         status,
         found.iterations,
     )

@@ -61,6 +61,8 @@ class Diagnostics:
         What was done to the data or the library on the user's behalf.
     timings : dict
         Stage → seconds.
+    rate_noise_std : dict
+        Measured velocity or acceleration, ``"velocity of theta"`` → its noise.
     """
 
     trajectories: Trajectories
@@ -73,6 +75,7 @@ class Diagnostics:
     dropped: tuple[Dropped, ...] = ()
     notes: tuple[str, ...] = ()
     timings: dict[str, float] = field(default_factory=dict)
+    rate_noise_std: dict[str, float] = field(default_factory=dict)
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
         """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array a trajectory.

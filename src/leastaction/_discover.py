@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
@@ -15,6 +15,7 @@ from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._errors import DataError, InputError
 from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.adam_options import AdamOptions
+from leastaction._fit.problem import Weights
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library
 from leastaction._model import LagrangianModel
@@ -61,7 +62,8 @@ def discover(
     Parameters
     ----------
     trajectories : Trajectory, Trajectories or iterable of Trajectory
-        Times in seconds, coordinates (NaN = missing), known generalised forces.
+        Times in seconds, coordinates (NaN = missing), known generalised forces; measured velocities and
+        accelerations, if any, are fitted too, each with a noise of its own.
     library : Library or iterable of str
         Candidates of L.
     known : mapping of str to float, optional
@@ -138,7 +140,14 @@ def discover(
     most = None if method == "adam" else _ENOUGH
     offsets = [force_offset] if isinstance(force_offset, str) else list(force_offset)
     robust = robust and method != "adam"
+    trajectories = Trajectories.coerce(trajectories)
+    unused = trajectories.rates if method == "adam" else ()
+    if unused:
+        trajectories = trajectories.without_rates()
     prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, offsets, robust)
+    if unused:
+        note = "method='adam' fits positions alone: measured velocities and accelerations were left out"
+        prepared = replace(prepared, notes=(*prepared.notes, note))
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     _check_columns(workspace, prepared)
     if method == "adam":
@@ -236,24 +245,26 @@ def _model(
             error = 0.0 if is_known else float(members[k])
             value = float(structure.coefficients[k])
             parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
+    rate_noise = _rate_noise(workspace, weights)
     diagnostics = Diagnostics(
         workspace.trajectories,
         workspace.grid,
         structure.fit.control_points,
-        weights.noise_std,
+        weights.position_std,
         weights.physics,
         verdict.equation_error,
         _path(prepared, selection),
         prepared.library.dropped,
-        (*prepared.notes, *verdict.notes),
+        (*prepared.notes, *verdict.notes, *(f"{k}: noise {x:.3g}" for k, x in rate_noise.items())),
         timings,
+        rate_noise,
     )
     return LagrangianModel(
         prepared.library.coordinates,
         tuple(parts["lagrangian"]),
         tuple(parts["dissipation"]),
         None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
-        weights.noise_std,
+        weights.position_std,
         FitSummary(status, verdict.chi2_per_sample, weights.physics.tolist(), warnings),
         {
             "version": _version(),
@@ -265,6 +276,12 @@ def _model(
         },
         diagnostics,
     )
+
+
+def _rate_noise(workspace: Workspace, weights: Weights) -> dict[str, float]:
+    names = workspace.trajectories.coordinates
+    noise = weights.noise_std[len(names) :].tolist()
+    return {rate.label(names): sigma for rate, sigma in zip(workspace.rates, noise, strict=True)}
 
 
 def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:

@@ -171,10 +171,11 @@ def cramer_rao_bound(
     *,
     unknown: Sequence[str] | None = None,
     observed: Trajectories | None = None,
+    velocity_noise_std=None,
 ) -> CramerRaoBound:
-    """Return the Cramér–Rao bound for the coefficients of a system from noisy positions.
+    """Return the Cramér–Rao bound for the coefficients of a system from noisy positions, and velocities.
 
-    Only positions are measured, with independent Gaussian noise of known size; the terms of the true model
+    What is measured has independent Gaussian noise of known size; the terms of the true model
     are known but not their coefficients; the initial conditions are unknown and projected out. The motion
     depends on both through the variational equations, which are exact and integrated piece by piece; the
     pieces are joined by orthogonal transformations, so that chaos does not spoil the numbers.
@@ -191,6 +192,8 @@ def cramer_rao_bound(
         but those in ``system.known``.
     observed : Trajectories, optional
         The recordings; their missing samples (NaN) carry no information.
+    velocity_noise_std : float or array_like, shape (n_dof,), optional
+        Noise of the measured velocities, infinite where there is none; by default positions alone.
 
     Returns
     -------
@@ -218,6 +221,10 @@ def cramer_rao_bound(
     sigma = np.broadcast_to(np.asarray(noise_std, dtype=float), (system.n_dof,))
     if not (np.isfinite(sigma).all() and (sigma > 0).all()):
         raise InputError(f"noise_std={noise_std!r}; expected positive numbers (no noise, no bound)")
+    rate_sigma = np.inf if velocity_noise_std is None else np.asarray(velocity_noise_std, dtype=float)
+    rate_sigma = np.broadcast_to(rate_sigma, (system.n_dof,))
+    if not (rate_sigma > 0).all():
+        raise InputError(f"velocity_noise_std={velocity_noise_std!r}; expected positive numbers")
     if not terms:
         raise InputError("no term is unknown; give at least one in `unknown`")
     if observed is not None and len(observed) != len(truth):
@@ -228,7 +235,12 @@ def cramer_rao_bound(
         seen = np.ones(motion.q.shape, dtype=bool) if observed is None else np.isfinite(observed[k].q)
         if seen.shape != motion.q.shape:
             raise InputError(f"observed trajectory {k} has shape {seen.shape}; expected {motion.q.shape}")
-        blocks.append(_information_root(variational, motion, sigma, seen))
+        rated = np.broadcast_to(np.isfinite(rate_sigma), seen.shape)
+        if observed is not None and rated.any():
+            rates = observed[k].velocities
+            rated = rated & (np.zeros_like(seen) if rates is None else np.isfinite(rates))
+        both = np.concatenate([sigma, rate_sigma]), np.concatenate([seen, rated], axis=1)
+        blocks.append(_information_root(variational, motion, *both))
     coefficients = np.array([{**system.lagrangian, **system.dissipation}[k] for k in terms])
     # In units of the true values the columns are comparable.
     scale = np.where(coefficients == 0, 1.0, np.abs(coefficients))
@@ -246,9 +258,9 @@ def cramer_rao_bound(
 def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Return rows B with BᵀB the information of one motion on the coefficients.
 
-    Its initial state is projected out: the unknowns are the states at the starts of short pieces and the
-    coefficients. Each state is tied to the next by its transition matrix and eliminated by a QR decomposition
-    (a square-root information filter).
+    ``sigma`` and ``seen`` cover the state: positions, then velocities. Its initial value is projected out:
+    the unknowns are the states at the starts of short pieces and the coefficients. Each state is tied to the
+    next by its transition matrix and eliminated by a QR decomposition (a square-root information filter).
     """
     n, p = variational.n_dof, variational.n_terms
     forces = motion.drive
@@ -256,7 +268,8 @@ def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) 
         forces = CubicSpline(motion.t, motion.forces)
     steps = variational.transitions(motion.t, motion.q, motion.qdot, forces)
     length = max(1, round(_SEGMENT / float(np.mean(np.diff(motion.t)))))
-    joint = _JOINT / np.concatenate([sigma, sigma / _SEGMENT])
+    scale = np.minimum(sigma[:n], sigma[n:] * _SEGMENT)  # of what is known most exactly
+    joint = _JOINT / np.concatenate([scale, scale / _SEGMENT])
     carry = np.zeros((0, 2 * n + p))
     for start in range(0, len(motion.t), length):
         size = min(length, len(motion.t) - start)
@@ -264,7 +277,7 @@ def _information_root(variational, motion, sigma: np.ndarray, seen: np.ndarray) 
         path[0] = np.eye(2 * n, 2 * n + p)
         for i in range(1, size):
             path[i] = _compose(steps[start + i - 1], path[i - 1], n)
-        rows = (path[:, :n] / sigma[:, None])[seen[start : start + size]]
+        rows = (path[:, : 2 * n] / sigma[:, None])[seen[start : start + size]]
         carry = _triangle(np.concatenate([carry, rows]))
         if start + size < len(motion.t):
             across = _compose(steps[start + size - 1], path[-1], n)

@@ -59,14 +59,14 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
         used = [np.where(o, np.nan, r) for r, o in zip(residuals, out, strict=True)]
         scale = np.maximum(np.nanstd(np.concatenate(used), axis=0), least)
         found = [_far_and_alone(np.abs(r) / scale) for r in residuals]
-        share = sum(f.sum(axis=0) for f in found) / measured
+        share = np.sum([f.sum(axis=0) for f in found], axis=0) / measured
         for f in found:
             f[:, share > _MOST] = False
         unchanged = all(np.array_equal(f, o) for f, o in zip(found, out, strict=True))
         out = found
         if unchanged:
             break
-    counts = sum(o.sum(axis=0) for o in out)
+    counts = np.sum([o.sum(axis=0) for o in out], axis=0)
     if not np.any(counts):
         return trajectories, []
     notes = [

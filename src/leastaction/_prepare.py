@@ -13,9 +13,10 @@ from leastaction._errors import DataError, InputError
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
 from leastaction._outliers import leave_out_outliers
+from leastaction._rate_checks import doubts_about_rates
 from leastaction._smoothing import Smooth, smooth
 from leastaction._spline import SplineGrid, uniform_space
-from leastaction._trajectory import Trajectories, Trajectory
+from leastaction._trajectory import Trajectories
 
 __all__ = ["KNOTS_PER_RADIAN", "Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
 
@@ -67,7 +68,7 @@ class Prepared:
         """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
         workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
         penalty = self.knots.smooth.penalty
-        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty)
+        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty, workspace.rates)
 
 
 def prepare(
@@ -120,6 +121,7 @@ def prepare(
         notes += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
+    doubts += doubts_about_rates(searched, knots.smooth)
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
         for c, r in zip(library.coordinates, knots.rates, strict=True)
@@ -284,16 +286,17 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
         return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
 
-    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values)
+    rates = trajectories.rates
+    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
-        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
         wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
         if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
             break
         knots = wanted
     else:
-        smoothed = smooth(lay_grid(times, knots, degree), times, values)
+        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
     return Knots(knots, coarse, rate * period, smoothed, spread(1))
 
@@ -313,8 +316,7 @@ def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
     for whole in trajectories:
         for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
             if np.isfinite(whole.q[rows]).sum(axis=0).min() >= _FEWEST_SAMPLES:
-                forces = None if whole.forces is None else whole.forces[rows]
-                pieces.append(Trajectory(whole.t[rows], whole.q[rows], forces, whole.coordinates))
+                pieces.append(whole.rows(rows).changed(name=""))
     if not pieces:
         return trajectories
     count = min(len(pieces), max(1, round(share * len(pieces))))

@@ -4,139 +4,16 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from leastaction._checks import (
-    FloatArray,
-    check_forces,
-    check_samples,
-    check_times,
-    fill_names,
-    listed,
-    position_of,
-    real_array,
-    unwrap_in_place,
-)
+from leastaction._checks import fill_names, listed, position_of, unwrap_in_place
 from leastaction._errors import InputError
 from leastaction._names import check_coordinate_names, quoted
+from leastaction._run import RATES, Rate, Trajectory
 
-__all__ = ["Trajectories", "Trajectory"]
-
-
-@dataclass(frozen=True, eq=False, init=False, repr=False)
-class Trajectory:
-    """One continuous run: coordinates, and known forces, at increasing times.
-
-    The arrays are float64 copies and read-only.
-
-    Parameters
-    ----------
-    t : array_like, shape (n_times,)
-        Times in seconds, finite and strictly increasing; they need not be uniform.
-    q : array_like, shape (n_times, n_dof)
-        Coordinates. NaN marks a missing sample, per coordinate. Shape (n_times,) is accepted for one
-        coordinate.
-    forces : array_like, shape (n_times, n_dof), optional
-        Known generalised external forces, finite; zero where a coordinate is not driven. None means that
-        nothing is driven.
-    coordinates : sequence of str, optional
-        Names of the coordinates, kept as a tuple; ``("q1", "q2", ...)`` by default.
-    name : str
-        Name of the trial, used in messages and files.
-
-    Raises
-    ------
-    InputError
-        If a shape, a name, a time or a value is not as described.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> t = np.linspace(0.0, 2.0, 201)
-    >>> trajectory = Trajectory(t, np.cos(t), coordinates=["theta"], name="first")
-    >>> trajectory.n_times, trajectory.n_dof, trajectory.duration
-    (201, 1, 2.0)
-    """
-
-    t: FloatArray
-    q: FloatArray
-    forces: FloatArray | None
-    coordinates: tuple[str, ...]
-    name: str
-
-    def __init__(
-        self,
-        t: ArrayLike,
-        q: ArrayLike,
-        forces: ArrayLike | None = None,
-        coordinates: Sequence[str] | None = None,
-        name: str = "",
-    ) -> None:
-        if not isinstance(name, str):
-            raise InputError(f"the name of a trajectory must be text, not {quoted(name)}")
-        where = f"trajectory {quoted(name)}: " if name else ""
-        times = check_times(real_array(t, f"{where}t"), where)
-        samples = check_samples(real_array(q, f"{where}q"), times.size, where)
-        driving = None
-        if forces is not None:
-            driving = check_forces(real_array(forces, f"{where}forces"), samples.shape, where)
-        n_dof = samples.shape[1]
-        names = (
-            tuple(f"q{i + 1}" for i in range(n_dof))
-            if coordinates is None
-            else check_coordinate_names(coordinates)
-        )
-        if len(names) != n_dof:
-            raise InputError(
-                f"{where}q has {n_dof} column(s), but there are {len(names)} coordinate(s) "
-                f"({', '.join(names)}); give one name for each column"
-            )
-        for field, value in (("t", times), ("q", samples), ("forces", driving)):
-            if value is not None:
-                value.flags.writeable = False
-            object.__setattr__(self, field, value)
-        object.__setattr__(self, "coordinates", names)
-        object.__setattr__(self, "name", str(name))
-
-    @property
-    def n_times(self) -> int:
-        """Number of times."""
-        return int(self.t.size)
-
-    @property
-    def n_dof(self) -> int:
-        """Number of coordinates."""
-        return int(self.q.shape[1])
-
-    @property
-    def duration(self) -> float:
-        """Last time minus first time, in seconds."""
-        return float(self.t[-1] - self.t[0])
-
-    @property
-    def n_samples(self) -> int:
-        """Number of measured values: finite entries of `q`, over all coordinates."""
-        return int(np.isfinite(self.q).sum())
-
-    @property
-    def driven(self) -> bool:
-        """Whether any known force is not zero."""
-        return self.forces is not None and bool(np.any(self.forces))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Unpickled arrays are writable; going through the constructor makes them read-only again.
-        return (Trajectory, (self.t, self.q, self.forces, self.coordinates, self.name))
-
-    def __repr__(self) -> str:
-        driven = ", driven" if self.driven else ""
-        return (
-            f"<Trajectory {self.name!r}: {', '.join(self.coordinates)}; "
-            f"{self.n_times} times, {self.duration:g} s{driven}>"
-        )
+__all__ = ["Rate", "Trajectories", "Trajectory"]
 
 
 class Trajectories(Sequence[Trajectory]):
@@ -257,6 +134,21 @@ class Trajectories(Sequence[Trajectory]):
         return any(item.driven for item in self._items)
 
     @property
+    def rates(self) -> tuple[Rate, ...]:
+        """What is measured beside the positions: velocities by coordinate, then accelerations."""
+        out = []
+        for derivative, field in enumerate(RATES, start=1):
+            arrays = [item.rates(field) for item in self._items]
+            for i in range(self.n_dof):
+                values = tuple(
+                    np.full(item.n_times, np.nan) if array is None else array[:, i]
+                    for item, array in zip(self._items, arrays, strict=True)
+                )
+                if any(np.isfinite(v).any() for v in values):
+                    out.append(Rate(i, derivative, values))
+        return tuple(out)
+
+    @property
     def wraps_removed(self) -> dict[str, int]:
         """For each coordinate, the number of jumps that `unwrap` has removed so far."""
         totals = np.sum(self._wraps, axis=0)
@@ -298,7 +190,7 @@ class Trajectories(Sequence[Trajectory]):
             q, count = item.q.copy(), list(counted)
             for column in columns:
                 count[column] += unwrap_in_place(q[:, column])
-            items.append(Trajectory(item.t, q, item.forces, item.coordinates, item.name))
+            items.append(item.changed(q=q))
             wraps.append(tuple(count))
         return self._with(items, wraps, self._names)
 
@@ -340,13 +232,26 @@ class Trajectories(Sequence[Trajectory]):
         )
         return self._with(*pick)
 
+    def without_rates(self) -> Trajectories:
+        """Return the same trajectories with positions and forces alone.
+
+        Examples
+        --------
+        >>> run = Trajectory([0.0, 1.0], [0.1, 0.2], velocities=[0.1, 0.1])
+        >>> Trajectories([run]).without_rates()[0].velocities is None
+        True
+        """
+        items = [item.changed(**dict.fromkeys(RATES)) for item in self._items]
+        return self._with(items, self._wraps, self._names)
+
     def digest(self) -> str:
-        """Return the SHA-256 of the data: coordinates, times, samples and forces, not the names of trials.
+        """Return the SHA-256 of the data: coordinates, times, samples, forces and rates, not names of trials.
 
         Returns
         -------
         str
-            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same.
+            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same,
+            and so are no velocities (accelerations) and only missing ones.
 
         Examples
         --------
@@ -358,9 +263,11 @@ class Trajectories(Sequence[Trajectory]):
             digest.update(f"|{item.n_times},{item.n_dof},{item.driven}|".encode())
             for array in (item.t, item.q, item.forces if item.driven else None):
                 if array is not None:
-                    # One NaN and one zero: their other bit patterns mean the same data.
-                    plain = np.where(np.isnan(array), np.nan, array + 0.0)
-                    digest.update(np.ascontiguousarray(plain, dtype="<f8").tobytes())
+                    digest.update(_plain_bytes(array))
+            for field in RATES:
+                rates = item.rates(field)
+                if rates is not None:
+                    digest.update(f"|{field}|".encode() + _plain_bytes(rates))
         return digest.hexdigest()
 
     def without(self, masks: Sequence[np.ndarray]) -> Trajectories:
@@ -381,10 +288,7 @@ class Trajectories(Sequence[Trajectory]):
         >>> data.without([np.array([[False], [True], [False]])]).n_samples
         2
         """
-        items = [
-            Trajectory(t.t, np.where(mask, np.nan, t.q), t.forces, t.coordinates, t.name)
-            for t, mask in zip(self._items, masks, strict=True)
-        ]
+        items = [t.changed(q=np.where(mask, np.nan, t.q)) for t, mask in zip(self._items, masks, strict=True)]
         return self._with(items, self._wraps, self._names)
 
     @classmethod
@@ -403,6 +307,12 @@ class Trajectories(Sequence[Trajectory]):
                 known = f"the coordinates are {listed(self.coordinates)}"
                 raise InputError(f"angle {quoted(name)} is not a coordinate; {known}")
         return [self.coordinates.index(name) for name in names]
+
+
+def _plain_bytes(array: np.ndarray) -> bytes:
+    """One NaN and one zero: their other bit patterns mean the same data."""
+    plain = np.where(np.isnan(array), np.nan, array + 0.0)
+    return np.ascontiguousarray(plain, dtype="<f8").tobytes()
 
 
 def _check_items(trajectories: Iterable[Trajectory]) -> tuple[Trajectory, ...]:

@@ -53,7 +53,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     names = workspace.trajectories.coordinates
     floor = workspace.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    chi2 = fit.linearisation.squares / workspace.observations.counts / noise**2
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
+    chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
     share, rms = workspace.equation_error(structure)
     doubts: list[str] = []
     notes: list[str] = []
@@ -71,7 +72,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
             + _ANY_CAUSE
             + ("; see the likely cause below" if causes else "")
         )
-    doubts += causes
+    doubts += _unexplained_rates(workspace, chi2) + causes
     if unexplained and samples_per_period >= _FEW_SAMPLES:
         doubts += _looks_like_noise(workspace, noise)
     for i in range(len(names)):
@@ -89,7 +90,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     doubts += rival_warnings(workspace, selection)
     doubts += _mass_matrix(workspace, structure)
     doubts += _friction(workspace, selection)
-    notes += _whiteness(workspace, structure, floor) + _zero_offsets(workspace, structure)
+    notes += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
@@ -113,7 +114,7 @@ def _signal(workspace: Workspace, structure) -> list[str]:
     return [
         f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
         for name, size, noise in zip(
-            workspace.trajectories.coordinates, spread, structure.fit.weights.noise_std, strict=True
+            workspace.trajectories.coordinates, spread, structure.fit.weights.position_std, strict=True
         )
         if size < _VISIBLE * noise
     ]
@@ -189,11 +190,25 @@ def _zero_offsets(workspace: Workspace, structure) -> list[str]:
     return notes
 
 
-def _whiteness(workspace: Workspace, structure, floor: np.ndarray) -> list[str]:
+def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[str]:
+    names = workspace.trajectories.coordinates
+    return [
+        f"the library cannot explain the measured {rate.label(names)}: its residual is {np.sqrt(value):.2f} "
+        "times the noise; is it a sensor of its own, at the same times as the positions?"
+        for rate, value in zip(workspace.rates, chi2[len(names) :], strict=True)
+        if value > _NOISE_RATIO**2
+    ]
+
+
+def _whiteness(workspace: Workspace, structure) -> list[str]:
     notes = []
-    residuals = workspace.observations.residuals(structure.fit.control_points)
+    observations, names = workspace.observations, workspace.trajectories.coordinates
     for name, r, least, sigma in zip(
-        workspace.trajectories.coordinates, residuals, floor, structure.fit.weights.noise_std, strict=True
+        (*names, *(rate.label(names) for rate in workspace.rates)),
+        observations.residuals(structure.fit.control_points),
+        observations.floors,
+        structure.fit.weights.noise_std,
+        strict=True,
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
         if abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least:

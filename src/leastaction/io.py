@@ -1,8 +1,8 @@
 """Measured data in, files out: nothing else in the package touches the disk.
 
 Every reader returns `Trajectories` and takes the same arguments: which columns are coordinates, time,
-known forces and trial. Names of columns need not be valid names of coordinates: ``coordinates`` may map
-one to the other, ``{"theta": "Angle (rad)"}``.
+known forces, trial, and measured velocities and accelerations. Names of columns need not be valid names of
+coordinates: ``coordinates`` may map one to the other, ``{"theta": "Angle (rad)"}``.
 
 Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT files every column is a
 variable of its own, with one value for each time; or the coordinates are the columns of one matrix ``q`` of
@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from leastaction._files._arrays import read_mat_table, read_npz_table
-from leastaction._files._atomic import check_path, replace_file
+from leastaction._files._atomic import check_path, write_bytes, write_text
 from leastaction._files._csv import read_csv_table
 from leastaction._files._dispatch import StrPath, combined_trajectories
 from leastaction._files._frames import frame_table, read_parquet_table
@@ -51,6 +51,8 @@ def read_csv(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Read trajectories from a CSV file.
 
@@ -73,6 +75,9 @@ def read_csv(
         Column that tells the trials apart, as text. By default the column ``trial``, if there is one.
     angles : sequence of str
         Coordinates to unwrap (`Trajectories.unwrap`).
+    velocities, accelerations : mapping of str to str, or sequence of str, optional
+        Columns of measured q̇ and q̈, in the same form as `forces`; samples may be missing. Only what a sensor
+        of its own measured: differences of the positions say nothing new.
 
     Returns
     -------
@@ -97,8 +102,13 @@ def read_csv(
     ...     path = write_text(f"{folder}/run.csv", chr(10).join(lines))
     ...     read_csv(path, ["theta"], forces={"theta": "tau"})
     <Trajectories of theta: 1 trajectory, 6 samples, 5 s, driven>
+    >>> with TemporaryDirectory() as folder:
+    ...     lines = ["t,theta,gyro"] + [f"{k},{k / 8},0.125" for k in range(6)]
+    ...     path = write_text(f"{folder}/run.csv", chr(10).join(lines))
+    ...     read_csv(path, ["theta"], velocities={"theta": "gyro"})[0]
+    <Trajectory 'run': theta; 6 times, 5 s, velocities>
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     return combined_trajectories(path, layout, read_csv_table)
 
 
@@ -109,12 +119,14 @@ def read_parquet(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Read trajectories from a Parquet file; needs ``pip install 'leastaction[parquet]'``.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles
+    path, coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_csv`.
 
     Returns
@@ -126,7 +138,7 @@ def read_parquet(
     InputError, DataError
         As for `read_csv`, with rows counted from 0 in place of lines; InputError if pyarrow is not installed.
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     return combined_trajectories(path, layout, read_parquet_table)
 
 
@@ -137,12 +149,14 @@ def read_npz(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Read trajectories from an NPZ file of NumPy. Pickled objects are refused.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles
+    path, coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_csv`; columns are variables of shape (n_times,). If none of the coordinates is a
         variable, but ``q`` of shape (n_times, n_dof) is, its columns are the coordinates in order.
 
@@ -166,7 +180,7 @@ def read_npz(
     >>> trajectories[0]
     <Trajectory 'run': x, y; 11 times, 1 s>
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     return combined_trajectories(path, layout, read_npz_table)
 
 
@@ -177,12 +191,14 @@ def read_mat(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Read trajectories from a MATLAB file; version 7.3 needs ``pip install 'leastaction[mat73]'``.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles
+    path, coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_npz`; rows and columns count as vectors.
 
     Returns
@@ -195,7 +211,7 @@ def read_mat(
         As for `read_npz`; InputError if the file has version 7.3 and h5py is not installed.
 
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     return combined_trajectories(path, layout, read_mat_table)
 
 
@@ -206,6 +222,8 @@ def from_frame(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Take trajectories from a data frame: pandas, polars, Arrow, or another that narwhals knows.
 
@@ -213,7 +231,7 @@ def from_frame(
     ----------
     frame : DataFrame
         One row for each time; a null is a missing sample.
-    coordinates, time, forces, trial, angles
+    coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_csv`.
 
     Returns
@@ -232,7 +250,7 @@ def from_frame(
     >>> from_frame(frame, ["x"]).n_samples
     5
     """
-    layout = Layout.of(coordinates, time, forces, trial, angles)
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     return to_trajectories(*frame_table(frame, layout))
 
 
@@ -243,6 +261,8 @@ def read(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     r"""Read trajectories from a file, or several, whose suffix tells the kind.
 
@@ -251,7 +271,7 @@ def read(
     path : path, or iterable of paths
         ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz``, ``.mat``,
         or a ROS 2 bag (`read_mcap`): ``.mcap``, ``.db3`` or its directory.
-    coordinates, time, forces, trial, angles
+    coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_csv`.
 
     Returns
@@ -275,7 +295,8 @@ def read(
     >>> runs.names, [run.n_times for run in runs]
     (('monday', 'tuesday'), [6, 8])
     """
-    return combined_trajectories(path, Layout.of(coordinates, time, forces, trial, angles))
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    return combined_trajectories(path, layout)
 
 
 def read_many(
@@ -285,16 +306,19 @@ def read_many(
     forces: Forces = None,
     trial: str | None = None,
     angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
 ) -> Trajectories:
     """Read several files as trials of one system: `read` under another name."""
-    return read(paths, coordinates, time, forces, trial, angles)
+    return read(paths, coordinates, time, forces, trial, angles, velocities, accelerations)
 
 
 def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:
     """Write trajectories to a CSV file that `read_csv` reads back exactly.
 
-    The columns are ``trial``, ``t``, the coordinates and, if any force is not zero, ``<coordinate>_force``
-    for every coordinate. Missing samples are empty cells. The suffix ``.gz`` gives a compressed file.
+    The columns are ``trial``, ``t``, the coordinates; if any force is not zero, ``<coordinate>_force`` for
+    every coordinate; and ``<coordinate>_dot`` and ``<coordinate>_ddot`` where velocities and accelerations
+    were measured. Missing samples are empty cells. The suffix ``.gz`` gives a compressed file.
 
     Parameters
     ----------
@@ -329,58 +353,3 @@ def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) ->
     if target.suffix.lower() == ".gz":
         data = gzip.compress(data, mtime=0)
     return write_bytes(target, data)
-
-
-def write_text(path: StrPath, text: str) -> Path:
-    """Write text to a file as UTF-8, all or nothing; see `write_bytes`.
-
-    Parameters
-    ----------
-    path : path
-        File to write.
-    text : str
-        Its content; line ends are written as they are.
-
-    Returns
-    -------
-    Path
-        `path`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     write_text(f"{folder}/new/note.txt", "hello").read_text()
-    'hello'
-    """
-    return write_bytes(path, text.encode("utf-8"))
-
-
-def write_bytes(path: StrPath, data: bytes) -> Path:
-    """Write a file all or nothing: under another name in the same directory, then moved into place.
-
-    Parameters
-    ----------
-    path : path
-        File to write; replaced in one step if it exists. Missing directories are made.
-    data : bytes
-        Its content.
-
-    Returns
-    -------
-    Path
-        `path`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written; an existing one is then as it was.
-    """
-    target = check_path(path)
-    replace_file(target, data)
-    return target

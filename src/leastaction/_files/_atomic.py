@@ -11,7 +11,7 @@ from pathlib import Path
 from leastaction._errors import InputError
 from leastaction._names import quoted
 
-__all__ = ["check_path", "read_bytes", "replace_file"]
+__all__ = ["check_path", "read_bytes", "replace_file", "write_bytes", "write_text"]
 
 
 def check_path(path: str | os.PathLike[str]) -> Path:
@@ -67,6 +67,61 @@ def replace_file(path: Path, data: bytes) -> None:
         raise InputError(
             f"{path} cannot be written: {reason}; choose another place or free this one"
         ) from None
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> Path:
+    """Write text to a file as UTF-8, all or nothing; see `write_bytes`.
+
+    Parameters
+    ----------
+    path : path
+        File to write.
+    text : str
+        Its content; line ends are written as they are.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     write_text(f"{folder}/new/note.txt", "hello").read_text()
+    'hello'
+    """
+    return write_bytes(path, text.encode("utf-8"))
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> Path:
+    """Write a file all or nothing: under another name in the same directory, then moved into place.
+
+    Parameters
+    ----------
+    path : path
+        File to write; replaced in one step if it exists. Missing directories are made.
+    data : bytes
+        Its content.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written; an existing one is then as it was.
+    """
+    target = check_path(path)
+    replace_file(target, data)
+    return target
 
 
 def _write_beside(target: Path, data: bytes) -> None:

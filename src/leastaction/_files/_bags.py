@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ __all__ = ["is_bag", "read_bag_table"]
 
 _TYPE = "sensor_msgs/msg/JointState"
 _EFFORT = "effort"
+_VELOCITY = "velocity"
 _LONGEST_STEP_BACK = 1_000_000_000  # ns; beyond, the clock was set back, not a message late
 
 
@@ -36,6 +37,7 @@ class _Message:
     logged: int
     position: Mapping[str, float]
     effort: Mapping[str, float]
+    velocity: Mapping[str, float] = field(default_factory=dict)
 
 
 def is_bag(path: Path) -> bool:
@@ -47,8 +49,9 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
     """Read the joints of `layout` from a bag.
 
     Columns are ``t`` (stamps of the headers, from the first one on), ``log`` (when messages were recorded),
-    the joints, and ``<joint>.effort``; the force ``effort`` is that of the coordinate's own joint. A column
-    may name its topic, ``/arm/joint_states:shoulder``.
+    the joints, ``<joint>.effort`` and ``<joint>.velocity``; the force ``effort`` and the velocity
+    ``velocity`` are those of the coordinate's own joint. A column may name its topic,
+    ``/arm/joint_states:shoulder``.
 
     Raises
     ------
@@ -56,26 +59,36 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
         If rosbags is missing, the bag cannot be read, or a topic, joint or effort is not there.
     """
     layout, topic = _split_topic(layout, topic)
-    topic, messages = _messages(path, topic)
+    fields = ("position", _EFFORT, _VELOCITY) if layout.velocities else ("position", _EFFORT)
+    topic, messages = _messages(path, topic, fields)
     source = f"{path}, topic {topic}"
     joints = tuple(dict.fromkeys(joint for message in messages for joint in message.position))
-    forces = {
-        coordinate: f"{layout.coordinates[coordinate]}.{_EFFORT}" if column == _EFFORT else column
-        for coordinate, column in layout.forces.items()
+    if layout.accelerations:
+        raise InputError(f"{source}: joint states hold no accelerations; leave accelerations out")
+    kinds = {"forces": (_EFFORT, "force on"), "velocities": (_VELOCITY, "velocity of")}
+    named = {
+        kind: {
+            coordinate: f"{layout.coordinates[coordinate]}.{word}" if column == word else column
+            for coordinate, column in getattr(layout, kind).items()
+        }
+        for kind, (word, _) in kinds.items()
     }
-    columns = ["t", "log", *joints, *(f"{joint}.{_EFFORT}" for joint in joints)]
-    found = replace(layout, forces=forces).find(columns, source)
-    for coordinate, column in found.forces.items():
-        if not column.endswith(f".{_EFFORT}"):
-            raise InputError(
-                f"{source}: the force on {coordinate} is the column {quoted(column)}, which is no effort; "
-                f"write {quoted(f'{column}.{_EFFORT}')}"
-            )
+    columns = ["t", "log", *joints, *(f"{joint}.{word}" for word, _ in kinds.values() for joint in joints)]
+    found = replace(layout, **named).find(columns, source)
+    for kind, (word, role) in kinds.items():
+        for coordinate, column in getattr(found, kind).items():
+            if not column.endswith(f".{word}"):
+                joint = column.removesuffix(f".{_EFFORT}").removesuffix(f".{_VELOCITY}")
+                raise InputError(
+                    f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is no {word}; "
+                    f"write {quoted(f'{joint}.{word}')}"
+                )
     times = _times(messages, found.time, source)
-    numbers = _numbers(messages, found)
+    numbers = _numbers(messages, found, source)
     times, numbers = _in_sequence(times, numbers, source)
     _fill_forces(times, numbers, found, source)
-    moving = np.any([np.isfinite(numbers[name]) for name in found.coordinates.values()], axis=0)
+    measured = [*found.coordinates.values(), *found.velocities.values()]
+    moving = np.any([np.isfinite(numbers[name]) for name in measured], axis=0)
     numbers = {name: values[moving] for name, values in numbers.items()}
     numbers[found.time] = 1e-9 * (times[moving] - times[moving][:1])
     return found, Table(source, numbers, None, lambda row: f"sample {row} (counted from 0)")
@@ -92,16 +105,18 @@ def _split_topic(layout: Layout, topic: str | None) -> tuple[Layout, str | None]
         topics[before] = None
         return name
 
-    coordinates = {name: plain(column) for name, column in layout.coordinates.items()}
-    forces = {name: plain(column) for name, column in layout.forces.items()}
+    kinds = ("coordinates", "forces", "velocities")
+    plainly = {
+        kind: {name: plain(column) for name, column in getattr(layout, kind).items()} for kind in kinds
+    }
     if len(topics) > 1:
         raise InputError(
             f"joints of the topics {listed(topics)} have times of their own; take those of one topic"
         )
-    return replace(layout, coordinates=coordinates, forces=forces), next(iter(topics), None)
+    return replace(layout, **plainly), next(iter(topics), None)
 
 
-def _messages(path: Path, topic: str | None) -> tuple[str, list[_Message]]:
+def _messages(path: Path, topic: str | None, fields: tuple[str, ...]) -> tuple[str, list[_Message]]:
     try:
         from rosbags.rosbag2 import Reader
         from rosbags.typesys import Stores, get_typestore
@@ -116,7 +131,7 @@ def _messages(path: Path, topic: str | None) -> tuple[str, list[_Message]]:
             topic = _choose(topic, kinds, str(path))
             chosen = [connection for connection in reader.connections if connection.topic == topic]
             messages = [
-                _message(types.deserialize_cdr(data, _TYPE), logged, number, f"{path}, topic {topic}")
+                _message(types.deserialize_cdr(data, _TYPE), logged, number, f"{path}, topic {topic}", fields)
                 for number, (_, logged, data) in enumerate(reader.messages(connections=chosen))
             ]
     except InputError:
@@ -154,20 +169,20 @@ def _choose(topic: str | None, kinds: Mapping[str, str], path: str) -> str:
     return topic
 
 
-def _message(state: Any, logged: int, number: int, source: str) -> _Message:
+def _message(state: Any, logged: int, number: int, source: str, fields: tuple[str, ...]) -> _Message:
     names = list(state.name)
     if len(set(names)) < len(names):
         raise InputError(f"{source}, message {number}: a joint is named twice among {listed(names)}")
     values = {}
-    for field in ("position", "effort"):
-        array = getattr(state, field)
+    for kind in fields:
+        array = getattr(state, kind)
         # The message definition allows an array to be empty: then there is nothing to report of this kind.
         if len(array) not in (0, len(names)):
             raise InputError(
-                f"{source}, message {number}: there are {len(array)} values of {field} for "
+                f"{source}, message {number}: there are {len(array)} values of {kind} for "
                 f"{len(names)} joint(s)"
             )
-        values[field] = dict(zip(names, array.tolist(), strict=False))
+        values[kind] = dict(zip(names, array.tolist(), strict=False))
     # Joints are known by name even where only their velocity is reported.
     values["position"] = dict.fromkeys(names, np.nan) | values["position"]
     stamp = state.header.stamp
@@ -200,15 +215,16 @@ def _times(messages: list[_Message], column: str, source: str) -> np.ndarray:
     return stamps
 
 
-def _numbers(messages: list[_Message], layout: Layout) -> dict[str, FloatArray]:
+def _numbers(messages: list[_Message], layout: Layout, source: str) -> dict[str, FloatArray]:
     numbers = {}
-    for column in dict.fromkeys([*layout.coordinates.values(), *layout.forces.values()]):
-        joint = column.removesuffix(f".{_EFFORT}")
-        is_effort = column in layout.forces.values()
-        values = (
-            m.effort.get(joint, np.nan) if is_effort else m.position.get(column, np.nan) for m in messages
-        )
-        numbers[column] = np.fromiter(values, dtype=np.float64, count=len(messages))
+    for kind, word in (("coordinates", "position"), ("forces", _EFFORT), ("velocities", _VELOCITY)):
+        for column in dict.fromkeys(getattr(layout, kind).values()):
+            joint = column if kind == "coordinates" else column.removesuffix(f".{word}")
+            values = (getattr(message, word).get(joint, np.nan) for message in messages)
+            numbers[column] = np.fromiter(values, dtype=np.float64, count=len(messages))
+    for column in layout.velocities.values():
+        if not np.isfinite(numbers[column]).any():
+            raise InputError(f"{source}: there is no velocity in column {quoted(column)}; leave it out")
     return numbers
 
 

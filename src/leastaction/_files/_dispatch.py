@@ -92,7 +92,7 @@ def combined_trajectories(
         for item in to_trajectories(found, table):
             name = _free_name(stem(file) + (f"/{item.name}" if table.trials is not None else ""), taken)
             taken.add(name)
-            items.append(Trajectory(item.t, item.q, item.forces, item.coordinates, name))
+            items.append(item.changed(name=name))
     together = Trajectories(items)
     return together.unwrap(layout.angles) if layout.angles else together
 

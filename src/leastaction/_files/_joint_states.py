@@ -23,6 +23,7 @@ def read_mcap(
     forces: Forces = None,
     time: str = "t",
     angles: Iterable[str] = (),
+    velocities: Forces = None,
 ) -> Trajectories:
     """Read joint states from a ROS 2 bag; needs ``pip install 'leastaction[ros]'``.
 
@@ -46,6 +47,10 @@ def read_mcap(
         Stamps of the headers, or when the messages were recorded. Times start at zero.
     angles : sequence of str
         Coordinates to unwrap.
+    velocities : mapping of str to str, or sequence of str, optional
+        Columns of measured velocities, ``<joint>.velocity`` or ``velocity``, in the same form as `forces`;
+        ``velocities="velocity"`` takes those of all coordinates. Not used unless asked for: many drivers fill
+        the field with differences of the positions, which say nothing new and would count as a second sensor.
 
     Returns
     -------
@@ -65,7 +70,9 @@ def read_mcap(
     columns = _joint_columns(joints, coordinates)
     if forces == "effort":
         forces = dict.fromkeys(columns, "effort")
-    layout = Layout.of(columns, time, forces, None, angles)
+    if velocities == "velocity":
+        velocities = {coordinate: f"{joint}.velocity" for coordinate, joint in columns.items()}
+    layout = Layout.of(columns, time, forces, None, angles, velocities)
     return combined_trajectories(path, layout, partial(read_bag_table, topic=topic))
 
 

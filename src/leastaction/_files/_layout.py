@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,9 @@ MIN_SAMPLES = 5
 
 Coordinates = Sequence[str] | Mapping[str, str] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None
+
+_BESIDE = {"forces": "force on", "velocities": "velocity of", "accelerations": "acceleration of"}
+"""What there may be for each coordinate, in words."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Layout:
         Column of the names of trials.
     angles : tuple of str
         Coordinates to unwrap.
+    velocities, accelerations : dict
+        Coordinate -> column of its measured velocity, acceleration; only those that are measured.
     """
 
     time: str
@@ -45,15 +50,25 @@ class Layout:
     forces: dict[str, str]
     trial: str | None
     angles: tuple[str, ...]
+    velocities: dict[str, str] = field(default_factory=dict)
+    accelerations: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, coordinates: Coordinates, time: str, forces: Forces, trial: str | None, angles: Iterable[str]
+        cls,
+        coordinates: Coordinates,
+        time: str,
+        forces: Forces,
+        trial: str | None,
+        angles: Iterable[str],
+        velocities: Forces = None,
+        accelerations: Forces = None,
     ) -> Layout:
         """Check the arguments of a reader and return them as a Layout."""
         columns = _coordinate_columns(coordinates)
         known = tuple(columns)
-        driving = _force_columns(forces, known)
+        given_columns = {"forces": forces, "velocities": velocities, "accelerations": accelerations}
+        beside = {kind: _columns_for(kind, given, known) for kind, given in given_columns.items()}
         for role, column in (("time", time), ("trial", trial)):
             if column is not None and not isinstance(column, str):
                 raise InputError(f"{role} must be the name of a column, not {quoted(column)}")
@@ -64,7 +79,7 @@ class Layout:
                 raise InputError(
                     f"angle {quoted(name)} is not a coordinate; the coordinates are {listed(known)}"
                 )
-        layout = cls(time, columns, driving, trial, turning)
+        layout = cls(time, columns, trial=trial, angles=turning, **beside)
         layout._check_uses()
         return layout
 
@@ -98,28 +113,32 @@ class Layout:
             )
             raise InputError(f"{source} has no {kind} {quoted(name)} ({role}); {there}")
 
-        found = Layout(
+        found = replace(
+            self,
             time=where("time", self.time),
             coordinates={c: where(f"coordinate {c}", name) for c, name in self.coordinates.items()},
-            forces={c: where(f"force on {c}", name) for c, name in self.forces.items()},
             trial=None if self.trial is None else where("trial", self.trial),
-            angles=self.angles,
+            **{
+                kind: {c: where(f"{word} {c}", name) for c, name in getattr(self, kind).items()}
+                for kind, word in _BESIDE.items()
+            },
         )
         if found.trial is None and "trial" in present and present["trial"] not in found.numbers:
-            found = Layout(found.time, found.coordinates, found.forces, present["trial"], found.angles)
+            found = replace(found, trial=present["trial"])
         found._check_uses()
         return found
 
     @property
     def numbers(self) -> tuple[str, ...]:
         """The columns that hold numbers, each once."""
-        return tuple(dict.fromkeys([self.time, *self.coordinates.values(), *self.forces.values()]))
+        beside = [column for kind in _BESIDE for column in getattr(self, kind).values()]
+        return tuple(dict.fromkeys([self.time, *self.coordinates.values(), *beside]))
 
     def role(self, column: str) -> str:
-        """What a column of numbers means, in words."""
+        """What a column of numbers means, in words; samples may be missing."""
         if column == self.time:
             return "time"
-        return "force" if column in self.forces.values() else "coordinate"
+        return "force" if column in self.forces.values() else "sample"
 
     def _check_uses(self) -> None:
         uses = [("time", self.time), *((f"coordinate {c}", name) for c, name in self.coordinates.items())]
@@ -130,12 +149,17 @@ class Layout:
             if column in seen:
                 raise InputError(f"column {quoted(column)} is used twice, as {seen[column]} and as {role}")
             seen[column] = role
-        # One force may act on two coordinates, but it cannot be one of them.
-        for coordinate, column in self.forces.items():
-            if column in seen:
-                raise InputError(
-                    f"column {quoted(column)} is used twice, as {seen[column]} and as force on {coordinate}"
-                )
+        for kind, word in _BESIDE.items():
+            for coordinate, column in getattr(self, kind).items():
+                role = f"{word} {coordinate}"
+                if column in seen:
+                    raise InputError(
+                        f"column {quoted(column)} is used twice, as {seen[column]} and as {role}"
+                    )
+                if kind != "forces":
+                    seen[column] = role
+            # One force may act on two coordinates, but it cannot be anything else.
+            seen |= {column: f"{word} {c}" for c, column in getattr(self, kind).items()}
 
 
 @dataclass(frozen=True)
@@ -190,16 +214,25 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
         _check_times(layout, table, label, rows)
         q = np.column_stack([table.numbers[column][rows] for column in layout.coordinates.values()])
         _check_enough(layout, table, label, q)
-        forces = None
-        if layout.forces:
-            forces = np.zeros_like(q)
-            for index, coordinate in enumerate(layout.coordinates):
-                if coordinate in layout.forces:
-                    forces[:, index] = table.numbers[layout.forces[coordinate]][rows]
+        beside = {kind: _matrix(layout, table, kind, rows, q.shape) for kind in _BESIDE}
         t = table.numbers[layout.time][rows]
-        trajectories.append(Trajectory(t, q, forces, tuple(layout.coordinates), label))
+        trajectories.append(Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, **beside))
     result = Trajectories(trajectories)
     return result.unwrap(layout.angles) if layout.angles else result
+
+
+def _matrix(
+    layout: Layout, table: Table, kind: str, rows: slice, shape: tuple[int, ...]
+) -> FloatArray | None:
+    """Forces, velocities or accelerations of some rows; None without any column."""
+    columns = getattr(layout, kind)
+    if not columns:
+        return None
+    out = np.full(shape, 0.0 if kind == "forces" else np.nan)
+    for index, coordinate in enumerate(layout.coordinates):
+        if coordinate in columns:
+            out[:, index] = table.numbers[columns[coordinate]][rows]
+    return out
 
 
 def _coordinate_columns(coordinates: Coordinates) -> dict[str, str]:
@@ -219,21 +252,21 @@ def _coordinate_columns(coordinates: Coordinates) -> dict[str, str]:
     return dict(zip(names, [coordinates] if isinstance(coordinates, str) else coordinates, strict=True))
 
 
-def _force_columns(forces: Forces, coordinates: tuple[str, ...]) -> dict[str, str]:
-    if forces is None:
+def _columns_for(kind: str, given: Forces, coordinates: tuple[str, ...]) -> dict[str, str]:
+    """Coordinate -> column of its force, velocity or acceleration."""
+    word = _BESIDE[kind]
+    if given is None:
         return {}
-    if isinstance(forces, Mapping):
-        pairs = [
-            (_normal(name) if isinstance(name, str) else name, column) for name, column in forces.items()
-        ]
+    if isinstance(given, Mapping):
+        pairs = [(_normal(name) if isinstance(name, str) else name, column) for name, column in given.items()]
     else:
         try:
-            columns = [forces] if isinstance(forces, str) else list(forces)
+            columns = [given] if isinstance(given, str) else list(given)
         except TypeError:
-            raise InputError(f"forces must be names of columns, not {quoted(forces)}") from None
+            raise InputError(f"{kind} must be names of columns, not {quoted(given)}") from None
         if len(columns) > len(coordinates):
             raise InputError(
-                f"there are {len(columns)} force columns for {len(coordinates)} coordinate(s) "
+                f"there are {len(columns)} {word.split()[0]} columns for {len(coordinates)} coordinate(s) "
                 f"({', '.join(coordinates)}); give at most one for each"
             )
         pairs = [pair for pair in zip(coordinates, columns, strict=False) if pair[1] is not None]
@@ -242,9 +275,9 @@ def _force_columns(forces: Forces, coordinates: tuple[str, ...]) -> dict[str, st
         if name not in coordinates:
             hint = close_match(name, coordinates) if isinstance(name, str) else ""
             known = f"the coordinates are {listed(coordinates)}{hint}"
-            raise InputError(f"the force on {quoted(name)} belongs to no coordinate; {known}")
+            raise InputError(f"the {word} {quoted(name)} belongs to no coordinate; {known}")
         if not isinstance(column, str):
-            raise InputError(f"the force on {name} must be the name of a column, not {quoted(column)}")
+            raise InputError(f"the {word} {name} must be the name of a column, not {quoted(column)}")
         checked[name] = column
     return checked
 
@@ -256,13 +289,13 @@ def _normal(name: str) -> str:
 def _check_values(layout: Layout, table: Table) -> None:
     for column in layout.numbers:
         values, role = table.numbers[column], layout.role(column)
-        bad = ~np.isfinite(values) if role != "coordinate" else np.isinf(values)
+        bad = ~np.isfinite(values) if role != "sample" else np.isinf(values)
         if not bad.any():
             continue
         row = int(np.flatnonzero(bad)[0])
         place = f"{table.source}, {table.place(row)}, column {quoted(column)}"
         if np.isinf(values[row]):
-            cure = "; leave the cell empty if the sample is missing" if role == "coordinate" else ""
+            cure = "; leave the cell empty if the sample is missing" if role == "sample" else ""
             raise InputError(f"{place}: the value is infinite, but a finite number is expected{cure}")
         cure = "; remove the row" if role == "time" else "; put 0 where nothing acts"
         raise InputError(f"{place}: the {role} is missing{cure}")

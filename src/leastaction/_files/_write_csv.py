@@ -15,7 +15,7 @@ __all__ = ["csv_bytes"]
 
 
 def csv_bytes(trajectories: Trajectories) -> bytes:
-    """Return the table ``trial,t,<coordinates>[,<coordinate>_force ...]`` as UTF-8 text.
+    """Return the table ``trial,t,<coordinates>[,<coordinate>_force ...][,<coordinate>_dot ...]`` as UTF-8.
 
     Floats are written with as few digits as give the same float again; NaN is an empty cell.
 
@@ -26,7 +26,9 @@ def csv_bytes(trajectories: Trajectories) -> bytes:
     """
     names = trajectories.coordinates
     forces = tuple(f"{name}_force" for name in names) if trajectories.driven else ()
-    header = ("trial", "t", *names, *forces)
+    rates = trajectories.rates
+    rated = tuple(f"{names[rate.coordinate]}_{'d' * rate.derivative}ot" for rate in rates)
+    header = ("trial", "t", *names, *forces, *rated)
     for column in header:
         if header.count(column) > 1:
             raise InputError(
@@ -35,7 +37,7 @@ def csv_bytes(trajectories: Trajectories) -> bytes:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(header)
-    for trial, item in zip(trajectories.names, trajectories, strict=True):
+    for k, (trial, item) in enumerate(zip(trajectories.names, trajectories, strict=True)):
         if trial != trial.strip() or "\r" in trial or "\0" in trial:
             raise InputError(
                 f"the trial name {quoted(trial)} cannot stand in a CSV file; remove spaces around it"
@@ -43,6 +45,7 @@ def csv_bytes(trajectories: Trajectories) -> bytes:
         columns = [item.t[:, np.newaxis], item.q]
         if forces:
             columns.append(np.zeros_like(item.q) if item.forces is None else item.forces)
+        columns += [rate.values[k][:, np.newaxis] for rate in rates]
         # The csv module writes a float as its repr, the shortest text that gives the same float.
         rows = np.hstack(columns).tolist()
         writer.writerows([trial, *("" if value != value else value for value in row)] for row in rows)

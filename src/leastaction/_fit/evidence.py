@@ -7,7 +7,9 @@ Given a support, the weights (σ, w) maximise (Laplace's approximation, up to a 
 Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural Computation 4:415)
 
     w_i = (rank − γ_i) / ∫ r_i² dt,    γ_i = ∂ log|H| / ∂ log w_i,
-    σ_i² = Σ (y − N P)² / (n_i − η_i),   η_i = ∂ log|H| / ∂ log σ_i⁻².
+    σ_c² = Σ (y_c − N_c P)² / (n_c − η_c),   η_c = ∂ log|H| / ∂ log σ_c⁻²,
+
+the latter for every channel c: positions, and velocities and accelerations where they are measured.
 
 An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
 """
@@ -71,11 +73,16 @@ def start_weights(
     control_points: np.ndarray,
     coefficients,
 ) -> Weights:
-    """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike."""
+    """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike.
+
+    ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
+    """
     at = linearise(observations, physics, control_points, coefficients)
     one = np.ones_like(noise_std)
-    noise_std = np.maximum(noise_std, observations.noise_floor)
-    counts = np.maximum(observations.counts, 1)
+    n = observations.n_dof
+    others = np.sqrt(at.squares[n:] / observations.counts[n:])
+    noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
+    counts = np.maximum(np.bincount(observations.coordinates, observations.counts), 1)
     rank = equation_rank(observations)
     return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), rank * one)
 
@@ -96,16 +103,17 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         return 0.5 * (both[0] - both[1]) / _LOG_STEP
 
     n, rank = observations.n_dof, equation_rank(observations)
-    new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty(n)
+    new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):
         slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
         lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
         new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
-        used = slope(observations.gram(i) / weights.noise_std[i] ** 2, n, i)
-        estimate = np.sqrt(at.squares[i] / max(observations.counts[i] - used, 1.0))
-        new_noise[i] = max(estimate, observations.noise_floor[i])
+    for c, i in enumerate(observations.coordinates):
+        used = slope(observations.gram(c) / weights.noise_std[c] ** 2, n, i)
+        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
+        new_noise[c] = max(estimate, observations.floors[c])
     return Weights(new_noise, new_physics, slack)
 
 

@@ -1,6 +1,9 @@
 """The joint least-squares problem in spline and coefficients, and its banded normal equations.
 
-    cost(P, λ) = Σ_i ‖y_i − N P_i‖² / σ_i² + Σ_i w_i ∫ r_i² dt,      r = Σ_k λ_k E[φ_k] − f
+    cost(P, λ) = Σ_c ‖y_c − N_c P_i‖² / σ_c² + Σ_i w_i ∫ r_i² dt,      r = Σ_k λ_k E[φ_k] − f
+
+with one channel c for the positions of each coordinate i, N_c = N, and one for every velocity and
+acceleration that is measured, N_c = Ṅ and N̈, each with a noise of its own.
 
 Unknowns of the curve are numbered control point by control point (coordinate fastest), so that the
 Gauss–Newton matrix of P is banded and λ forms a dense border.
@@ -9,13 +12,15 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._smoothing import banded_gram
 from leastaction._spline import SplineGrid
+from leastaction._trajectory import Rate
 
 __all__ = ["Linearisation", "Observations", "Physics", "Weights", "linearise", "positive_definite"]
 
@@ -26,60 +31,98 @@ _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Noise σ_i, equation weight w_i, and degrees of freedom left to the equation error, each (n_dof,).
+    """Noise of each channel, equation weight w_i, and degrees of freedom left to the equation error.
 
-    ``slack`` weighs the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
+    The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack``
+    weighs the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
     """
 
     noise_std: np.ndarray
     physics: np.ndarray
     slack: np.ndarray
 
+    @property
+    def position_std(self) -> np.ndarray:
+        """(n_dof,) noise of the positions."""
+        return self.noise_std[: self.physics.size]
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """Valid samples of one coordinate, or of one of its derivatives, and the basis at their times."""
+
+    coordinate: int
+    design: sp.csr_array
+    transposed: sp.csr_array
+    gram: np.ndarray
+    y: np.ndarray
+
 
 class Observations:
-    """Measured coordinates against a spline grid; NaN samples are left out coordinate by coordinate."""
+    """Measured coordinates, and rates, against a spline grid; NaN samples are left out channel by channel.
 
-    def __init__(self, grid: SplineGrid, times: Sequence[np.ndarray], values: Sequence[np.ndarray]) -> None:
+    Attributes
+    ----------
+    counts : (n_channels,) int array
+        Samples of each channel: positions of the coordinates in order, then ``rates``.
+    coordinates : (n_channels,) int array
+        The coordinate of each channel.
+    floors, noise_floor : (n_channels,) and (n_dof,) arrays
+        No sensor is better than a millionth of its range; below that rounding and the data's own
+        integration errors would count as physics.
+    """
+
+    def __init__(
+        self,
+        grid: SplineGrid,
+        times: Sequence[np.ndarray],
+        values: Sequence[np.ndarray],
+        rates: Sequence[Rate] = (),
+    ) -> None:
         stacked = np.concatenate(values)
-        design = grid.design(times)
-        self.grid = grid
-        self.valid = np.isfinite(stacked)
-        self.counts = self.valid.sum(axis=0)
-        self.n_dof = stacked.shape[1]
-        # no sensor is better than a millionth of its range; below that rounding and the data's own
-        # integration errors would count as physics
-        self.noise_floor = _RELATIVE_FLOOR * np.nanstd(stacked, axis=0)
-        complete = bool(self.valid.all())
-        self._designs, self._transposed, self._y, self._grams = [], [], [], []
-        for i in range(self.n_dof):
-            keep = self.valid[:, i]
-            self._designs.append(design if complete else design[keep])
-            self._y.append(stacked[keep, i])
-            shared = complete and i > 0
-            self._transposed.append(self._transposed[0] if shared else self._designs[i].T.tocsr())
-            self._grams.append(self._grams[0] if shared else banded_gram(self._designs[i], grid.degree))
+        self.grid, self.n_dof = grid, stacked.shape[1]
+        measured = [(i, 0, column) for i, column in enumerate(stacked.T)]
+        measured += [(r.coordinate, r.derivative, np.concatenate(r.values)) for r in rates]
+        designs = {nu: grid.design(times, nu) for nu in dict.fromkeys(nu for _, nu, _ in measured)}
+        whole: dict[int, _Channel] = {}  # complete columns share basis and Gram matrix, by derivative
+        self._channels: list[_Channel] = []
+        for i, nu, y in measured:
+            keep = np.isfinite(y)
+            complete = bool(keep.all())
+            if complete and nu in whole:
+                self._channels.append(replace(whole[nu], coordinate=i, y=y[keep]))
+                continue
+            design = designs[nu] if complete else designs[nu][keep]
+            gram = banded_gram(design, grid.degree)
+            self._channels.append(_Channel(i, design, design.T.tocsr(), gram, y[keep]))
+            if complete:
+                whole[nu] = self._channels[-1]
+        self.counts = np.array([c.y.size for c in self._channels])
+        self.coordinates = np.array([c.coordinate for c in self._channels])
+        spread = [*np.nanstd(stacked, axis=0), *(np.nanstd(y) for _, nu, y in measured if nu)]
+        self.floors = _RELATIVE_FLOOR * np.array(spread)
+        self.noise_floor = self.floors[: self.n_dof]
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
-        """y − N P for each coordinate, valid samples only."""
+        """y − N P for each channel, valid samples only."""
         return [
-            y - d @ np.ascontiguousarray(control_points[:, i])
-            for i, (d, y) in enumerate(zip(self._designs, self._y, strict=True))
+            c.y - c.design @ np.ascontiguousarray(control_points[:, c.coordinate]) for c in self._channels
         ]
 
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """−Nᵀ(y − N P), (n_ctrl, n_dof), and Σ (y − N P)² of each coordinate."""
+        """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
         residuals = self.residuals(control_points)
-        gradient = [-(t @ r) for t, r in zip(self._transposed, residuals, strict=True)]
+        gradient = [-(c.transposed @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
-    def gram(self, i: int) -> np.ndarray:
-        """NᵀN of coordinate i in lower banded storage, (degree + 1, n_ctrl)."""
-        return self._grams[i]
+    def gram(self, channel: int) -> np.ndarray:
+        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
+        return self._channels[channel].gram
 
     def add_band(self, banded: np.ndarray, noise_std: np.ndarray) -> None:
-        """Add NᵀN / σ² of every coordinate to lower banded storage."""
-        for i, gram in enumerate(self._grams):
-            banded[:: self.n_dof, i :: self.n_dof] += gram / noise_std[i] ** 2
+        """Add NᵀN / σ² of every channel to lower banded storage."""
+        for c, sigma in zip(self._channels, noise_std, strict=True):
+            banded[:: self.n_dof, c.coordinate :: self.n_dof] += c.gram / sigma**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,10 +163,12 @@ class Linearisation:
         ∫ e_iᵀe_i dt.
     curve_gradients, coefficient_gradients : (n_dof, …) arrays
         ∫ J_iᵀr_i dt and ∫ e_iᵀr_i dt.
-    data_gradient : (n_ctrl, n_dof) array
+    data_gradient : (n_ctrl, n_channels) array
         −Nᵀ(y − N P).
-    squares, equation : (n_dof,) arrays
-        Σ (y − N P)² of each coordinate and ∫ r_i² dt of each equation.
+    channels : (n_channels,) int array
+        The coordinate of each channel.
+    squares, equation : (n_channels,) and (n_dof,) arrays
+        Σ (y − N P)² of each channel and ∫ r_i² dt of each equation.
     volume : (n_dof, n_border) array
         Mean over time of (∂M/∂λ_k M⁻¹)_ii.
     volume_corner : (n_border, n_border) array
@@ -138,6 +183,7 @@ class Linearisation:
     curve_gradients: np.ndarray
     coefficient_gradients: np.ndarray
     data_gradient: np.ndarray
+    channels: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
     volume: np.ndarray
@@ -156,7 +202,10 @@ class Linearisation:
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
         curve = np.tensordot(weights.physics, self.curve_gradients, 1)
-        curve += (self.data_gradient / weights.noise_std**2).ravel()
+        scaled, n = self.data_gradient / weights.noise_std**2, self.equation.size
+        for i, more in zip(self.channels[n:], scaled.T[n:], strict=True):
+            scaled[:, i] += more
+        curve += scaled[:, :n].ravel()
         return curve, weights.physics @ self.coefficient_gradients - weights.slack @ self.volume
 
 
@@ -191,6 +240,7 @@ def linearise(
         curve_gradients=rows[:, :, 0],
         coefficient_gradients=np.zeros((n, k)),
         data_gradient=gradient,
+        channels=observations.coordinates,
         squares=squares,
         equation=np.zeros(n),
         volume=np.zeros((n, k)),

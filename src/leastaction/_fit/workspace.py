@@ -84,6 +84,7 @@ class Workspace:
         self.degree, self.n_quadrature = degree, n_quadrature
         self.times = [trajectory.t for trajectory in trajectories]
         self.values = [trajectory.q for trajectory in trajectories]
+        self.rates = trajectories.rates
         self._force_curves = None
         if trajectories.driven:
             self._force_curves = [_force_curve(trajectory) for trajectory in trajectories]
@@ -99,7 +100,7 @@ class Workspace:
         self.knots_per_second = knots_per_second
         spaces = [uniform_space(t[0], t[-1], knots_per_second, self.degree) for t in self.times]
         self.grid = SplineGrid(spaces, self.n_quadrature)
-        self.observations = Observations(self.grid, self.times, self.values)
+        self.observations = Observations(self.grid, self.times, self.values, self.rates)
         self.forces = None
         if self._force_curves is not None:
             points = [self.grid.points[self.grid.owner == k] for k in range(len(spaces))]

@@ -180,9 +180,7 @@ def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
     degrees = [roles[column] == DEGREES for column in moving]
     if any(degrees):
         factor = np.where(degrees, np.pi / 180.0, 1.0)
-        data = la.Trajectories(
-            la.Trajectory(run.t, run.q * factor, run.forces, run.coordinates, run.name) for run in data
-        )
+        data = la.Trajectories(run.changed(q=run.q * factor) for run in data)
     angles = [names[column] for column in moving if roles[column] != COORDINATE]
     return data.unwrap(angles) if angles else data
 

@@ -104,6 +104,8 @@ def discover(
     trial: str | None,
     forces: str | None,
     angles: str | None,
+    velocity: tuple[str, ...],
+    acceleration: tuple[str, ...],
     library: str,
     known: tuple[str, ...],
     dissipation: str | None,
@@ -123,7 +125,9 @@ def discover(
     folder = check_folder(output, OUTPUTS)
     with blame("--option"):
         chosen = method_options(settings)
-    options = DataOptions.of(data, coordinates, time, trial, forces, angles)
+    options = DataOptions.of(
+        data, coordinates, time, trial, forces, angles, velocity=velocity, acceleration=acceleration
+    )
     with blame("--force-offset"):
         offsets = check_coordinate_names(name_list(force_offset)) if force_offset else ()
     with blame("--known"):

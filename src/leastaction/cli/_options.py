@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -146,6 +146,8 @@ class DataOptions:
     trial: str | None
     forces: dict[str, str]
     angles: tuple[str, ...]
+    velocities: dict[str, str] = field(default_factory=dict)
+    accelerations: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -157,6 +159,8 @@ class DataOptions:
         forces: str | None,
         angles: str | None,
         default: Sequence[str] = (),
+        velocity: Sequence[str] = (),
+        acceleration: Sequence[str] = (),
     ) -> DataOptions:
         """Check the texts of the options; `default` are the coordinates where none are given."""
         from leastaction._names import check_coordinate_names
@@ -170,7 +174,12 @@ class DataOptions:
             _check_are_coordinates(turning, names)
         with blame("--forces"):
             driving = _force_columns(forces, names) if forces else {}
-        return cls(tuple(data), columns, time, trial, driving, turning)
+        rates = []
+        for option, texts in (("--velocity", velocity), ("--acceleration", acceleration)):
+            with blame(option):
+                rates.append(dict(_pairs(texts, "NAME=COLUMN, e.g. theta=gyro")))
+                _check_are_coordinates(rates[-1], names)
+        return cls(tuple(data), columns, time, trial, driving, turning, *rates)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -185,7 +194,7 @@ class DataOptions:
                 "columns have other names, write name=column"
             )
         ordered = {name: self.coordinates[name] for name in names}
-        return DataOptions(self.paths, ordered, self.time, self.trial, self.forces, self.angles)
+        return replace(self, coordinates=ordered)
 
     def read(self) -> Trajectories:
         """Read the files, and pass on what was done to the data."""
@@ -194,7 +203,16 @@ class DataOptions:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("ignore")
             warnings.simplefilter("always", DataWarning)
-            data = read(self.paths, self.coordinates, self.time, self.forces or None, self.trial, self.angles)
+            data = read(
+                self.paths,
+                self.coordinates,
+                self.time,
+                self.forces or None,
+                self.trial,
+                self.angles,
+                self.velocities or None,
+                self.accelerations or None,
+            )
         for item in caught:
             warn(str(item.message))
         return data
@@ -252,6 +270,18 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             help="Columns of the known generalised forces, for the coordinates in order; or a=tau1.",
         ),
         click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
+        click.option(
+            "--velocity",
+            multiple=True,
+            metavar="NAME=COLUMN",
+            help="A measured velocity, not differences, e.g. theta=gyro; may be given several times.",
+        ),
+        click.option(
+            "--acceleration",
+            multiple=True,
+            metavar="NAME=COLUMN",
+            help="A measured second derivative of a coordinate; may be given several times.",
+        ),
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -123,6 +123,8 @@ def validate(
     trial: str | None,
     forces: str | None,
     angles: str | None,
+    velocity: tuple[str, ...],
+    acceleration: tuple[str, ...],
     horizon: str | None,
     json_file: str | None,
 ) -> None:
@@ -143,7 +145,9 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    options = DataOptions.of(data, coordinates, time, trial, forces, angles, default=found.coordinates)
+    options = DataOptions.of(
+        data, coordinates, time, trial, forces, angles, found.coordinates, velocity, acceleration
+    )
     trajectories = options.in_order_of(found.coordinates).read()
     with live_progress("forecast"):
         result = found.validate(trajectories, length)
