@@ -158,9 +158,13 @@ def discover(
     else:
         clock.start("search")
         share = prepared.searched.n_samples / prepared.trajectories.n_samples
-        selection = select_structure(workspace, prepared.knots.smooth, clock.report, relevance, seed)
-        coarse = prepared.knots.coarse
-        workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
+        thorough = not prepared.doubts  # the data are at fault: searching longer does not help
+        selection = select_structure(
+            workspace, prepared.knots.smooth, clock.report, relevance, seed, thorough
+        )
+        if thorough:
+            coarse = prepared.knots.coarse
+            workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
         smoothed = prepared.knots.smooth
         if share < 1.0 and selection.structure.fit.converged:
             clock.start("confirm")
