@@ -16,7 +16,8 @@ import matplotlib.pyplot as plt
 
 import leastaction as la
 
-path = Path(__file__).parent / "data" / "driven_double_pendulum.csv.gz"
+here = Path(__file__).parent if "__file__" in globals() else Path()  # the gallery runs it in its folder
+path = here / "data" / "driven_double_pendulum.csv.gz"
 forces = {"q1": "tau1", "q2": "tau2"}
 data = la.read_csv(path, coordinates=["q1", "q2"], time="t", forces=forces, trial="trial")
 

@@ -37,7 +37,8 @@ def forecast_title(result: ForecastResult) -> str:
         return text
     if ratio < 1.5:
         return f"{text}: as an exact model would be"
-    return f"{text}: {plain(ratio, 2)} times as far as an exact model would be"
+    times = f"{ratio:.0f}" if 10 <= ratio < 1e4 else plain(ratio, 2)
+    return f"{text}: {times} times as far as an exact model would be"
 
 
 def curve_title(series: Series, i: int, name: str) -> str:
