@@ -56,9 +56,7 @@ class DataFigures:
         curve = self.series.curve(t, derivative)[:, i]
         axes.line(t, curve, "fit")
         axes.label("t (s)", name, y_unit=self._unit(i, derivative))
-        what = (
-            "Samples as dots and the fitted curve" if derivative == 0 else "The fitted curve"
-        )
+        what = "Samples as dots and the fitted curve" if derivative == 0 else "The fitted curve"
         said = f"{what}. {self._range(curve, i, derivative)}"
         return axes.svg(f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s", said)
 
