@@ -76,7 +76,7 @@ def walk_figure(walk: Walk, place: int) -> Markup:
         axes = path_axes(size)
         axes.column(walk.points[place].n_terms, 14.0)
         draw_path(axes, walk.points)
-        axes.label("number of free terms", "worse than the chosen structure by")
+        axes.label("number of free terms", "worse than chosen by")
         return axes
 
     alt = (
