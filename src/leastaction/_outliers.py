@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction._smoothing import smooth
-from leastaction._spline import SplineGrid, uniform_space
+from leastaction._spline import uniform_grid
 from leastaction._trajectory import Trajectories
 
 __all__ = ["leave_out_outliers"]
@@ -45,8 +45,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     """
     times, values = [t.t for t in trajectories], [t.q for t in trajectories]
     rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
-    knots = rate / _SAMPLES_PER_KNOT
-    grid = SplineGrid([uniform_space(t[0], t[-1], knots, degree) for t in times])
+    grid = uniform_grid(times, rate / _SAMPLES_PER_KNOT, degree)
     least = _DIGITS * np.nanstd(np.concatenate(values), axis=0)
     measured = np.isfinite(np.concatenate(values)).sum(axis=0)
     out = [np.zeros(q.shape, dtype=bool) for q in values]

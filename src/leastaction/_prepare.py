@@ -15,10 +15,10 @@ from leastaction._library import Library, Term, smooth_abs
 from leastaction._outliers import leave_out_outliers
 from leastaction._rate_checks import doubts_about_rates
 from leastaction._smoothing import Smooth, smooth
-from leastaction._spline import SplineGrid, uniform_space
+from leastaction._spline import uniform_grid
 from leastaction._trajectory import Trajectories
 
-__all__ = ["KNOTS_PER_RADIAN", "Prepared", "excerpt", "lay_grid", "lay_knots", "prepare"]
+__all__ = ["KNOTS_PER_RADIAN", "Prepared", "excerpt", "lay_knots", "prepare"]
 
 KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
@@ -287,23 +287,18 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
 
     rates = trajectories.rates
-    smoothed = smooth(lay_grid(times, rate / 5.0, degree), times, values, rates=rates)
+    smoothed = smooth(uniform_grid(times, rate / 5.0, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
-        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
+        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
         wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
         if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
             break
         knots = wanted
     else:
-        smoothed = smooth(lay_grid(times, knots, degree), times, values, rates=rates)
+        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
     return Knots(knots, coarse, rate * period, smoothed, spread(1))
-
-
-def lay_grid(times: list[np.ndarray], knots_per_second: float, degree: int) -> SplineGrid:
-    """One uniform spline space for each trajectory."""
-    return SplineGrid([uniform_space(t[0], t[-1], knots_per_second, degree) for t in times])
 
 
 def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.interpolate import BSpline
 
-__all__ = ["SplineGrid", "SplineSpace", "uniform_space"]
+__all__ = ["SplineGrid", "SplineSpace", "uniform_grid", "uniform_space"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,3 +259,10 @@ class SplineGrid:
         """Derivative ``nu`` of every trajectory's curve at its own times."""
         parts = self.split(control_points)
         return [s.evaluate(p, t, nu) for s, p, t in zip(self.spaces, parts, times, strict=True)]
+
+
+def uniform_grid(
+    times: Sequence[np.ndarray], knots_per_second: float, degree: int, n_quadrature: int = 3
+) -> SplineGrid:
+    """One uniform spline space for the times of each trajectory."""
+    return SplineGrid([uniform_space(t[0], t[-1], knots_per_second, degree) for t in times], n_quadrature)

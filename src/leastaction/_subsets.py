@@ -133,14 +133,13 @@ def relevant(model: QuadraticModel, penalty: float) -> tuple[int, ...]:
         kept, precision = kept[stays], updated[stays]
         if settled or not kept.size:
             break
-    members = tuple(int(k) for k in kept)
-    while len(members) > 1:
-        here = model.best({members}, 1)[0]
-        smaller = model.best(_neighbours(members, model.n, -1), 1)[0]
+    here = model.best({tuple(int(k) for k in kept)}, 1)[0]
+    while len(here.members) > 1:
+        smaller = model.best(_neighbours(here.members, model.n, -1), 1)[0]
         if smaller.criterion(penalty) > here.criterion(penalty):
             break
-        members = smaller.members
-    return members
+        here = smaller
+    return here.members
 
 
 def search_subsets(

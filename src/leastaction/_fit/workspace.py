@@ -11,7 +11,7 @@ from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.evidence import Start, evidence, fit_curve, fit_weights, start_weights
 from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction._fit.problem import Observations, Physics, positive_definite
-from leastaction._spline import SplineGrid, uniform_space
+from leastaction._spline import uniform_grid
 from leastaction._trajectory import Trajectories
 
 __all__ = ["StructureFit", "Workspace", "greville_sites"]
@@ -98,12 +98,11 @@ class Workspace:
     def set_knots(self, knots_per_second: float) -> None:
         """Lay a new spline grid."""
         self.knots_per_second = knots_per_second
-        spaces = [uniform_space(t[0], t[-1], knots_per_second, self.degree) for t in self.times]
-        self.grid = SplineGrid(spaces, self.n_quadrature)
+        self.grid = uniform_grid(self.times, knots_per_second, self.degree, self.n_quadrature)
         self.observations = Observations(self.grid, self.times, self.values, self.rates)
         self.forces = None
         if self._force_curves is not None:
-            points = [self.grid.points[self.grid.owner == k] for k in range(len(spaces))]
+            points = [self.grid.points[self.grid.owner == k] for k in range(len(self.times))]
             self.forces = np.concatenate([f(p) for f, p in zip(self._force_curves, points, strict=True)])
 
     def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:
