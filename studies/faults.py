@@ -171,6 +171,10 @@ def _in_degrees(question: Question) -> Question:
     return question.measured_again(q=lambda q: q * factor)
 
 
+def _exchanged(question: Question) -> Question:
+    return question.measured_again(q=lambda q: q[:, ::-1])
+
+
 def _small(system: systems.MechanicalSystem) -> systems.MechanicalSystem:
     rest = np.array(_REST.get(system.name, np.zeros(system.n_dof)))
 
@@ -261,9 +265,15 @@ FAULTS = {
     "force-missing": Fault("one of two forces recorded as zero", _DRIVEN[1:], "force", _forces(_one_missing)),
     "columns": Fault(
         "columns of two coordinates swapped",
-        ("double_pendulum", "chaotic_pendulum", "cart_spring_pendulum"),
+        ("double_pendulum", "cart_spring_pendulum"),
         "columns",
-        lambda question: question.measured_again(q=lambda q: q[:, ::-1]),
+        _exchanged,
+    ),
+    "columns-named": Fault(
+        "the same, where both coordinates have the same candidates (names them anew: cannot show)",
+        ("chaotic_pendulum",),
+        "",
+        _exchanged,
     ),
     "sampling": Fault(
         "three samples in a period of the fastest motion",

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 
 from leastaction._search import beam_search, solve_support, support_score
-from leastaction._subsets import QuadraticModel, relevant, search_subsets, term_penalty
+from leastaction._subsets import QuadraticModel, relevant, search_subsets, term_penalty, trade_off
 from leastaction._weak import WeakGram
 
 N = 8
@@ -260,6 +260,20 @@ def test_a_group_is_exchanged_for_another_at_once(seed):
     best = min((level[0] for level in levels.values()), key=lambda c: c.criterion(penalty))
     assert best.members == (0, 1, 2)
     assert relevant(model, penalty) == (0, 1, 2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pair_that_one_term_stands_for_is_found(seed):
+    """Near-twins of another term fill the ranks, and what the sum lacks is first made up by decoys."""
+    rng = np.random.default_rng(seed)
+    p, q, c, rest = rng.standard_normal((4, 1000))
+    twins = [c + 0.01 * rng.standard_normal(1000) for _ in range(6)]
+    decoys = [0.1 * rest + 0.05 * rng.standard_normal(1000) for _ in range(3)]
+    x = np.column_stack([p + q + 0.1 * rest, c, p, q, *twins, *decoys])
+    y = p + q + c
+    model = QuadraticModel(x.T @ x, -x.T @ y, np.zeros(x.shape[1]))
+    levels = trade_off(model, (0, 1))
+    assert levels[3][0].members == (1, 2, 3)
 
 
 def test_rounding_does_not_keep_a_term_in_a_fit_without_noise():

@@ -55,7 +55,7 @@ def test_exchanged_forces():
     assert "swapped" in doubts(*driven(swap=True))
 
 
-@pytest.mark.parametrize("wrong", [0.6, 1.0])
+@pytest.mark.parametrize("wrong", [0.55, 0.6, 1.0])
 def test_wrong_known_coefficient_is_given_its_value(wrong):
     text = doubts(pendulum(driven=True, viscous=0.0), PENDULUM_LIBRARY, known={"theta_dot**2": wrong})
     (found,) = re.findall(r"theta_dot\*\*2 may be wrong: set free it becomes ([\d.]+)", text)

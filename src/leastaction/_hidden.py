@@ -21,6 +21,7 @@ from leastaction._subsets import QuadraticModel
 __all__ = ["hidden_friction", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
+_BETTER = 10.0  # the same, beyond the price of every term
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 _MOST_RELEASED = 3
 
@@ -84,7 +85,7 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
         members = tuple(sorted((*structure.members, int(k))))
         found = other.refine(released.fit(members, structure.start))
         gain = 2.0 * (other.value(found) - before)
-        if not gain > _DECISIVE:
+        if not gain > _BETTER:
             continue
         value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
         fewer = len(structure.members) + 1 - len(found.members)

@@ -185,16 +185,20 @@ def _search_from(
 def trade_off(
     model: QuadraticModel, chosen: tuple[int, ...], above: int = 6, width: int = 6
 ) -> dict[int, list[Choice]]:
-    """The best supports of every size from one to ``above`` more than the chosen one, best first."""
+    """The best supports of every size from one to ``above`` more than the chosen one, best first.
+
+    On the way down from the largest, a term that stands for two others gives way to them.
+    """
     levels = {len(chosen): _swap_until_best(model, model.best({chosen}, width), width)}
-    if all(c.members != chosen for c in levels[len(chosen)]):
-        levels[len(chosen)] += model.best({chosen}, 1)
-    for step, last in ((-1, 1), (1, min(len(chosen) + above, model.n))):
-        size = len(chosen)
-        while size != last:
-            moved = {m for c in levels[size] for m in _neighbours(c.members, model.n, step)}
-            size += step
-            levels[size] = _swap_until_best(model, model.best(moved, width), width)
+    top = min(len(chosen) + above, model.n)
+    upwards = [(size, 1) for size in range(len(chosen) + 1, top + 1)]
+    for size, step in (*upwards, *((size, -1) for size in range(top - 1, 0, -1))):
+        moved = {m for c in levels[size - step] for m in _neighbours(c.members, model.n, step)}
+        known = {c.members for c in levels.get(size, [])}
+        levels[size] = _swap_until_best(model, model.best(moved | known, width), width)
+    here = levels[len(chosen)]
+    if all(c.members != chosen for c in here):
+        here += model.best({chosen}, 1)
     return levels
 
 
