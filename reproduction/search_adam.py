@@ -24,11 +24,12 @@ from reproduction.methods.adam import SETTINGS
 from reproduction.problem import Case, pose
 
 _CHOICES = {
-    "physics_weight": (0.03, 0.1, 0.3, 1.0),
-    "curvature_weight": (1e-7, 1e-6, 1e-5),
-    "learning_rate_curve": (1e-5, 3e-5, 1e-4),
+    "physics_weight": (0.1, 0.3, 1.0, 10.0),
+    "curvature_weight": (1e-7, 1e-6),
+    "learning_rate_curve": (3e-5, 1e-4, 3e-4),
     "learning_rate_coefficients": (1e-3, 3e-3, 1e-2),
     "threshold": (0.01, 0.03, 0.05),
+    "knots_per_second": (None, 40.0),
 }
 _TRIAL = 500
 

@@ -14,7 +14,7 @@ from leastaction._subsets import QuadraticModel
 __all__ = ["rival_warnings"]
 
 _AS_LIKELY = 5.0  # −2 log likelihood
-_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier (Akaike)
+_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier than the chosen terms with one more
 _MOST = 3
 _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
@@ -23,9 +23,9 @@ _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     """One sentence for each rival, the most likely first.
 
-    Rivals have as many terms as the chosen structure, or one more and not all of the chosen ones: where the
-    motion shows little, the law itself may lose by the price of a term.  Not where the library is inexact:
-    there a further term always helps.
+    Rivals have as many terms as the chosen structure, or one more: where the motion shows little, the law
+    itself may lose by the price of a term.  It is then likelier than the chosen terms with any further one,
+    which follow the noise only.  Not where the library is inexact: there a further term always helps.
     """
     chosen = tuple(sorted(selection.structure.members))
     size, levels = len(chosen), selection.levels
@@ -34,8 +34,9 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
         return []
     rivals = [c for c in levels[size] if c.members != chosen and c.cost - cost < _AS_LIKELY]
     if np.all(selection.structure.fit.weights.slack < SLACK_LEFT):
-        larger = (c for c in levels.get(size + 1, []) if not set(chosen) <= set(c.members))
-        rivals += [c for c in larger if c.cost < cost - _ONE_MORE]
+        larger = levels.get(size + 1, [])
+        extended = min((c.cost for c in larger if set(chosen) <= set(c.members)), default=cost)
+        rivals += [c for c in larger if c.cost < min(cost, extended) - _ONE_MORE]
     if not rivals:
         return []
     structure, free = selection.structure, workspace.free
