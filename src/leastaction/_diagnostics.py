@@ -63,6 +63,9 @@ class Diagnostics:
         Stage → seconds.
     rate_noise_std : dict
         Measured velocity or acceleration, ``"velocity of theta"`` → its noise.
+    force_offset : dict
+        Coordinate → the slowly changing force that was found there, one (n_times,) array a trajectory at its
+        times, where ``discover(force_offset={coordinate: seconds})`` asked for it.
     """
 
     trajectories: Trajectories
@@ -76,6 +79,7 @@ class Diagnostics:
     notes: tuple[str, ...] = ()
     timings: dict[str, float] = field(default_factory=dict)
     rate_noise_std: dict[str, float] = field(default_factory=dict)
+    force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
         """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array a trajectory.

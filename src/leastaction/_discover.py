@@ -6,12 +6,14 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
+from typing import NamedTuple
 
 import numpy as np
 
 from leastaction._coarse import search_coarse
 from leastaction._descent import select_by_descent
 from leastaction._diagnostics import Diagnostics, PathPoint
+from leastaction._drift import Drift
 from leastaction._errors import DataError, InputError
 from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.adam_options import AdamOptions
@@ -23,6 +25,7 @@ from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._prepare import Prepared, prepare
 from leastaction._refinement import Progress
 from leastaction._selection import Selection, confirm_structure, select_structure
+from leastaction._smoothing import Smooth
 from leastaction._trajectory import Trajectories, Trajectory
 from leastaction._verify import Verdict, verify
 
@@ -40,7 +43,7 @@ def discover(
     *,
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
-    force_offset: Iterable[str] = (),
+    force_offset: Iterable[str] | Mapping[str, float] = (),
     robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
@@ -77,10 +80,12 @@ def discover(
         less accurate, with thresholds that depend on units, and without standard errors (NaN).
     angles : iterable of str, optional
         Coordinates from which jumps of 2π are removed; default: those of the library.
-    force_offset : iterable of str, optional
-        Coordinates on which a constant force of unknown size may act beside the known ones, such as the bias
-        of an actuator or of its sensor. Each adds the coordinate itself as a candidate of L, whose
-        coefficient is the force.
+    force_offset : iterable of str, or mapping of str to float, optional
+        Coordinates on which a force of unknown size may act beside the known ones, such as the bias of an
+        actuator or of its sensor.  Constant: each adds the coordinate itself as a candidate of L, whose
+        coefficient is the force.  A mapping gives the seconds within which the force may change (infinite:
+        constant); it is then found in each trajectory as a cubic spline with knots so far apart
+        (``diagnostics.force_offset``).  Choose them longer than a few periods of the motion.
     robust : bool
         Leave out samples that are more than five standard deviations off a smooth motion and alone there
         (glitches of a camera, lost counts); a note says how many. Noise with heavy tails, more than 5 % of it
@@ -137,39 +142,41 @@ def discover(
     clock = _Clock(progress)
     clock.start("prepare")
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
-    most = None if method == "adam" else _ENOUGH
-    offsets = [force_offset] if isinstance(force_offset, str) else list(force_offset)
-    robust = robust and method != "adam"
     trajectories = Trajectories.coerce(trajectories)
-    unused = trajectories.rates if method == "adam" else ()
+    constant, slow = _offsets(force_offset, trajectories.coordinates)
+    descent = method == "adam"
+    if descent and slow:
+        raise InputError(
+            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
+        )
+    # the slow force is wanted at all times, not on pieces
+    most = None if descent or slow else _ENOUGH
+    robust = robust and not descent
+    unused = trajectories.rates if descent else ()
     if unused:
         trajectories = trajectories.without_rates()
-    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, offsets, robust)
+    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, constant, robust)
     if unused:
         note = "method='adam' fits positions alone: measured velocities and accelerations were left out"
         prepared = replace(prepared, notes=(*prepared.notes, note))
+    drift = Drift(prepared.trajectories, slow)
     workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
     _check_columns(workspace, prepared)
-    if method == "adam":
+    if descent:
         clock.start("descent")
-        selection, smoothed = select_by_descent(
-            workspace, prepared.knots.smooth, settings, clock.report, seed
+        found = _Found(
+            workspace,
+            *select_by_descent(workspace, prepared.knots.smooth, settings, clock.report, seed),
         )
     else:
-        clock.start("search")
-        share = prepared.searched.n_samples / prepared.trajectories.n_samples
-        thorough = not prepared.doubts  # the data are at fault: searching longer does not help
-        selection = select_structure(
-            workspace, prepared.knots.smooth, clock.report, relevance, seed, thorough
-        )
-        if thorough:
-            coarse = prepared.knots.coarse
-            workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
-        smoothed = prepared.knots.smooth
-        if share < 1.0 and selection.structure.fit.converged:
-            clock.start("confirm")
-            workspace, smoothed = prepared.whole_workspace(workspace.columns, workspace.knots_per_second)
-            selection = confirm_structure(workspace, smoothed, selection, clock.report, relevance)
+        found = _search(prepared, workspace, clock, relevance, seed, thorough=not slow)
+        while drift.follow(found.workspace, found.selection.structure):
+            clock.report("drift", drift.size)
+            prepared = prepared.pushed(drift.forces)
+            workspace = prepared.workspace(found.workspace.columns)
+            found = _search(prepared, workspace, clock, relevance, seed)
+    workspace, selection, smoothed = found
+    workspace, selection = drift.settle(workspace, selection)
     if selection.structure.fit.status == "not finite":
         raise DataError(
             "no combination of these candidates can be followed along the data: the library may "
@@ -191,7 +198,62 @@ def discover(
     }
     if method == "adam":
         given["adam"] = asdict(settings)
-    return _model(prepared, workspace, selection, verdict, given, clock.timings)
+    return _model(prepared, workspace, selection, verdict, given, clock.timings, drift)
+
+
+class _Found(NamedTuple):
+    """A selection, the workspace of its knots, and the smooth curve before it."""
+
+    workspace: Workspace
+    selection: Selection
+    smoothed: Smooth
+
+
+def _search(
+    prepared: Prepared,
+    workspace: Workspace,
+    clock: _Clock,
+    relevance: float,
+    seed: int,
+    thorough: bool = True,
+) -> _Found:
+    """Select a structure, on pieces of long recordings first."""
+    clock.start("search")
+    smoothed = prepared.knots.smooth
+    thorough = thorough and not prepared.doubts  # data at fault: searching longer does not help
+    selection = select_structure(workspace, smoothed, clock.report, relevance, seed, thorough)
+    if thorough:
+        coarse = prepared.knots.coarse
+        workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
+    share = prepared.searched.n_samples / prepared.trajectories.n_samples
+    if share < 1.0 and selection.structure.fit.converged:
+        clock.start("confirm")
+        workspace, smoothed = prepared.whole_workspace(workspace.columns, workspace.knots_per_second)
+        selection = confirm_structure(workspace, smoothed, selection, clock.report, relevance)
+    return _Found(workspace, selection, smoothed)
+
+
+def _offsets(
+    given: Iterable[str] | Mapping[str, float], coordinates: tuple[str, ...]
+) -> tuple[list[str], dict[int, float]]:
+    """Coordinates with a constant force, and numbers of those with a slow one → seconds."""
+    if isinstance(given, str):
+        given = [given]
+    if not isinstance(given, Mapping):
+        given = dict.fromkeys(given, np.inf)
+    for name, seconds in given.items():
+        if name not in coordinates:
+            raise InputError(
+                f"force_offset names {name!r}, which is not a coordinate; the coordinates are "
+                f"{', '.join(coordinates)}"
+            )
+        if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds > 0.0:
+            raise InputError(
+                f"force_offset of {name!r} is {seconds!r}; expected the seconds within which the force may "
+                "change, infinite for a constant one"
+            )
+    slow = {coordinates.index(name): float(x) for name, x in given.items() if x < np.inf}
+    return [name for name, x in given.items() if x == np.inf], slow
 
 
 class _Clock:
@@ -235,7 +297,7 @@ def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
 
 
 def _model(
-    prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings
+    prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings, drift
 ):
     structure = selection.structure
     weights = structure.fit.weights
@@ -259,9 +321,15 @@ def _model(
         verdict.equation_error,
         _path(prepared, selection),
         prepared.library.dropped,
-        (*prepared.notes, *verdict.notes, *(f"{k}: noise {x:.3g}" for k, x in rate_noise.items())),
+        (
+            *prepared.notes,
+            *verdict.notes,
+            *drift.notes(),
+            *(f"{k}: noise {x:.3g}" for k, x in rate_noise.items()),
+        ),
         timings,
         rate_noise,
+        drift.found(),
     )
     return LagrangianModel(
         prepared.library.coordinates,
@@ -286,6 +354,10 @@ def _rate_noise(workspace: Workspace, weights: Weights) -> dict[str, float]:
     names = workspace.trajectories.coordinates
     noise = weights.noise_std[len(names) :].tolist()
     return {rate.label(names): sigma for rate, sigma in zip(workspace.rates, noise, strict=True)}
+
+
+def _rate_notes(noise: dict[str, float]) -> list[str]:
+    return [f"{name}: noise {sigma:.3g}" for name, sigma in noise.items()]
 
 
 def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:

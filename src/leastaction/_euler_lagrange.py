@@ -32,9 +32,19 @@ class Points:
     ----------
     q, qdot, qddot : (n_points, n_dof) arrays
         ``qddot`` may be left out where no strong form is needed.
+    intervals : slice, optional
+        Knot intervals whose quadrature points these are: first point of each, then second point of each, …
     """
 
-    def __init__(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray | None = None) -> None:
+    def __init__(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        qddot: np.ndarray | None = None,
+        *,
+        intervals: slice | None = None,
+    ) -> None:
+        self.intervals = intervals
         self.n_points, self.n_dof = q.shape
         blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
         self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +63,12 @@ class Prepared:
     def workspace(self, columns) -> Workspace:
         """To search in."""
         return Workspace(self.searched, columns, self.known, self.knots.per_second, self.degree)
+
+    def pushed(self, forces: Sequence[np.ndarray]) -> Prepared:
+        """The same problem with other forces, (n_times, n_dof) in each trajectory; not for pieces."""
+        changed = [item.changed(forces=f) for item, f in zip(self.trajectories, forces, strict=True)]
+        trajectories = Trajectories(changed)
+        return replace(self, trajectories=trajectories, searched=trajectories)
 
     def whole_workspace(self, columns, knots_per_second: float) -> tuple[Workspace, Smooth]:
         """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
@@ -164,15 +170,8 @@ def prepare(
 
 def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:
     """A constant force c on q is the term c q of L."""
-    present, added = {str(term.expr) for term in library.terms}, []
-    for name in coordinates:
-        if name not in library.coordinates:
-            raise InputError(
-                f"force_offset names {name!r}, which is not a coordinate; the coordinates are "
-                f"{', '.join(library.coordinates)}"
-            )
-        if name not in present:
-            added.append(name)
+    present = {str(term.expr) for term in library.terms}
+    added = [name for name in coordinates if name not in present]
     return library.replace(terms=[*library.terms, *added]) if added else library
 
 

@@ -256,7 +256,7 @@ def linearise(
 def _add_physics(out, rows, grid, physics, states, coefficients, border, chunk) -> None:
     m, n_quad, n = states[0].shape
     # all arrays below run over quadrature point, then interval: long inner loops
-    points = Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states))
+    points = Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states), intervals=chunk)
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 import click
 
 from leastaction._errors import InputError
-from leastaction._names import check_coordinate_names, quoted
+from leastaction._names import quoted
 from leastaction.cli._options import (
     DataOptions,
     blame,
     data_options,
     expression_list,
+    force_offsets,
     known_coefficients,
     method_options,
-    name_list,
 )
 from leastaction.cli._output import check_folder, write_together
 from leastaction.cli._show import live_progress, say, show_forecast, show_model, warn
@@ -59,8 +59,9 @@ Example:
 )
 @click.option(
     "--force-offset",
-    metavar="A,B",
-    help="Coordinates on which an unknown constant force may act: the bias of an actuator or sensor.",
+    metavar="A,B|A=SECONDS",
+    help="Coordinates on which an unknown force may act, the bias of an actuator or sensor: constant, or "
+    "changing within so many seconds.",
 )
 @click.option(
     "--keep-outliers",
@@ -129,7 +130,7 @@ def discover(
         data, coordinates, time, trial, forces, angles, velocity=velocity, acceleration=acceleration
     )
     with blame("--force-offset"):
-        offsets = check_coordinate_names(name_list(force_offset)) if force_offset else ()
+        offsets = force_offsets(force_offset) if force_offset else ()
     with blame("--known"):
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)

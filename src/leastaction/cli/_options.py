@@ -26,6 +26,7 @@ __all__ = [
     "column_map",
     "data_options",
     "expression_list",
+    "force_offsets",
     "known_coefficients",
     "method_options",
     "name_list",
@@ -123,6 +124,20 @@ def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
     """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
     pairs = _pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
     return {expression: number(value) for expression, value in pairs}
+
+
+def force_offsets(text: str) -> dict[str, float]:
+    """Return ``"A,B=SECONDS"`` as coordinate -> seconds in which its force may change, infinite if constant.
+
+    >>> force_offsets("x, theta=5")
+    {'x': inf, 'theta': 5.0}
+    """
+    from leastaction._names import check_coordinate_names
+
+    parts = [part.partition("=") for part in name_list(text)]
+    names = check_coordinate_names([name.strip() for name, _, _ in parts])
+    seconds = [number(value) if sign else math.inf for _, sign, value in parts]
+    return dict(zip(names, seconds, strict=True))
 
 
 def method_options(texts: Iterable[str]) -> dict[str, object] | None:
