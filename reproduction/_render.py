@@ -35,7 +35,8 @@ class Page:
 
 FINDINGS = "Where ours is not the best, and where the paper's method misses its published error"
 NOTHING = (
-    "Nowhere: ours is the best in every row, and the paper's method is within twice its published error."
+    "Nowhere, among the methods run here and the published numbers; where the paper's method was run, it is "
+    "within twice its published error."
 )
 
 

@@ -328,6 +328,13 @@ class TestFindings:
         assert "the paper's method (published) has ℓ2 10.9 × 10⁻², 4.57 times less" in ours.text
         assert "run here, is 2.29 times the published 10.94 × 10⁻²" in papers.text
 
+    def test_runs_that_arrived_are_counted_beside_those_that_did_not(self):
+        (papers,) = self.found(
+            record("adam", 0.05), record("adam", 0.9, trial=1), record("adam", 0.06, trial=2)
+        )
+        assert "is 3.08 times the published" in papers.text
+        assert "Median of the runs 6.00 × 10⁻², smallest 5.00 × 10⁻²; 2 of 3 runs are within 2" in papers.text
+
     def test_failed_runs_are_said(self):
         ours, papers = self.found(record(finished=False), record("adam", finished=False))
         assert "Ours has an answer in 0 of 1 runs (timed out: no result after 9 s)" in ours.text
