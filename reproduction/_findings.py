@@ -103,8 +103,8 @@ def _spread(errors: Sequence[float], reproduced: float) -> str:
     good = sum(error <= reproduced for error in errors)
     median, least = number(float(np.median(errors))), number(min(errors))
     return (
-        f" Median of the runs {median} × 10⁻², smallest {least} × 10⁻²; {good} of {len(errors)} runs are within "
-        f"{MISSED:g} times the published error."
+        f" Median of the runs {median} × 10⁻², smallest {least} × 10⁻²; {good} of {len(errors)} runs are "
+        f"within {MISSED:g} times the published error."
     )
 
 
