@@ -184,7 +184,7 @@ def discover(
             "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
     clock.start("verify")
-    verdict = verify(workspace, selection, smoothed, prepared.knots.samples_per_period)
+    verdict = verify(workspace, selection, smoothed, prepared.knots.period)
     clock.stop()
     given = {
         "method": method,

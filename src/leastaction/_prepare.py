@@ -247,8 +247,8 @@ class Knots(NamedTuple):
     ----------
     per_second, coarse : float
         Knots a second to begin with, and how few would still show the motion.
-    samples_per_period : float
-        Of the fastest coordinate.
+    period : float
+        Of the fastest coordinate, in seconds.
     smooth : Smooth
     rates : (n_dof,) array
         Root mean square.
@@ -256,7 +256,7 @@ class Knots(NamedTuple):
 
     per_second: float
     coarse: float
-    samples_per_period: float
+    period: float
     smooth: Smooth
     rates: np.ndarray
 
@@ -297,7 +297,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     else:
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
-    return Knots(knots, coarse, rate * period, smoothed, spread(1))
+    return Knots(knots, coarse, period, smoothed, spread(1))
 
 
 def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:

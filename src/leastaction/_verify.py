@@ -9,7 +9,7 @@ import sympy as sp
 
 from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
-from leastaction._fit.workspace import Workspace
+from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._hidden import hidden_friction, wrong_known
 from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
@@ -25,6 +25,8 @@ _VISIBLE = 0.3
 _MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
 _FEW_SAMPLES = 7.0  # a period of the fastest motion
+_BAND = 12.0  # times the frequency of the fastest coordinate
+_EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
 _HIDDEN = 0.001  # equation error below which no cause is looked for
 _LAG_ONE = 0.1
 _SMALL_OFFSET = 0.05
@@ -46,8 +48,8 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_per_period: float) -> Verdict:
-    """Run every check on a selected structure."""
+def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: float) -> Verdict:
+    """Run every check on a selected structure; ``period`` is that of the fastest coordinate, in seconds."""
     structure = selection.structure
     fit = structure.fit
     names = workspace.trajectories.coordinates
@@ -56,6 +58,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
     chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
     share, rms = workspace.equation_error(structure)
+    share = np.maximum(share, _behind_noise(structure, rms / np.maximum(share, 1e-300), period))
+    samples_per_period = period / float(np.median(np.concatenate([np.diff(t) for t in workspace.times])))
     doubts: list[str] = []
     notes: list[str] = []
     if not fit.converged:
@@ -94,6 +98,17 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, samples_p
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _behind_noise(structure: StructureFit, size: np.ndarray, period: float) -> np.ndarray:
+    """Equation error that the fitted curve does not show, relative to the terms of each equation.
+
+    Within the noise a curve bends to wrong equations.  The weights know better: 1/w_i is the spectral density
+    of the error, which in a band about the motion amounts to this.
+    """
+    weights = structure.fit.weights
+    rms = np.sqrt(2.0 * _BAND / period / weights.physics)
+    return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
 
 
 def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
