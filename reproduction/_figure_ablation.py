@@ -18,7 +18,8 @@ from reproduction.problem import Case, Problem, pose
 __all__ = ["Ablation", "Fit", "caption", "compute", "draw", "numbers"]
 
 SYSTEM, COORDINATE, TRAJECTORY = "chaotic_pendulum", 1, 0
-NOISES = (0.0, 0.1)
+# noise, and the variant that says where the curve begins
+STARTS = ((0.0, ""), (0.1, ""), (0.1, "samples"))
 WINDOW = (8.0, 10.0)  # seconds
 # name in the code -> name in the legend
 FITS = {
@@ -46,21 +47,23 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class Ablation:
-    """One noise level: the problem, and the fits by name (see `FITS`)."""
+    """One noise level and start of the curve: the problem, and the fits by name (see `FITS`)."""
 
     noise: float
+    start: str
     problem: Problem
     fits: dict[str, Fit]
 
 
-def compute(noises: Sequence[float], trial: int = 0) -> list[Ablation]:
+def compute(starts: Sequence[tuple[float, str]], trial: int = 0) -> list[Ablation]:
     """Fit the same data by the paper's method with and without J_reg, and by ours."""
-    return [_compare(noise, trial) for noise in noises]
+    return [_compare(noise, start, trial) for noise, start in starts]
 
 
-def _compare(noise: float, trial: int) -> Ablation:
+def _compare(noise: float, start: str, trial: int) -> Ablation:
     fits = {}
-    for name, variant in (("adam", ""), ("no-regularisation", "no-regularisation")):
+    without = "-".join(filter(None, (start, "no-regularisation")))
+    for name, variant in (("adam", start), ("no-regularisation", without)):
         problem = pose(Case(SYSTEM, noise, "adam", trial, variant=variant))
         answer, curves = methods.load("adam").solve_with_curve(problem)
         fits[name] = _fit(problem, curves, answer.status)
@@ -69,7 +72,7 @@ def _compare(noise: float, trial: int) -> Ablation:
     times = [np.linspace(motion.t[0], motion.t[-1], 5 * motion.t.size - 4) for motion in problem.truth]
     derivatives = [model.diagnostics.curve(times, nu) for nu in range(3)]
     fits["ours"] = _fit(problem, list(zip(times, *derivatives, strict=True)), model.fit.status)
-    return Ablation(noise, problem, fits)
+    return Ablation(noise, start, problem, fits)
 
 
 def _fit(problem: Problem, curves: Sequence[Motion], status: str) -> Fit:
@@ -90,7 +93,7 @@ def _column(*states: np.ndarray) -> np.ndarray:
 def numbers(ablations: Sequence[Ablation]) -> dict:
     """Return the relative errors for the record."""
     return {
-        f"noise {a.noise:g}": {
+        f"noise {a.noise:g}" + (f", from the {a.start}" if a.start else ""): {
             name: {**dict(zip(("q", "qdot", "qddot"), fit.errors, strict=True)), "status": fit.status}
             for name, fit in a.fits.items()
         }
@@ -99,13 +102,15 @@ def numbers(ablations: Sequence[Ablation]) -> dict:
 
 
 def caption(ablations: Sequence[Ablation]) -> str:
-    levels = " and ".join(f"{100 * a.noise:g} %" for a in ablations)
+    levels = " and ".join(dict.fromkeys(f"{100 * a.noise:g} %" for a in ablations))
+    rough = any(a.start for a in ablations)
     return (
         f"Chaotic pendulum, second angle: fitted curve and its first two derivatives against the truth, at "
         f"{levels} noise (in terms of the standard deviation of each angle; columns). Grey points: samples; "
         "thick grey line: truth. The same five trajectories of 20 s at 100 Hz went to all methods, and "
         "the paper's has its best searched settings; "
-        f"{WINDOW[0]:g}–{WINDOW[1]:g} s of the first are shown. Above each panel, in the colours of the "
+        + ("in the last column its curve begins at the samples, with β = 1e-5 or 0; " if rough else "")
+        + f"{WINDOW[0]:g}–{WINDOW[1]:g} s of the first are shown. Above each panel, in the colours of the "
         "curves: root mean square of the error over all five, in per cent of the standard deviation of the "
         "truth. The scales are those of the truth: a curve that leaves a panel is cut off."
     )
@@ -126,7 +131,8 @@ def draw(ablations: Sequence[Ablation]) -> Figure:
                     ax.set_ylabel(_ROWS[row])
                     ax.yaxis.set_label_coords(-0.42 / wide, 0.5)
                 if row == 0:
-                    ax.set_title(f"{100 * ablation.noise:g} % noise", pad=14)
+                    begun = f", from the {ablation.start}" if ablation.start else ""
+                    ax.set_title(f"{100 * ablation.noise:g} % noise{begun}", pad=14)
             ax.set_xlabel("time (s)")
         handles, labels = sheet.figure.axes[-3].get_legend_handles_labels()
         legend = sheet.figure.legend(handles, labels, loc="upper center", ncols=len(labels))

@@ -29,7 +29,7 @@ _TITLES = {
 def make(name: str, output: Path, pixels: int) -> dict:
     """Compute and draw one figure; return its record."""
     if name == "ablation":
-        ablations = _figure_ablation.compute(_figure_ablation.NOISES)
+        ablations = _figure_ablation.compute(_figure_ablation.STARTS)
         write_svg(_figure_ablation.draw(ablations), output / "ablation.svg")
         return _record(
             "ablation.svg", _figure_ablation.caption(ablations), _figure_ablation.numbers(ablations)

@@ -177,7 +177,7 @@ def fakes(monkeypatch):
     monkeypatch.setattr(methods, "load", lambda name: modules.get(name) or load(name))
     monkeypatch.setattr(problem, "DURATION", 4.0)
     monkeypatch.setattr(_figure_ablation, "WINDOW", (1.0, 3.0))
-    monkeypatch.setattr(_figure_ablation, "NOISES", (0.01,))
+    monkeypatch.setattr(_figure_ablation, "STARTS", ((0.01, ""),))
     monkeypatch.setattr(_figure_magnetic, "LONG", 6.0)
     monkeypatch.setattr(_figure_basins, "OTHER_DAMPINGS", (0.2,))
     monkeypatch.setattr(_figure_basins, "STEP", 0.05)
@@ -186,7 +186,7 @@ def fakes(monkeypatch):
 
 
 def test_the_ablation_reports_errors_over_the_spread_of_the_truth(fakes):
-    (study,) = _figure_ablation.compute(noises=(0.01,))
+    (study,) = _figure_ablation.compute([(0.01, "")])
     q = np.concatenate([m.q for m in study.problem.truth])
     shift = 0.1 * np.sqrt(np.mean([m.q.std() ** 2 for m in study.problem.truth])) / q[:, 1].std()
     errors = study.fits["adam"].errors
