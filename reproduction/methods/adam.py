@@ -4,8 +4,8 @@ Settings are those of the nearest noise level searched for the system (``adam_se
 search), chosen by the error against the truth on a data set that no table uses: more help than a user has.
 Variants: "no-regularisation" leaves out J_reg (β = 0); "from-truth" begins at the true coefficients, an
 experiment that tells a poor start from a poor optimum; "short" runs a tenth of the iterations; "samples"
-begins with curves through the samples, not with smooth ones, and a stronger β, and "samples-no-regularisation"
-likewise with β = 0.
+begins with curves through the samples, not with smooth ones, and a stronger β; "samples-no-regularisation"
+does so with β = 0.
 """
 
 from __future__ import annotations
