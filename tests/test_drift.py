@@ -34,7 +34,7 @@ def library():
 @pytest.mark.parametrize("seed", [3, 4])
 def test_a_drifting_bias_is_found_with_the_law(library, seed):
     data, biases = biased(seed)
-    model = la.discover(data, library, force_offset={"theta": 4.0})
+    model = la.discover(data, library, force_offset={"theta": 2.5})
     assert model.fit.status == "ok", model.fit.warnings
     assert {t.expression for t in model.terms} == set(TRUTH)
     for term in model.terms:
@@ -53,7 +53,7 @@ def test_the_same_data_taken_at_their_word_are_doubtful(library):
 
 def test_where_nothing_drifts_nothing_is_found(library):
     data, _ = biased(3, size=0.0)
-    plain, followed = la.discover(data, library), la.discover(data, library, force_offset={"theta": 4.0})
+    plain, followed = la.discover(data, library), la.discover(data, library, force_offset={"theta": 2.5})
     assert {t.expression for t in plain.terms} == {t.expression for t in followed.terms}
     for a, b in zip(plain.terms, followed.terms, strict=True):
         assert b.coefficient == pytest.approx(a.coefficient, abs=a.standard_error)
@@ -77,7 +77,7 @@ def test_what_cannot_be_meant_is_refused(library, given, message):
 
 def test_the_papers_method_has_no_slow_forces(library):
     with pytest.raises(ValueError, match="needs the default"):
-        la.discover(biased(3)[0], library, method="adam", force_offset={"theta": 4.0})
+        la.discover(biased(3)[0], library, method="adam", force_offset={"theta": 2.5})
 
 
 def test_infinite_seconds_mean_a_constant_force(library):

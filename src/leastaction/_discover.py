@@ -164,19 +164,10 @@ def discover(
     _check_columns(workspace, prepared)
     if descent:
         clock.start("descent")
-        found = _Found(
-            workspace,
-            *select_by_descent(workspace, prepared.knots.smooth, settings, clock.report, seed),
-        )
+        found = select_by_descent(workspace, prepared.knots.smooth, settings, clock.report, seed)
+        workspace, selection, smoothed = workspace, *found
     else:
-        found = _search(prepared, workspace, clock, relevance, seed, thorough=not slow)
-        while drift.follow(found.workspace, found.selection.structure):
-            clock.report("drift", drift.size)
-            prepared = prepared.pushed(drift.forces)
-            workspace = prepared.workspace(found.workspace.columns)
-            found = _search(prepared, workspace, clock, relevance, seed)
-    workspace, selection, smoothed = found
-    workspace, selection = drift.settle(workspace, selection)
+        workspace, selection, smoothed = _search(prepared, workspace, drift, clock, relevance, seed)
     if selection.structure.fit.status == "not finite":
         raise DataError(
             "no combination of these candidates can be followed along the data: the library may "
@@ -195,6 +186,7 @@ def discover(
         "dissipation": [t.text for t in prepared.library.dissipation],
         "angles": list(prepared.library.angles if angles is None else angles),
         "robust": robust,
+        "force_offset": {**dict.fromkeys(constant), **drift.seconds_of},
     }
     if method == "adam":
         given["adam"] = asdict(settings)
@@ -210,17 +202,25 @@ class _Found(NamedTuple):
 
 
 def _search(
-    prepared: Prepared,
-    workspace: Workspace,
-    clock: _Clock,
-    relevance: float,
-    seed: int,
-    thorough: bool = True,
+    prepared: Prepared, workspace: Workspace, drift: Drift, clock: _Clock, relevance: float, seed: int
+) -> _Found:
+    """Select a structure, with the forces that drift where some are asked for."""
+    thorough = not prepared.doubts  # data at fault: searching longer does not help
+    found = _search_once(prepared, workspace, clock, relevance, seed, thorough and not drift.seconds)
+    while drift.follow(found.workspace, found.selection.structure):
+        clock.report("drift", drift.size)
+        prepared = prepared.pushed(drift.forces)
+        workspace = prepared.workspace(workspace.columns)
+        found = _search_once(prepared, workspace, clock, relevance, seed, thorough)
+    return _Found(*drift.settle(found.workspace, found.selection), found.smoothed)
+
+
+def _search_once(
+    prepared: Prepared, workspace: Workspace, clock: _Clock, relevance: float, seed: int, thorough: bool
 ) -> _Found:
     """Select a structure, on pieces of long recordings first."""
     clock.start("search")
     smoothed = prepared.knots.smooth
-    thorough = thorough and not prepared.doubts  # data at fault: searching longer does not help
     selection = select_structure(workspace, smoothed, clock.report, relevance, seed, thorough)
     if thorough:
         coarse = prepared.knots.coarse

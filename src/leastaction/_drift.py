@@ -48,6 +48,11 @@ class Drift:
         return [known + slow for known, slow in zip(given, self._sum, strict=True)]
 
     @property
+    def seconds_of(self) -> dict[str, float]:
+        """Coordinate → seconds within which its force may change."""
+        return {self.trajectories.coordinates[i]: every for i, every in self.seconds.items()}
+
+    @property
     def size(self) -> dict[str, float]:
         """Coordinate → root mean square of its slow force."""
         rms = _rms(self._sum)
@@ -123,8 +128,8 @@ class Drift:
         """What was found, in words."""
         return [
             f"an unknown force on {name} was found, between {min(map(np.min, parts)):.3g} and "
-            f"{max(map(np.max, parts)):.3g}, changing within {self.seconds[i]:g} s"
-            for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True)
+            f"{max(map(np.max, parts)):.3g}, changing within {self.seconds_of[name]:g} s"
+            for name, parts in self.found().items()
         ]
 
 
