@@ -58,7 +58,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
     chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
     share, rms = workspace.equation_error(structure)
-    share = np.maximum(share, _behind_noise(structure, rms / np.maximum(share, 1e-300), period))
+    share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
     samples_per_period = period / float(np.median(np.concatenate([np.diff(t) for t in workspace.times])))
     doubts: list[str] = []
     notes: list[str] = []
@@ -100,12 +100,20 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
 
 
-def _behind_noise(structure: StructureFit, size: np.ndarray, period: float) -> np.ndarray:
+def _behind_noise(
+    workspace: Workspace, structure: StructureFit, size: np.ndarray, period: float
+) -> np.ndarray:
     """Equation error that the fitted curve does not show, relative to the terms of each equation.
 
     Within the noise a curve bends to wrong equations.  The weights know better: 1/w_i is the spectral density
-    of the error, which in a band about the motion amounts to this.
+    of the error, which in a band about the motion amounts to this.  Not with dry friction: no spline follows
+    its kinks, and what it misses there counts as equation error, too.
     """
+    friction = [
+        t for t in map(workspace.columns.terms.__getitem__, structure.members) if t.kind == "dissipation"
+    ]
+    if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
+        return np.zeros(size.size)
     weights = structure.fit.weights
     rms = np.sqrt(2.0 * _BAND / period / weights.physics)
     return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
