@@ -1,6 +1,6 @@
 """Where is the minimum of the paper's loss, and does Adam get there?
 
-    python -m reproduction.adam_optimum --noise 0.1
+    python -m benchmarks.paper_loss --noise 0.1
 
 For each system: the loss J where Adam ends, with the settings of the tables, and the smallest J that the
 true terms allow, found by Gauss–Newton from the exact motion on the same spline grid; and the ℓ2 error of the
@@ -28,7 +28,7 @@ from leastaction._smoothing import smooth
 from reproduction.methods.adam import settings_for
 from reproduction.problem import Case, Problem, pose
 
-RESULTS = Path(__file__).parent / "results" / "adam-optimum"
+RESULTS = Path(__file__).parent / "results" / "paper_loss"
 
 
 def compare(case: Case) -> dict:
