@@ -24,6 +24,7 @@ _SETTLED = 0.02
 _STALLED = 0.5
 _MOST_ROUNDS = 4
 _MOST_FITS = 12
+_NONE = 1.5  # standard errors
 
 
 class Drift:
@@ -39,6 +40,7 @@ class Drift:
     def __init__(self, trajectories: Trajectories, seconds: Mapping[int, float]) -> None:
         self.trajectories, self.seconds = trajectories, dict(seconds)
         self._sum = [np.zeros(t.q.shape) for t in trajectories]
+        self._errors = dict.fromkeys(self.seconds, np.nan)
         self._rounds, self._last = 0, np.full(trajectories.n_dof, np.inf)
 
     @property
@@ -79,7 +81,7 @@ class Drift:
         if not self.seconds or not structure.fit.converged:
             return workspace, selection
         for _ in range(_MOST_FITS):
-            fit, more = fit_with_forces(workspace, structure, self.seconds)
+            fit, more, self._errors = fit_with_forces(workspace, structure, self.seconds)
             if not fit.converged:
                 return workspace, selection
             self._add(more)
@@ -126,11 +128,15 @@ class Drift:
 
     def notes(self) -> list[str]:
         """What was found, in words."""
-        return [
-            f"an unknown force on {name} was found, between {min(map(np.min, parts)):.3g} and "
-            f"{max(map(np.max, parts)):.3g}, changing within {self.seconds_of[name]:g} s"
-            for name, parts in self.found().items()
-        ]
+        out = []
+        for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
+            low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self._errors[i]
+            none = ": hardly any" if _rms(list(parts)) < _NONE * error else ""
+            out.append(
+                f"a force on {name} that changes within {self.seconds[i]:g} s was looked for: between "
+                f"{low:.3g} and {high:.3g}, ± {error:.2g}{none}"
+            )
+        return out
 
 
 def _rms(parts: list[np.ndarray]) -> np.ndarray:

@@ -78,6 +78,16 @@ class SlowForces:
             start += space.n_ctrl
         return out
 
+    def errors(self, covariance: np.ndarray) -> dict[int, float]:
+        """Coordinate → standard error of its force, root mean square over the samples."""
+        squares: dict[int, list[np.ndarray]] = {}
+        start = 0
+        for (i, k), space in self.spaces.items():
+            own, basis = slice(start, start + space.n_ctrl), space.basis(self.times[k])
+            squares.setdefault(i, []).append(basis.multiply(basis @ covariance[own, own]).sum(axis=1))
+            start += space.n_ctrl
+        return {i: float(np.sqrt(np.mean(np.concatenate(parts)))) for i, parts in squares.items()}
+
 
 class _WithForces(EulerLagrange):
     """Columns of a structure, then those of slow forces: −B_m on one equation, whatever the state."""
@@ -150,7 +160,7 @@ def _least_squares(design: sp.csr_array, right: np.ndarray) -> np.ndarray:
 
 def fit_with_forces(
     workspace: Workspace, structure: StructureFit, seconds: Mapping[int, float]
-) -> tuple[JointFit, list[np.ndarray]]:
+) -> tuple[JointFit, list[np.ndarray], dict[int, float]]:
     """Fit curve, coefficients and slow forces together, at the weights of a structure.
 
     Returns
@@ -159,6 +169,8 @@ def fit_with_forces(
         Its covariance begins with the members of the structure.
     list of (n_times, n_dof) arrays
         What the slow forces add at the samples of each trajectory.
+    dict
+        Coordinate → standard error of its slow force.
     """
     slow = SlowForces(workspace, seconds)
     physics, index = workspace.physics(structure.members)
@@ -171,4 +183,6 @@ def fit_with_forces(
     fit = fit_joint(
         workspace.observations, extended, structure.fit.weights, structure.fit.control_points, start
     )
-    return fit, slow.at_samples(fit.coefficients[len(index) :], workspace.trajectories.n_dof)
+    more = slow.at_samples(fit.coefficients[len(index) :], workspace.trajectories.n_dof)
+    n = len(structure.members)
+    return fit, more, slow.errors(fit.covariance[n:, n:])
