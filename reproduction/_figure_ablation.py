@@ -119,7 +119,7 @@ def caption(ablations: Sequence[Ablation]) -> str:
 def draw(ablations: Sequence[Ablation]) -> Figure:
     """Draw rows q, q̇, q̈ and one column for each noise level."""
     with matplotlib.rc_context(STYLE):
-        wide, high, low, gap = 6.2 / len(ablations), 1.25, 0.42, 0.28
+        wide, high, low, gap = max(2.8, 6.2 / len(ablations)), 1.25, 0.42, 0.28
         sheet = Sheet(0.45 + len(ablations) * (wide + gap), low + 3 * (high + 0.26) + 0.42)
         for column, ablation in enumerate(ablations):
             for row in range(3):
