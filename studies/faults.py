@@ -77,7 +77,8 @@ CAUSES = {
     "known": r"known (coefficient|term|value)|value[^.:]* known",
     "sign": r"\bsigns?\b[^.:]*(force|torque)|(force|torque)s?[^.:]*\bsign",
     "delay": r"delay|\blags?\b|\blate\b|clock|synchron|shifted in time",
-    "scale": r"(force|torque)s?[^.:]*(scale|unit|factor|gain|times too)|(scale|unit|gain)s? of the force",
+    "scale": r"(force|torque)s?(?:[^.:]|\.\d)*(scale|unit|factor|gain|times too)"
+    r"|(scale|unit|gain)s? of the force",
     "force": r"\bforces?\b[^.:]*missing|missing[^.:]*\bforces?\b|unknown force",
     "columns": r"column|swap|interchang|mislabel|mixed up",
     "sampling": r"sampl\w+ (too )?(fast|slow|rate|more often|often)|too few samples|alias",

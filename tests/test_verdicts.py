@@ -75,6 +75,12 @@ def test_an_angle_that_was_not_declared():
     assert "angles=['theta']" in doubts(data, ["theta_dot**2", "cos(theta)"], known={"theta_dot**2": 0.5})
 
 
+def test_an_angle_in_degrees():
+    data = changed(pendulum(driven=False), q=np.rad2deg)
+    text = doubts(data, PENDULUM_LIBRARY, known={"theta_dot**2": 0.5})
+    assert re.search(r"theta covers \d+ within a recording: sines and cosines want radians", text)
+
+
 def test_rivals_come_with_the_experiment_that_separates_them():
     data = changed(pendulum(driven=False), q=lambda q: 0.02 * q)
     text = doubts(

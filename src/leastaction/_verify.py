@@ -29,6 +29,7 @@ _BAND = 12.0  # times the frequency of the fastest coordinate
 _EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
 _HIDDEN = 0.001  # equation error below which no cause is looked for
 _LAG_ONE = 0.1
+_TWO_TURNS = 4.0 * np.pi
 _SMALL_OFFSET = 0.05
 
 
@@ -79,6 +80,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     doubts += _unexplained_rates(workspace, chi2) + causes
     if unexplained and samples_per_period >= _FEW_SAMPLES:
         doubts += _looks_like_noise(workspace, noise)
+    if unexplained:
+        doubts += _perhaps_degrees(workspace)
     for i in range(len(names)):
         if share[i] > _WORTH_KNOWING and i not in unexplained:
             notes.append(
@@ -127,6 +130,18 @@ def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
         "sampling is too slow for the motion, so sample faster"
         for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
         if part > _MUCH_NOISE
+    ]
+
+
+def _perhaps_degrees(workspace: Workspace) -> list[str]:
+    """An angle that covers more than two turns within a recording may be in degrees."""
+    waves = [wave for t in workspace.columns.terms for wave in t.expr.atoms(sp.sin, sp.cos)]
+    angles = {str(symbol) for wave in waves for symbol in wave.free_symbols}
+    spans = np.max([np.nanmax(q, axis=0) - np.nanmin(q, axis=0) for q in workspace.values], axis=0)
+    return [
+        f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
+        for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
+        if name in angles and span > _TWO_TURNS
     ]
 
 
