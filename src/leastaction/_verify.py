@@ -81,7 +81,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     if unexplained and samples_per_period >= _FEW_SAMPLES:
         doubts += _looks_like_noise(workspace, noise)
     if unexplained:
-        doubts += _perhaps_degrees(workspace)
+        doubts += _perhaps_degrees(workspace, structure)
     for i in range(len(names)):
         if share[i] > _WORTH_KNOWING and i not in unexplained:
             notes.append(
@@ -133,11 +133,12 @@ def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
     ]
 
 
-def _perhaps_degrees(workspace: Workspace) -> list[str]:
+def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[str]:
     """An angle that covers more than two turns within a recording may be in degrees."""
     waves = [wave for t in workspace.columns.terms for wave in t.expr.atoms(sp.sin, sp.cos)]
     angles = {str(symbol) for wave in waves for symbol in wave.free_symbols}
-    spans = np.max([np.nanmax(q, axis=0) - np.nanmin(q, axis=0) for q in workspace.values], axis=0)
+    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
         f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
         for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
