@@ -25,7 +25,7 @@ from leastaction._fit.gauss_newton import fit_joint
 from leastaction._fit.problem import Physics, Weights
 from leastaction._fit.workspace import Workspace
 from leastaction._smoothing import smooth
-from reproduction.methods.adam import settings_for
+from reproduction.methods.adam import discover, settings_for
 from reproduction.problem import Case, Problem, pose
 
 RESULTS = Path(__file__).parent / "results" / "paper_loss"
@@ -36,15 +36,7 @@ def compare(case: Case) -> dict:
     problem = pose(case)
     options = settings_for(problem)
     ends: list[dict] = []
-    model = la.discover(
-        problem.data,
-        problem.library,
-        known=problem.known,
-        method="adam",
-        options=options,
-        seed=case.seed,
-        progress=lambda stage, details: ends.append(details) if "loss" in details else None,
-    )
+    model = discover(problem, options, lambda _, details: ends.append(details) if "loss" in details else None)
     found = {problem.library[problem.library.index(t.expression)].text: t.coefficient for t in model.terms}
     loss, minimum = _minimum(problem, model, options)
 

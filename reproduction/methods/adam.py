@@ -60,6 +60,19 @@ def settings_for(problem: Problem) -> la.AdamOptions:
     return options
 
 
+def discover(problem: Problem, options: la.AdamOptions, watch) -> la.LagrangianModel:
+    """The model by the paper's method; ``watch`` is called with its progress."""
+    return la.discover(
+        problem.data,
+        problem.library,
+        known=problem.known,
+        method="adam",
+        options=options,
+        seed=problem.case.seed,
+        progress=watch,
+    )
+
+
 def _solve(problem: Problem):
     options = settings_for(problem)
     history: list = []
@@ -70,15 +83,7 @@ def _solve(problem: Problem):
             found = {k: v for k, v in details["coefficients"].items() if k not in problem.known}
             history.append((time.perf_counter() - started, found))
 
-    model = la.discover(
-        problem.data,
-        problem.library,
-        known=problem.known,
-        method="adam",
-        options=options,
-        seed=problem.case.seed,
-        progress=watch,
-    )
+    model = discover(problem, options, watch)
     names = [problem.library[problem.library.index(t.expression)].text for t in model.terms]
     free = {n: t.coefficient for n, t in zip(names, model.terms, strict=True) if not t.known}
     answer = Answer(

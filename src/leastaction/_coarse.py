@@ -69,7 +69,7 @@ def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     noise = structure.fit.weights.position_std
-    step = float(np.median(np.concatenate([np.diff(trajectory.t) for trajectory in data])))
+    step = data.sampling_interval
     window = max(_WINDOW * horizon, _WINDOW_STEPS * step)
     try:
         result = forecast(mechanics.acceleration, data, noise, horizon, window)

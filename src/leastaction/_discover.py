@@ -164,8 +164,8 @@ def discover(
     _check_columns(workspace, prepared)
     if descent:
         clock.start("descent")
-        found = select_by_descent(workspace, prepared.knots.smooth, settings, clock.report, seed)
-        workspace, selection, smoothed = workspace, *found
+        smoothed = prepared.knots.smooth
+        selection, smoothed = select_by_descent(workspace, smoothed, settings, clock.report, seed)
     else:
         workspace, selection, smoothed = _search(prepared, workspace, drift, clock, relevance, seed)
     if selection.structure.fit.status == "not finite":
@@ -188,7 +188,7 @@ def discover(
         "robust": robust,
         "force_offset": {**dict.fromkeys(constant), **drift.seconds_of},
     }
-    if method == "adam":
+    if descent:
         given["adam"] = asdict(settings)
     return _model(prepared, workspace, selection, verdict, given, clock.timings, drift)
 
@@ -354,10 +354,6 @@ def _rate_noise(workspace: Workspace, weights: Weights) -> dict[str, float]:
     names = workspace.trajectories.coordinates
     noise = weights.noise_std[len(names) :].tolist()
     return {rate.label(names): sigma for rate, sigma in zip(workspace.rates, noise, strict=True)}
-
-
-def _rate_notes(noise: dict[str, float]) -> list[str]:
-    return [f"{name}: noise {sigma:.3g}" for name, sigma in noise.items()]
 
 
 def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:

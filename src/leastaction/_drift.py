@@ -113,10 +113,9 @@ class Drift:
 
     def _pushed(self, workspace: Workspace) -> Workspace:
         """The same grid with the forces found so far."""
-        pairs = zip(workspace.trajectories, self.forces, strict=True)
-        changed = Trajectories([item.changed(forces=forces) for item, forces in pairs])
+        pushed = workspace.trajectories.with_forces(self.forces)
         return Workspace(
-            changed, workspace.columns, workspace.known, workspace.knots_per_second, workspace.degree
+            pushed, workspace.columns, workspace.known, workspace.knots_per_second, workspace.degree
         )
 
     def found(self) -> dict[str, tuple[np.ndarray, ...]]:

@@ -44,7 +44,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
         One note for each coordinate with outliers.
     """
     times, values = [t.t for t in trajectories], [t.q for t in trajectories]
-    rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
+    rate = 1.0 / trajectories.sampling_interval
     grid = uniform_grid(times, rate / _SAMPLES_PER_KNOT, degree)
     least = _DIGITS * np.nanstd(np.concatenate(values), axis=0)
     measured = np.isfinite(np.concatenate(values)).sum(axis=0)

@@ -66,8 +66,7 @@ class Prepared:
 
     def pushed(self, forces: Sequence[np.ndarray]) -> Prepared:
         """The same problem with other forces, (n_times, n_dof) in each trajectory; not for pieces."""
-        changed = [item.changed(forces=f) for item, f in zip(self.trajectories, forces, strict=True)]
-        trajectories = Trajectories(changed)
+        trajectories = self.trajectories.with_forces(forces)
         return replace(self, trajectories=trajectories, searched=trajectories)
 
     def whole_workspace(self, columns, knots_per_second: float) -> tuple[Workspace, Smooth]:
@@ -271,7 +270,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     """
     times = [t.t for t in trajectories]
     values = [t.q for t in trajectories]
-    rate = 1.0 / float(np.median(np.concatenate([np.diff(t) for t in times])))
+    rate = 1.0 / trajectories.sampling_interval
 
     def spread(nu: int) -> np.ndarray:
         curves = smoothed.grid.evaluate(smoothed.control_points, times, nu)

@@ -10,7 +10,7 @@ apart.  In the equations of motion
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,24 +68,26 @@ class SlowForces:
         part = self.basis[:, start * n : stop * n].toarray()
         return part.reshape(len(self), -1, n).transpose(0, 2, 1).reshape(len(self), -1)
 
+    def _parts(self) -> Iterator[tuple[tuple[int, int], slice]]:
+        """(coordinate, trajectory) of every spline, and where its coefficients are."""
+        start = 0
+        for key, space in self.spaces.items():
+            yield key, slice(start, start + space.n_ctrl)
+            start += space.n_ctrl
+
     def at_samples(self, coefficients: np.ndarray, n_dof: int) -> list[np.ndarray]:
         """(n_times, n_dof) forces at the samples of each trajectory."""
         out = [np.zeros((t.size, n_dof)) for t in self.times]
-        start = 0
-        for (i, k), space in self.spaces.items():
-            part = coefficients[start : start + space.n_ctrl]
-            out[k][:, i] = space.evaluate(part, self.times[k])
-            start += space.n_ctrl
+        for (i, k), own in self._parts():
+            out[k][:, i] = self.spaces[i, k].evaluate(coefficients[own], self.times[k])
         return out
 
     def errors(self, covariance: np.ndarray) -> dict[int, float]:
         """Coordinate → standard error of its force, root mean square over the samples."""
         squares: dict[int, list[np.ndarray]] = {}
-        start = 0
-        for (i, k), space in self.spaces.items():
-            own, basis = slice(start, start + space.n_ctrl), space.basis(self.times[k])
+        for (i, k), own in self._parts():
+            basis = self.spaces[i, k].basis(self.times[k])
             squares.setdefault(i, []).append(basis.multiply(basis @ covariance[own, own]).sum(axis=1))
-            start += space.n_ctrl
         return {i: float(np.sqrt(np.mean(np.concatenate(parts)))) for i, parts in squares.items()}
 
 

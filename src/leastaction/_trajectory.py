@@ -129,6 +129,11 @@ class Trajectories(Sequence[Trajectory]):
         return float(sum(item.duration for item in self._items))
 
     @property
+    def sampling_interval(self) -> float:
+        """Median time between samples, in seconds."""
+        return float(np.median(np.concatenate([np.diff(item.t) for item in self._items])))
+
+    @property
     def driven(self) -> bool:
         """Whether any known force is not zero."""
         return any(item.driven for item in self._items)
@@ -231,6 +236,18 @@ class Trajectories(Sequence[Trajectory]):
             [self._names[i] for i in chosen],
         )
         return self._with(*pick)
+
+    def with_forces(self, forces: Iterable[np.ndarray]) -> Trajectories:
+        """Return the same trajectories with other known forces, (n_times, n_dof) for each.
+
+        Examples
+        --------
+        >>> run = Trajectory([0.0, 1.0], [0.1, 0.2])
+        >>> Trajectories([run]).with_forces([np.ones((2, 1))]).driven
+        True
+        """
+        items = [item.changed(forces=f) for item, f in zip(self._items, forces, strict=True)]
+        return self._with(items, self._wraps, self._names)
 
     def without_rates(self) -> Trajectories:
         """Return the same trajectories with positions and forces alone.

@@ -60,7 +60,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
     share, rms = workspace.equation_error(structure)
     share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
-    samples_per_period = period / float(np.median(np.concatenate([np.diff(t) for t in workspace.times])))
+    samples_per_period = period / workspace.trajectories.sampling_interval
     doubts: list[str] = []
     notes: list[str] = []
     if not fit.converged:

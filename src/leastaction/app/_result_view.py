@@ -31,6 +31,7 @@ _STAGES = {
     "knots": "Refining the spline",
     "coarse": "Comparing with a coarser spline",
     "confirm": "Confirming on the whole recording",
+    "drift": "Following drifting forces",
     "verify": "Verifying",
     "forecast": "Forecasting",
 }

@@ -29,6 +29,7 @@ _STAGES = {
     "knots": "refining knots",
     "coarse": "comparing with a coarser spline",
     "confirm": "confirming on the whole recording",
+    "drift": "following drifting forces",
     "descent": "descending",
     "verify": "verifying",
     "forecast": "forecasting",
