@@ -45,6 +45,9 @@ print(model.format_table())
 # wrote down. Their coefficients are, in the same sequence, 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42
 # and 1.09, with dry friction of 0.146 and 0.123 N m.
 #
+# The noise of the measured torques is averaged out before it can do harm (see "Measured forces" in the
+# docs' page on the method); otherwise all coefficients would come out two per cent larger.
+#
 # The result is called doubtful, and rightly so: some per cent of the torques remain unexplained, because
 # belts give, gears stick and currents are not torques. The intervals hold for this model, not for that.
 

@@ -1,7 +1,7 @@
 """Measurement noise that is not white Gaussian noise of one size: what real sensors add.
 
 Each kind gets exact positions, shape (n_times, n_dof), the standard deviation σ of each coordinate's noise
-and a generator, and returns noisy positions.
+and a generator, and returns noisy positions.  Forces are measured, too: some kinds add noise to them.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 import leastaction as la
 from leastaction import systems
 
-__all__ = ["KINDS", "measured"]
+__all__ = ["FORCE_KINDS", "KINDS", "measured"]
 
 _COLOUR = 0.8  # correlation from sample to sample
 _OUTLIERS, _OUTLIER_SIZE = 0.02, 10.0  # share, and size in standard deviations
@@ -65,14 +65,23 @@ KINDS: dict[str, Noise] = {
     "coloured": _coloured,
 }
 
+# White noise of the given forces beside that of the positions, relative to the rms of the forces.
+FORCE_KINDS = {"forces 10 %": 0.1, "forces 30 %": 0.3, "forces 100 %": 1.0}
+
 
 def measured(kind: str, truth: Sequence[systems.TrueMotion], sigma, coordinates, seed: int):
     """Return recordings of exact motions with noise of a kind, and the rms noise of each coordinate."""
     rngs = [np.random.default_rng(s) for s in np.random.SeedSequence((seed, 77)).spawn(len(truth))]
-    noisy = [KINDS[kind](m.q, sigma, rng) for m, rng in zip(truth, rngs, strict=True)]
+    noise = KINDS.get(kind, _gaussian)
+    noisy = [noise(m.q, sigma, rng) for m, rng in zip(truth, rngs, strict=True)]
     error = np.concatenate([q - m.q for q, m in zip(noisy, truth, strict=True)])
     recordings = [
         la.Trajectory(m.t, q, m.forces, coordinates, name=f"{k}")
         for k, (m, q) in enumerate(zip(truth, noisy, strict=True))
     ]
-    return la.Trajectories(recordings), np.sqrt(np.mean(error**2, axis=0))
+    data = la.Trajectories(recordings)
+    if kind in FORCE_KINDS:
+        size = FORCE_KINDS[kind] * np.sqrt(np.mean(np.concatenate([m.forces for m in truth]) ** 2, axis=0))
+        pairs = zip(truth, rngs, strict=True)
+        data = data.with_forces([m.forces + size * rng.standard_normal(m.q.shape) for m, rng in pairs])
+    return data, np.sqrt(np.mean(error**2, axis=0))

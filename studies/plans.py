@@ -9,7 +9,7 @@ from itertools import product
 from leastaction import systems
 from studies.case import Case
 from studies.faults import SETUPS
-from studies.noises import KINDS
+from studies.noises import FORCE_KINDS, KINDS
 
 __all__ = ["PLANS", "Plan", "cases"]
 
@@ -38,12 +38,18 @@ def _faults() -> Iterator[Case]:
         yield from _grid("faults", names, (noise,), (setup,))
 
 
+def _noise() -> Iterator[Case]:
+    yield from _grid("noise", systems.names(), (0.01, 0.05), tuple(KINDS))
+    driven = [name for name in systems.names() if not systems.get(name).known]
+    yield from _grid("noise", driven, (0.01, 0.05), tuple(FORCE_KINDS))
+
+
 PLANS = {
     "structure": Plan(10, 1800.0, tuple(_structure())),
     "single": Plan(10, 900.0, tuple(_grid("single", systems.names(), (0.01, 0.1), trajectories=1))),
     "calibration": Plan(200, 600.0, tuple(_grid("calibration", systems.names(), (0.01, 0.1)))),
     "faults": Plan(3, 900.0, tuple(_faults())),
-    "noise": Plan(3, 900.0, tuple(_grid("noise", systems.names(), (0.01, 0.05), tuple(KINDS)))),
+    "noise": Plan(3, 900.0, tuple(_noise())),
     "further": Plan(
         3,
         1800.0,

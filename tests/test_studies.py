@@ -22,7 +22,7 @@ from studies._record import ROOT, record, write
 from studies._study_tables import tables
 from studies.case import Case
 from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
-from studies.noises import KINDS, measured
+from studies.noises import FORCE_KINDS, KINDS, measured
 from studies.plans import PLANS, cases
 from studies.solve import pose, solve
 
@@ -75,6 +75,16 @@ def test_noise_has_its_size_and_shape(kind, long_truth):
         assert np.allclose(steps, np.round(steps), atol=1e-9)
     far = np.mean(np.abs(relative / expected) > 5)
     assert (0.015 < far < 0.025) if kind == "outliers" else far < (0.01 if kind == "student3" else 0.001)
+
+
+@pytest.mark.parametrize("kind", FORCE_KINDS)
+def test_noise_of_forces_has_its_size(kind, long_truth):
+    data, _ = measured(kind, long_truth, np.array([0.01, 0.03]), ("theta1", "theta2"), seed=5)
+    exact = np.concatenate([m.forces for m in long_truth])
+    added = np.concatenate([t.forces for t in data]) - exact
+    expected = FORCE_KINDS[kind] * np.sqrt(np.mean(exact**2, axis=0))
+    assert np.allclose(added.std(axis=0), expected, rtol=0.08)
+    assert abs(lag_one(added)) < 0.1
 
 
 # ------------------------------------------------------------------------------------------ faults

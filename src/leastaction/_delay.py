@@ -264,16 +264,8 @@ class _Profile:
         return int(np.clip(wanted, _FEWEST, _MOST)) // 2 * 2 + 1
 
     def _set_forces(self, delay: float) -> None:
-        grid = self.workspace.grid
-        parts = []
-        for k, curve in enumerate(self._curves):
-            points = grid.points[grid.owner == k] - delay
-            parts.append(
-                np.zeros((*points.shape, self.workspace.trajectories.n_dof))
-                if curve is None
-                else curve(points)
-            )
-        self.workspace.forces = np.concatenate(parts)
+        pairs = zip(self._curves, self.workspace.times, strict=True)
+        self.workspace.set_forces([None if curve is None else curve(t - delay) for curve, t in pairs])
 
     def value(self, delay: float) -> float:
         """Log likelihood, up to a constant."""

@@ -16,7 +16,7 @@ An exact model lets w grow without bound; on real hardware, or with knots that a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -62,8 +62,9 @@ def evidence(observations: Observations, fit: JointFit) -> float:
         return -np.inf
     weights = fit.weights
     value = -0.5 * at.misfit(weights) - float(observations.counts @ np.log(weights.noise_std))
-    prior = 0.5 * float(np.log(weights.physics).sum()) + at.log_volume
-    return value + equation_rank(observations) * prior - 0.5 * fit.logdet
+    prior = equation_rank(observations) * (0.5 * float(np.log(weights.physics).sum()) + at.log_volume)
+    unpushed = float((weights.slack - weights.volume).mean()) * at.log_volume
+    return value + prior - unpushed - 0.5 * fit.logdet
 
 
 def start_weights(
@@ -114,7 +115,7 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         used = slope(observations.gram(c) / weights.noise_std[c] ** 2, n, i)
         estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
-    return Weights(new_noise, new_physics, slack)
+    return replace(weights, noise_std=new_noise, physics=new_physics, slack=slack)
 
 
 def fit_weights(
@@ -166,15 +167,13 @@ def fit_weights(
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
     """Between old and new weights, by their logarithms."""
     noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
-    return Weights(noise_std, old.physics * (new.physics / old.physics) ** share, new.slack)
+    return replace(new, noise_std=noise_std, physics=old.physics * (new.physics / old.physics) ** share)
 
 
 def _accelerate(old: Weights, new: Weights) -> Weights:
     """Square the growth of w while it is large: the plain fixed point needs many rounds for that."""
     ratio = new.physics / old.physics
-    return Weights(
-        new.noise_std, new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0), new.slack
-    )
+    return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
 
 
 def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:

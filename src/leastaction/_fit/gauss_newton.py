@@ -110,7 +110,7 @@ def condense(
     curve_gradient, gradient = linearisation.gradients(weights)
     border = np.tensordot(weights.physics, linearisation.borders, 1)
     corner = np.tensordot(weights.physics, linearisation.corners, 1)
-    corner += weights.slack.mean() * linearisation.volume_corner
+    corner += weights.volume.mean() * linearisation.volume_corner
     right = np.column_stack([curve_gradient, border])
     solved = cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False)
     shift, response = solved[:, 0], solved[:, 1:]
@@ -218,7 +218,7 @@ def _finish(observations, physics, weights, control_points, coefficients, here, 
         try:
             quadratic = condense(observations, here, weights)
             # the weights are estimated too: what the volume term seems to know of the scale, they forget
-            known_scale = 2.0 * (here.volume.T * weights.slack) @ here.volume
+            known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
             covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
         except np.linalg.LinAlgError:
             status = "not finite"

@@ -34,12 +34,22 @@ class Weights:
     """Noise of each channel, equation weight w_i, and degrees of freedom left to the equation error.
 
     The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack``
-    weighs the volume term (see ``_add_volume``); it vanishes when the equations hold exactly.
+    vanishes when the equations hold exactly. ``force_density`` is the spectral density of the noise of the
+    given forces.
     """
 
     noise_std: np.ndarray
     physics: np.ndarray
     slack: np.ndarray
+    force_density: np.ndarray | float = 0.0
+
+    @property
+    def volume(self) -> np.ndarray:
+        """(n_dof,) weight of the volume term: degrees of freedom of what really pushes (see ``_add_volume``).
+
+        The noise of measured forces is in the equations, too, but pushes nothing.
+        """
+        return self.slack * (1.0 - np.clip(self.physics * self.force_density, 0.0, 1.0))
 
     @property
     def position_std(self) -> np.ndarray:
@@ -196,8 +206,8 @@ class Linearisation:
         return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
 
     def cost(self, weights: Weights) -> float:
-        """Misfit and volume term −2 slack ⟨log |det M|⟩."""
-        return self.misfit(weights) - 2.0 * float(weights.slack.mean()) * self.log_volume
+        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / n_dof."""
+        return self.misfit(weights) - 2.0 * float(weights.volume.mean()) * self.log_volume
 
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
@@ -206,7 +216,7 @@ class Linearisation:
         for i, more in zip(self.channels[n:], scaled.T[n:], strict=True):
             scaled[:, i] += more
         curve += scaled[:, :n].ravel()
-        return curve, weights.physics @ self.coefficient_gradients - weights.slack @ self.volume
+        return curve, weights.physics @ self.coefficient_gradients - weights.volume @ self.volume
 
 
 def linearise(
@@ -276,7 +286,7 @@ def _add_physics(out, rows, grid, physics, states, coefficients, border, chunk) 
 
 
 def _add_volume(out, grid, columns, states, coefficients, border) -> None:
-    """The volume term −2 Σ_i slack_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
+    """The volume term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
 
     The equation error r is what is random, not the curve: the density of the curve carries the factor
     |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from leastaction._euler_lagrange import EulerLagrange, Points
 from leastaction._fit.evidence import Start, evidence, fit_curve, fit_weights, start_weights
+from leastaction._fit.forces import forces_on
 from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction._fit.problem import Observations, Physics, positive_definite
 from leastaction._spline import uniform_grid
@@ -85,9 +87,6 @@ class Workspace:
         self.times = [trajectory.t for trajectory in trajectories]
         self.values = [trajectory.q for trajectory in trajectories]
         self.rates = trajectories.rates
-        self._force_curves = None
-        if trajectories.driven:
-            self._force_curves = [_force_curve(trajectory) for trajectory in trajectories]
         self.set_knots(knots_per_second)
 
     @property
@@ -100,16 +99,20 @@ class Workspace:
         self.knots_per_second = knots_per_second
         self.grid = uniform_grid(self.times, knots_per_second, self.degree, self.n_quadrature)
         self.observations = Observations(self.grid, self.times, self.values, self.rates)
-        self.forces = None
-        if self._force_curves is not None:
-            points = [self.grid.points[self.grid.owner == k] for k in range(len(self.times))]
-            self.forces = np.concatenate([f(p) for f, p in zip(self._force_curves, points, strict=True)])
+        self.set_forces([trajectory.forces for trajectory in self.trajectories])
+
+    def set_forces(self, samples: Sequence[np.ndarray | None]) -> None:
+        """Lay known forces on the grid: (n_times, n_dof) for each trajectory, None where nothing acts."""
+        on_grid = forces_on(self.grid, self.times, samples) if self.trajectories.driven else None
+        self.forces = None if on_grid is None else on_grid.values
+        self.force_density = np.zeros(self.observations.n_dof) if on_grid is None else on_grid.density
 
     def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:
-        """(n_times, n_dof) known forces on one trajectory; zero where none act."""
-        if self._force_curves is None:
-            return np.zeros((times.size, self.trajectories.n_dof))
-        return self._force_curves[trajectory](times)
+        """(n_times, n_dof) known forces on one trajectory, between their samples; zero where none act."""
+        given = self.trajectories[trajectory]
+        if given.forces is None:
+            return np.zeros((*times.shape, given.n_dof))
+        return CubicSpline(given.t, given.forces)(times)
 
     def refine_knots(self, factor: float, fit: StructureFit, growth: np.ndarray) -> Start:
         """Lay a finer grid and carry a fit over to it, equation weights raised by ``growth``, (n_dof,)."""
@@ -139,17 +142,22 @@ class Workspace:
         weights = start_weights(self.observations, physics, noise_std, control_points, coefficients[index])
         return Start(control_points, coefficients, weights)
 
+    def _begin(self, start: Start, index: list[int]) -> Start:
+        """A start for some of the columns; the noise of the forces is that on the present grid."""
+        weights = replace(start.weights, force_density=self.force_density)
+        return Start(start.control_points, start.coefficients[index], weights)
+
     def fit_curve(self, members: tuple[int, ...], start: Start) -> tuple[Start, float]:
         """Fit the curve with the coefficients held; see :func:`leastaction._fit.evidence.fit_curve`."""
         physics, index = self.physics(members)
-        begin = Start(start.control_points, start.coefficients[index], start.weights)
+        begin = self._begin(start, index)
         moved, value = fit_curve(self.observations, physics, begin)
         return Start(moved.control_points, start.coefficients, moved.weights), value
 
     def fit(self, members: tuple[int, ...], start: Start, max_rounds: int = 25) -> StructureFit:
         """Fit a structure; ``start.coefficients`` covers all columns."""
         physics, index = self.physics(members)
-        begin = Start(start.control_points, start.coefficients[index], start.weights)
+        begin = self._begin(start, index)
         fit = fit_weights(self.observations, physics, begin, max_rounds=max_rounds)
         coefficients = np.zeros(len(self.columns))
         coefficients[index] = fit.coefficients
@@ -182,13 +190,6 @@ class Workspace:
         physics, _ = self.physics(structure.members)
         candidates = self.columns.subset([int(k) for k in self.free])
         return score_candidates(self.observations, physics, structure.fit, candidates)
-
-
-def _force_curve(trajectory):
-    if trajectory.forces is None:
-        n_dof = trajectory.n_dof
-        return lambda points: np.zeros((*points.shape, n_dof))
-    return CubicSpline(trajectory.t, trajectory.forces)
 
 
 def greville_sites(knots: np.ndarray, degree: int) -> np.ndarray:

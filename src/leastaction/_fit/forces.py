@@ -1,0 +1,92 @@
+"""Known forces where the equations are compared: no faster than the curve can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline, make_lsq_spline
+
+from leastaction._spline import SplineGrid, SplineSpace
+
+__all__ = ["GridForces", "forces_on"]
+
+_SAMPLES_PER_INTERVAL = 2.5  # at least: otherwise noise could not be told from the forces
+_FEWEST = 4  # intervals; shorter records are interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class GridForces:
+    """Forces as a grid sees them.
+
+    Attributes
+    ----------
+    values : (n_intervals, n_quadrature, n_dof) array
+        At the quadrature points.
+    density : (n_dof,) array
+        Spectral density of what is faster, in force² seconds: the error of the equations, 1/w, that forces
+        with white noise would leave. Zero where it cannot be told.
+    """
+
+    values: np.ndarray
+    density: np.ndarray
+
+
+def forces_on(
+    grid: SplineGrid, times: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+) -> GridForces | None:
+    """Return the slow part of forces, from their samples; None if nothing acts anywhere.
+
+    Each trajectory's samples are fitted by least squares with a spline on the knots of its curve: what is
+    faster (ripple, steps of a converter, noise) the curve cannot follow, so it would only count as an error
+    of the equations, and bias the scale of L upwards.
+
+    Parameters
+    ----------
+    grid : SplineGrid
+    times : sequence of (n_times,) arrays
+    forces : sequence of (n_times, n_dof) arrays
+        None where nothing acts.
+
+    Examples
+    --------
+    >>> from leastaction._spline import uniform_grid
+    >>> t = np.linspace(0.0, 10.0, 1001)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, (1001, 1))
+    >>> grid = uniform_grid([t], 4.0, 5)
+    >>> found = forces_on(grid, [t], [np.sin(t)[:, None] + noise])
+    >>> bool(np.std(found.values[..., 0] - np.sin(grid.points)) < 0.03)
+    True
+    >>> found.density.round(5).tolist()  # 0.1 squared times 0.01 s
+    [0.0001]
+    """
+    n_dof = next((f.shape[1] for f in forces if f is not None), 0)
+    if not n_dof:
+        return None
+    parts, squares, freedom = [], np.zeros(n_dof), 0.0
+    for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
+        points = grid.points[grid.owner == k]
+        if samples is None:
+            parts.append(np.zeros((*points.shape, n_dof)))
+            continue
+        slow, n_parameters = _slow_part(space, t, samples)
+        parts.append(slow(points))
+        if n_parameters < t.size:
+            squares += ((samples - slow(t)) ** 2).sum(axis=0) * (t[-1] - t[0]) / t.size
+            freedom += t.size - n_parameters
+    return GridForces(np.concatenate(parts), squares / max(freedom, 1.0))
+
+
+def _slow_part(
+    space: SplineSpace, t: np.ndarray, samples: np.ndarray
+) -> tuple[Callable[[np.ndarray], np.ndarray], int]:
+    """The curve, and how many parameters it has in each coordinate."""
+    between = CubicSpline(t, samples)
+    most = int(t.size / _SAMPLES_PER_INTERVAL)
+    if most < _FEWEST:
+        return between, t.size
+    if space.n_intervals > most:
+        space = SplineSpace(space.degree, np.linspace(t[0], t[-1], most + 1))
+    even = np.linspace(t[0], t[-1], t.size)  # gaps in the record must not leave an interval empty
+    return make_lsq_spline(even, between(even), space.knots, space.degree), space.n_ctrl
