@@ -240,6 +240,18 @@ def test_validate(work, model, tmp_path):
     assert "theta" in without.stdout
 
 
+def test_force_delay_shifts_the_forces(work):
+    def options(delay):
+        return _options.DataOptions.of(
+            [str(work / "run.csv")], "theta", "t", None, "theta_force", None, force_delay=delay
+        ).read()
+
+    shifted = la.delay.shift_forces(options(None), 0.02)
+    for ours, theirs in zip(options("0.02"), shifted, strict=True):
+        assert np.array_equal(ours.t, theirs.t)
+        assert np.array_equal(ours.forces, theirs.forces)
+
+
 def test_validate_puts_coordinates_in_the_order_of_the_model():
     options = _options.DataOptions.of(["f.csv"], "b, a = col", "t", None, "tau_b", None).in_order_of(
         ("a", "b")

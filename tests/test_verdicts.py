@@ -40,7 +40,7 @@ def test_the_undisturbed_question_is_answered():
 def test_delayed_forces():
     # recorded 30 ms before they act
     text = doubts(*driven(delay=0.03))
-    (found,) = re.findall(r"seem to act (\d+) ms later", text)
+    (found,) = re.findall(r"seem to act about (\d+) ms later", text)
     assert 20 <= float(found) <= 40
 
 

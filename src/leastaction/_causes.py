@@ -1,4 +1,4 @@
-"""What the residual of the equations says about the forces: late, scaled, or on the wrong coordinate.
+"""What the residual of the equations says about the forces: scaled, or on the wrong coordinate.
 
 The residual r of a fit is regressed on the signature of every cause, after both have been freed of what the
 terms of the model could take up.  A signature that takes a large share of Σ w_i ∫ r_i² names the cause.
@@ -50,13 +50,6 @@ def _signatures(
 ) -> Iterator[tuple[Callable[[float], str], np.ndarray]]:
     """(words for an amount, residual that one unit of the cause leaves)."""
     names = workspace.trajectories.coordinates
-    rates = np.empty_like(forces)
-    for k, trajectory in enumerate(workspace.trajectories):
-        own = workspace.grid.owner == k
-        points, step = workspace.grid.points[own, 0], 0.5 * float(np.median(np.diff(trajectory.t)))
-        change = workspace.force_at(k, points + step) - workspace.force_at(k, points - step)
-        rates[:, own] = change.T / (2.0 * step)
-    yield _late, rates
     if not np.isnan(workspace.known).all():  # otherwise the scale of L follows that of the forces
         yield _scaled, forces
     for i in range(len(forces)):
@@ -64,11 +57,6 @@ def _signatures(
             swap = np.zeros_like(forces)
             swap[i], swap[j] = forces[j] - forces[i], forces[i] - forces[j]
             yield _swapped(names[j], names[i]), swap
-
-
-def _late(amount: float) -> str:
-    when = "later" if amount < 0.0 else "earlier"
-    return f"the forces seem to act {1e3 * abs(amount):.2g} ms {when} than recorded: check for a delay"
 
 
 def _scaled(amount: float) -> str:

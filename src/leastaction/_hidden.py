@@ -1,8 +1,8 @@
-"""Was something left out that the user did not ask about?  Friction, and known coefficients that are wrong.
+"""Was something left out that the user did not ask about?  Friction, late forces, wrong known coefficients.
 
-Both are likelihood-ratio tests on the final fit, by the means of the selection: friction that is not among
-the candidates is scored beside the chosen terms, and a known coefficient is set free to see whether fewer
-terms then say the same.
+All are likelihood-ratio tests on the final fit, by the means of the selection: friction that is not among
+the candidates is scored beside the chosen terms, and so is what a delay of the forces would leave; a known
+coefficient is set free to see whether fewer terms then say the same.
 """
 
 from __future__ import annotations
@@ -12,18 +12,20 @@ import copy
 import numpy as np
 
 from leastaction._euler_lagrange import EulerLagrange
+from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import score_candidates
-from leastaction._fit.workspace import Workspace
+from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library
 from leastaction._selection import Refiner, Selection
 from leastaction._subsets import QuadraticModel
 
-__all__ = ["hidden_friction", "wrong_known"]
+__all__ = ["hidden_friction", "late_forces", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
 _BETTER = 10.0  # the same, beyond the price of every term
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 _MOST_RELEASED = 3
+_HALF = 0.15  # of a sample
 
 
 def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
@@ -40,18 +42,10 @@ def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
         return []
     free = [columns.terms[m] for m in structure.members]
     candidates = EulerLagrange([*free, *tested], columns.coordinates)
-    physics, _ = workspace.physics(structure.members)
-    quadratic = score_candidates(workspace.observations, physics, structure.fit, candidates)
-    here = np.concatenate([structure.estimates, np.zeros(len(tested))])
-    model, base = QuadraticModel(quadratic.matrix, quadratic.gradient, here), tuple(range(len(free)))
-    cost = model.best({base}, 1)[0].cost
-    threshold = _DECISIVE + _RELEVANT * float(structure.fit.weights.slack.sum())
     out = []
-    for k, term in enumerate(tested, start=len(free)):
-        gain = cost - model.best({(*base, k)}, 1)[0].cost
-        if gain < threshold:
+    for term, (gain, value) in zip(tested, _beside(workspace, structure, candidates), strict=True):
+        if not gain:
             continue
-        value = model.solution((*base, k))[k]
         (rate,) = term.expr.free_symbols
         if value > 0.0:
             out.append(
@@ -63,6 +57,55 @@ def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
                 f"energy seems to be fed in along {rate} (friction of about {value:.2g}): check the sign of "
                 "forces and of known coefficients, and whether a driving force is missing"
             )
+    return out
+
+
+class _Late:
+    """What forces that act later leave in the equations: f(t − τ) ≈ f − τ ḟ."""
+
+    def __init__(self, rates: np.ndarray) -> None:
+        self.rates = rates
+
+    def __len__(self) -> int:
+        return 1
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
+
+
+def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
+    """Forces that act later, or earlier, than their times say."""
+    structure = selection.structure
+    if workspace.force_rates is None:
+        return []
+    chosen = workspace.columns.subset(structure.members)
+    ((gain, delay),) = _beside(workspace, structure, WithPushes(chosen, _Late(workspace.force_rates)))
+    if not gain:
+        return []
+    held = abs(delay / workspace.trajectories.sampling_interval - 0.5) < _HALF
+    when = "later" if delay > 0.0 else "earlier"
+    hint = ", half a sample (are they held from one sample to the next?)" if held else ""
+    return [
+        f"the forces seem to act about {1e3 * abs(delay):.2g} ms {when} than recorded{hint}: find the delay "
+        f"with la.delay.estimate, or give --force-delay (-2 log likelihood {gain:.0f})"
+    ]
+
+
+def _beside(
+    workspace: Workspace, structure: StructureFit, candidates: EulerLagrange
+) -> list[tuple[float, float]]:
+    """(gain, coefficient) of each candidate after the chosen terms; no gain unless it is decisive."""
+    physics, _ = workspace.physics(structure.members)
+    quadratic = score_candidates(workspace.observations, physics, structure.fit, candidates)
+    chosen = len(structure.members)
+    here = np.concatenate([structure.estimates, np.zeros(len(candidates) - chosen)])
+    model, base = QuadraticModel(quadratic.matrix, quadratic.gradient, here), tuple(range(chosen))
+    cost = model.best({base}, 1)[0].cost
+    threshold = _DECISIVE + _RELEVANT * float(structure.fit.weights.slack.sum())
+    out = []
+    for k in range(chosen, len(candidates)):
+        gain = cost - model.best({(*base, k)}, 1)[0].cost
+        out.append((gain if gain >= threshold else 0.0, float(model.solution((*base, k))[k])))
     return out
 
 

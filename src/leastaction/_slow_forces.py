@@ -10,13 +10,14 @@ apart.  In the equations of motion
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from leastaction._euler_lagrange import EulerLagrange, Points
+from leastaction._euler_lagrange import Points
+from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import JointFit, fit_joint
 from leastaction._fit.problem import Physics
 from leastaction._fit.workspace import StructureFit, Workspace
@@ -61,12 +62,15 @@ class SlowForces:
     def __len__(self) -> int:
         return self.equations.size
 
-    def at(self, intervals: slice) -> np.ndarray:
-        """(n_slow, n_points) in the sequence of `Points`."""
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        """(n_slow, n_dof, n_points) −B_m on its equation, in the sequence of `Points`."""
         n = self.n_quadrature
         start, stop, _ = intervals.indices(self.basis.shape[1] // n)
         part = self.basis[:, start * n : stop * n].toarray()
-        return part.reshape(len(self), -1, n).transpose(0, 2, 1).reshape(len(self), -1)
+        out = np.zeros((len(self), n_dof, part.shape[1]))
+        in_sequence = part.reshape(len(self), -1, n).transpose(0, 2, 1).reshape(len(self), -1)
+        out[np.arange(len(self)), self.equations] = -in_sequence
+        return out
 
     def _parts(self) -> Iterator[tuple[tuple[int, int], slice]]:
         """(coordinate, trajectory) of every spline, and where its coefficients are."""
@@ -89,41 +93,6 @@ class SlowForces:
             basis = self.spaces[i, k].basis(self.times[k])
             squares.setdefault(i, []).append(basis.multiply(basis @ covariance[own, own]).sum(axis=1))
         return {i: float(np.sqrt(np.mean(np.concatenate(parts)))) for i, parts in squares.items()}
-
-
-class _WithForces(EulerLagrange):
-    """Columns of a structure, then those of slow forces: −B_m on one equation, whatever the state."""
-
-    def __init__(self, columns: EulerLagrange, slow: SlowForces) -> None:
-        super().__init__(columns.terms, columns.coordinates)
-        self.slow = slow
-
-    def __len__(self) -> int:
-        return len(self.terms) + len(self.slow)
-
-    def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
-        own = EulerLagrange.strong(self, points, range(len(self.terms)))
-        if points.intervals is None:
-            raise ValueError("slow forces are known at the quadrature points only")
-        pushes = np.zeros((len(self.slow), *own.shape[1:]))
-        pushes[np.arange(len(self.slow)), self.slow.equations] = -self.slow.at(points.intervals)
-        return np.concatenate([own, pushes])
-
-    def jacobian(self, points: Points, coefficients: np.ndarray):
-        return super().jacobian(points, coefficients[: len(self.terms)])
-
-    def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
-        return super().mass_matrix(points, coefficients[: len(self.terms)])
-
-    def mass_of(self, k: int, points: Points) -> np.ndarray:
-        if k < len(self.terms):
-            return super().mass_of(k, points)
-        return np.zeros((points.n_points, self.n_dof, self.n_dof))
-
-    def subset(self, select: Sequence[int]) -> EulerLagrange:
-        """Terms only are left out: the slow forces are always free."""
-        terms = [k for k in select if k < len(self.terms)]
-        return _WithForces(super().subset(terms), self.slow)
 
 
 def slow_forces(
@@ -177,7 +146,7 @@ def fit_with_forces(
     slow = SlowForces(workspace, seconds)
     physics, index = workspace.physics(structure.members)
     extended = Physics(
-        _WithForces(physics.columns, slow),
+        WithPushes(physics.columns, slow),
         np.append(physics.free, np.ones(len(slow), bool)),
         workspace.forces,
     )

@@ -10,7 +10,7 @@ import sympy as sp
 from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import StructureFit, Workspace
-from leastaction._hidden import hidden_friction, wrong_known
+from leastaction._hidden import hidden_friction, late_forces, wrong_known
 from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
 from leastaction._selection import Selection
@@ -72,7 +72,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     ]
     causes = []
     if fit.converged and np.isfinite(structure.evidence):
-        causes = hidden_friction(workspace, selection) + wrong_known(workspace, selection)
+        causes = hidden_friction(workspace, selection) + late_forces(workspace, selection)
+        causes += wrong_known(workspace, selection)
         causes += doubts_about_forces(workspace, structure) if np.any(share > _HIDDEN) else []
     for i in unexplained:
         doubts.append(

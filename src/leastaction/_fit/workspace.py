@@ -105,6 +105,7 @@ class Workspace:
         """Lay known forces on the grid: (n_times, n_dof) for each trajectory, None where nothing acts."""
         on_grid = forces_on(self.grid, self.times, samples) if self.trajectories.driven else None
         self.forces = None if on_grid is None else on_grid.values
+        self.force_rates = None if on_grid is None else on_grid.rates
         self.force_density = np.zeros(self.observations.n_dof) if on_grid is None else on_grid.density
 
     def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:

@@ -104,6 +104,7 @@ def discover(
     time: str,
     trial: str | None,
     forces: str | None,
+    force_delay: str | None,
     angles: str | None,
     velocity: tuple[str, ...],
     acceleration: tuple[str, ...],
@@ -127,7 +128,15 @@ def discover(
     with blame("--option"):
         chosen = method_options(settings)
     options = DataOptions.of(
-        data, coordinates, time, trial, forces, angles, velocity=velocity, acceleration=acceleration
+        data,
+        coordinates,
+        time,
+        trial,
+        forces,
+        angles,
+        velocity=velocity,
+        acceleration=acceleration,
+        force_delay=force_delay,
     )
     with blame("--force-offset"):
         offsets = force_offsets(force_offset) if force_offset else ()

@@ -163,6 +163,7 @@ class DataOptions:
     angles: tuple[str, ...]
     velocities: dict[str, str] = field(default_factory=dict)
     accelerations: dict[str, str] = field(default_factory=dict)
+    force_delay: float = 0.0
 
     @classmethod
     def of(
@@ -176,6 +177,7 @@ class DataOptions:
         default: Sequence[str] = (),
         velocity: Sequence[str] = (),
         acceleration: Sequence[str] = (),
+        force_delay: str | None = None,
     ) -> DataOptions:
         """Check the texts of the options; `default` are the coordinates where none are given."""
         from leastaction._names import check_coordinate_names
@@ -194,7 +196,11 @@ class DataOptions:
             with blame(option):
                 rates.append(dict(_pairs(texts, "NAME=COLUMN, e.g. theta=gyro")))
                 _check_are_coordinates(rates[-1], names)
-        return cls(tuple(data), columns, time, trial, driving, turning, *rates)
+        with blame("--force-delay"):
+            delay = 0.0 if force_delay is None else number(force_delay)
+            if delay and not driving:
+                raise InputError("there are no forces to shift; name their columns with --forces")
+        return cls(tuple(data), columns, time, trial, driving, turning, rates[0], rates[1], delay)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -230,7 +236,12 @@ class DataOptions:
             )
         for item in caught:
             warn(str(item.message))
-        return data
+        if not self.force_delay:
+            return data
+        from leastaction._delay import shift_forces
+
+        with blame("--force-delay"):
+            return shift_forces(data, self.force_delay)
 
 
 def _by_name(text: str) -> dict[str, str]:
@@ -283,6 +294,12 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             "--forces",
             metavar="TAU1,TAU2",
             help="Columns of the known generalised forces, for the coordinates in order; or a=tau1.",
+        ),
+        click.option(
+            "--force-delay",
+            metavar="SECONDS",
+            help="How much later the forces act than recorded; half a sampling interval if a controller "
+            "holds them between samples.",
         ),
         click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
         click.option(

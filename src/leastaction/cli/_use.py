@@ -122,6 +122,7 @@ def validate(
     time: str,
     trial: str | None,
     forces: str | None,
+    force_delay: str | None,
     angles: str | None,
     velocity: tuple[str, ...],
     acceleration: tuple[str, ...],
@@ -146,7 +147,16 @@ def validate(
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
     options = DataOptions.of(
-        data, coordinates, time, trial, forces, angles, found.coordinates, velocity, acceleration
+        data,
+        coordinates,
+        time,
+        trial,
+        forces,
+        angles,
+        found.coordinates,
+        velocity,
+        acceleration,
+        force_delay,
     )
     trajectories = options.in_order_of(found.coordinates).read()
     with live_progress("forecast"):
