@@ -15,8 +15,8 @@ import sympy as sp
 import leastaction as la
 
 # %%
-# The arm: two links that hang, the second angle measured from the first link, dry and viscous friction in both
-# joints. All trials are simulated at once: arrays have one row for each.
+# The arm: two links that hang, the second angle measured from the first link, dry and viscous friction in
+# both joints. All trials are simulated at once: arrays have one row for each.
 
 truth = {
     "q1_dot**2": 0.5,
@@ -102,8 +102,8 @@ print(f"largest error of L: {max(abs(table.coefficient[k] / truth[k] - 1) for k 
 print("true friction:", true_friction)
 
 # %%
-# Some intervals of friction miss by a little: the sign of a velocity is smoothed, here and in the arm, but not
-# over the same velocities. An interval holds for the candidates that it was computed with.
+# Some intervals of friction miss by a little: the sign of a velocity is smoothed, here and in the arm, but
+# not over the same velocities. An interval holds for the candidates that it was computed with.
 #
 # Above: the torque of the second joint as it was logged, and what the model says that the motion needed.
 # Below: friction in the joints, true and found. The first fit put the delay into it.
@@ -136,6 +136,6 @@ axes[1].legend(frameon=False, fontsize=8)
 plt.show()
 
 # %%
-# **What to learn.** Do not filter torques, and do not switch the controller off: give the log as it is. The noise
-# of the torques is averaged and its size estimated, and when the times are off by half a cycle, the
+# **What to learn.** Do not filter torques, and do not switch the controller off: give the log as it is. The
+# noise of the torques is averaged and its size estimated, and when the times are off by half a cycle, the
 # result says so.
