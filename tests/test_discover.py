@@ -100,6 +100,18 @@ def test_viscous_and_coulomb_friction_are_told_apart():
     assert any("smoothed" in note for note in model.diagnostics.notes)
 
 
+def test_smoothed_friction_that_is_a_candidate_already():
+    data = pendulum(viscous=0.0)
+    (note,) = (
+        n
+        for n in la.discover(data, PENDULUM_LIBRARY, dissipation=["abs(theta_dot)"]).diagnostics.notes
+        if "is smoothed" in n
+    )
+    scale = note.rpartition(" ")[2]
+    both = ["abs(theta_dot)", f"sqrt(theta_dot**2 + {scale}**2)"]
+    assert la.discover(data, PENDULUM_LIBRARY, dissipation=both).fit.status == "ok"
+
+
 def test_friction_is_not_invented():
     model = la.discover(pendulum(viscous=0.0), PENDULUM_LIBRARY, dissipation=[*FRICTION, "abs(theta_dot)"])
     assert_finds(model, {"theta_dot**2": 0.5, "cos(theta)": 9.81})

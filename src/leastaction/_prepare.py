@@ -133,11 +133,9 @@ def prepare(
     }
     softened = smooth_abs(library, smoothing)
     if softened is not library:
-        swap = dict(
-            zip((*library.terms, *library.dissipation), (*softened.terms, *softened.dissipation), strict=True)
-        )
-        known_terms = {swap[term]: value for term, value in known_terms.items()}
-        changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in swap)}
+        known_terms = {smooth_abs(term, smoothing): value for term, value in known_terms.items()}
+        terms = (*library.terms, *library.dissipation)
+        changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in terms)}
         notes.append(
             "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in changed.items())
         )
