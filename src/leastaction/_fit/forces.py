@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.linalg import solveh_banded
 
 from leastaction._euler_lagrange import EulerLagrange, Points
+from leastaction._smoothing import banded_gram
 from leastaction._spline import SplineGrid, SplineSpace
 
 __all__ = ["GridForces", "Pushes", "WithPushes", "forces_on"]
@@ -94,7 +96,10 @@ def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[
     if space.n_intervals > most:
         space = SplineSpace(space.degree, np.linspace(t[0], t[-1], most + 1))
     even = np.linspace(t[0], t[-1], t.size)  # gaps in the record must not leave an interval empty
-    return make_lsq_spline(even, between(even), space.knots, space.degree), space.n_ctrl
+    design = space.basis(even)
+    gram = banded_gram(design, space.degree)
+    control_points = solveh_banded(gram, design.T @ between(even), lower=True)
+    return BSpline(space.knots, control_points, space.degree), space.n_ctrl
 
 
 class Pushes(Protocol):
