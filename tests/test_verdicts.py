@@ -55,6 +55,30 @@ def test_exchanged_forces():
     assert "swapped" in doubts(*driven(swap=True))
 
 
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+@pytest.mark.parametrize(
+    ("name", "lacking"),
+    [
+        ("single_pendulum", "cos(theta)"),
+        ("double_pendulum", "theta1_dot*theta2_dot*cos(theta1-theta2)"),
+        ("cart_spring_pendulum", "x_dot*theta_dot*cos(theta)"),
+    ],
+)
+def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
+    # imitators follow a pendulum without cos(theta) to a tenth of a per cent
+    data = systems.generate(name, noise=noise, trials=5, duration=20.0, seed=8)
+    texts = [t.text for t in systems.compact_library(name).terms if t.text != lacking]
+    library = la.Library(texts, data.coordinates, angles=systems.get(name).angles)
+    assert f"lack {lacking}: with it" in doubts(data, library, known=systems.get(name).known)
+
+
+def test_nothing_lacks_where_no_common_term_is_needed():
+    data = systems.generate("double_well", noise=0.05, trials=4, duration=20.0, seed=2)
+    library = ["x_dot**2", "x_dot**4", "x**4", "x**2", "x**6"]  # compact libraries stop at x**2
+    model = la.discover(data, library, dissipation=["x_dot**2/2", "abs(x_dot)"])
+    assert model.fit.status == "ok", model.fit.warnings
+
+
 @pytest.mark.parametrize("wrong", [0.55, 0.6, 1.0])
 def test_wrong_known_coefficient_is_given_its_value(wrong):
     text = doubts(pendulum(driven=True, viscous=0.0), PENDULUM_LIBRARY, known={"theta_dot**2": wrong})

@@ -26,6 +26,7 @@ _FEWEST_SAMPLES = 20
 _MOST_GRIDS = 6
 _KNOTS_SETTLED = 0.25
 _MOST_OVER_SLOWER = 3.5  # simulated motions ask for 1 to 3 times the knots of the derivative below
+_NEAR, _ROUNDED = 0.1, 1e-3  # radians
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
@@ -120,7 +121,13 @@ def prepare(
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
-    notes, doubts = _about_angles(trajectories, angles)
+    notes, turning = _about_angles(trajectories, angles)
+    doubts = [
+        f"{name} jumps by about 2π {count} times, which was undone: if it is an angle, say so with "
+        f"angles=[{name!r}]"
+        for name, count in turning.items()
+    ]
+    trajectories = trajectories.unwrap(turning)
     if robust:
         trajectories, left_out = leave_out_outliers(trajectories, degree)
         notes += left_out
@@ -217,24 +224,32 @@ def _round_to_one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def _about_angles(trajectories: Trajectories, angles) -> tuple[list[str], list[str]]:
-    """What was unwrapped, and what should perhaps have been."""
+def _about_angles(trajectories: Trajectories, angles) -> tuple[list[str], dict[str, int]]:
+    """What was unwrapped, and coordinates that seem to be wrapped angles with the number of their jumps."""
     notes = [
         f"{count} jumps of 2π removed from {name}"
         for name, count in trajectories.wraps_removed.items()
         if count and name in angles
     ]
-    doubts = []
+    turning = {}
     for i, name in enumerate(trajectories.coordinates):
         if name in angles:
             continue
         steps = np.concatenate([np.diff(t.q[:, i][np.isfinite(t.q[:, i])]) for t in trajectories])
         wraps = int(np.sum(np.abs(np.abs(steps) - 2 * np.pi) < 0.5))
-        if wraps and np.quantile(np.abs(steps), 0.99) < np.pi / 2:
-            doubts.append(
-                f"{name} jumps by about 2π {wraps} times: if it is an angle, say so with angles=[{name!r}]"
-            )
-    return notes, doubts
+        quiet = np.quantile(np.abs(steps), 0.99) < np.pi / 2
+        if wraps and (quiet or _fills_one_turn(np.concatenate([t.q[:, i] for t in trajectories]))):
+            turning[name] = wraps
+    return notes, turning
+
+
+def _fills_one_turn(q: np.ndarray) -> bool:
+    """Whether all values lie in [−π, π] or [0, 2π], close to both ends: noise alone would not stop there."""
+    low, high = np.nanmin(q), np.nanmax(q)
+    return any(
+        -_ROUNDED < low - start < _NEAR and -_ROUNDED < start + 2 * np.pi - high < _NEAR
+        for start in (-np.pi, 0.0)
+    )
 
 
 class Knots(NamedTuple):

@@ -11,6 +11,7 @@ from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._hidden import hidden_friction, late_forces, wrong_known
+from leastaction._lacking import lacking_terms
 from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
 from leastaction._selection import Selection
@@ -70,10 +71,10 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = []
+    causes: list[str] = []
     if fit.converged and np.isfinite(structure.evidence):
-        causes = hidden_friction(workspace, selection) + late_forces(workspace, selection)
-        causes += wrong_known(workspace, selection)
+        for find in (lacking_terms, hidden_friction, late_forces, wrong_known):
+            causes += find(workspace, selection)
         causes += doubts_about_forces(workspace, structure) if np.any(share > _HIDDEN) else []
     for i in unexplained:
         doubts.append(

@@ -1,0 +1,70 @@
+"""Does the library lack a term?  Common ones that are not among the candidates are tried on the final fit.
+
+Where a needed term is missing others imitate it, along these data well enough to leave hardly any equation
+error.  With the term itself fewer do, and the likelihood, less the price of the terms, is higher.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import sympy as sp
+
+from leastaction._euler_lagrange import EulerLagrange
+from leastaction._fit.workspace import StructureFit, Workspace
+from leastaction._library import Library, Term
+from leastaction._selection import Refiner, Selection
+
+__all__ = ["lacking_terms"]
+
+_BETTER = 10.0  # −2 log likelihood, beyond the price of every term
+_RELEVANT = 0.05  # share of the equation error's variance, as in the selection
+
+
+def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
+    """Say which common terms would explain the motion better than the candidates do."""
+    structure, columns = selection.structure, workspace.columns
+    if not structure.fit.converged:
+        return []
+    common = _not_offered(columns)
+    if not common:
+        return []
+    wider = copy.copy(workspace)
+    wider.columns = EulerLagrange([*columns.terms, *common], columns.coordinates)
+    wider.known = np.append(workspace.known, np.full(len(common), np.nan))
+    refiner = Refiner(wider, lambda stage, details: None)
+    here = StructureFit(
+        structure.members,
+        np.append(structure.coefficients, np.zeros(len(common))),
+        structure.fit,
+        structure.evidence,
+    )
+    found = refiner.refine(here)
+    gain = 2.0 * (refiner.value(found) - refiner.value(here))
+    new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
+    threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
+    # a law says it with fewer terms; on hardware more of them always explain a little more
+    fewer = len(found.members) <= len(structure.members)
+    if not (new and fewer and found.fit.converged and gain > threshold):
+        return []
+    by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
+    return [
+        f"the library seems to lack {', '.join(new)}: with {'it' if len(new) == 1 else 'them'}, "
+        f"{len(found.members)} free terms instead of {len(structure.members)} explain the motion better{by}; "
+        f"add {'it' if len(new) == 1 else 'them'} to the candidates"
+    ]
+
+
+def _not_offered(columns: EulerLagrange) -> list[Term]:
+    """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
+    given = [term for term in columns.terms if term.kind == "lagrangian"]
+    waves = [wave for term in given for wave in term.expr.atoms(sp.sin, sp.cos)]
+    turning = {symbol.name for wave in waves for symbol in wave.free_symbols}
+    angles = [name for name in columns.coordinates if name in turning]
+    usual = Library.mechanical(columns.coordinates, angles, size="compact")
+    texts = {term.text for term in given}
+    more = [term.text for term in usual.terms if term.text not in texts]
+    both = Library([*texts, *more], columns.coordinates)
+    kept = both.reduced(keep=[term for term in both.terms if term.text in texts])
+    return [term for term in kept.terms if term.text not in texts]
