@@ -2,7 +2,7 @@
 When the library lacks a term
 =============================
 
-No method finds a term that it was not offered. What it must do is say so. A cart on a spring carries a
+A term that was not offered is not in the result. What a result must do is say so. A cart on a spring carries a
 pendulum; the spring becomes stiffer when it is stretched, and the candidates know of no such spring.
 """
 
@@ -31,12 +31,12 @@ print(lacking.format_table())
 
 # %%
 # The numbers look sober, the intervals are narrow, and the model is wrong: the status is *doubtful*, and
-# the warning names the equation that does not hold. A script should test ``model.fit.status`` before it
-# goes on.
+# the warnings name the equation that does not hold and, since x⁴ is a common term, what would mend it. A
+# script should test ``model.fit.status`` before it goes on.
 #
-# **Which term is it?** The warning says where to look: at the equation of x. Put the curve that was fitted
-# to the recordings, with its derivatives, into the found equations, and look at what is left over as a
-# force on the cart.
+# **And if the term is not a common one?** The warning says where to look: at the equation of x. Put the
+# curve that was fitted to the recordings, with its derivatives, into the found equations, and look at what
+# is left over as a force on the cart.
 
 q, qdot, qddot = (np.concatenate(lacking.diagnostics.curve(nu=nu)) for nu in range(3))
 rest = np.einsum("tij,tj->ti", lacking.mass_matrix(q), qddot - lacking.acceleration(q, qdot))

@@ -14,6 +14,7 @@ import sympy as sp
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
+from leastaction._refinement import EXPLAINED
 from leastaction._selection import Refiner, Selection
 
 __all__ = ["lacking_terms"]
@@ -27,7 +28,8 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     structure, columns = selection.structure, workspace.columns
     if not structure.fit.converged:
         return []
-    common = _not_offered(columns)
+    holds = _holds(workspace, structure)
+    common = _not_offered(columns, "compact" if holds else "standard")
     if not common:
         return []
     wider = copy.copy(workspace)
@@ -44,9 +46,9 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     gain = 2.0 * (refiner.value(found) - refiner.value(here))
     new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
     threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
-    # a law says it with fewer terms; on hardware more of them always explain a little more
-    fewer = len(found.members) <= len(structure.members)
-    if not (new and fewer and found.fit.converged and gain > threshold):
+    # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
+    lawful = len(found.members) <= len(structure.members) or (not holds and _holds(wider, found))
+    if not (new and lawful and found.fit.converged and gain > threshold):
         return []
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
     return [
@@ -56,13 +58,17 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     ]
 
 
-def _not_offered(columns: EulerLagrange) -> list[Term]:
+def _holds(workspace: Workspace, structure: StructureFit) -> bool:
+    return bool(np.all(workspace.equation_error(structure)[0] <= EXPLAINED))
+
+
+def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
     """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
     given = [term for term in columns.terms if term.kind == "lagrangian"]
     waves = [wave for term in given for wave in term.expr.atoms(sp.sin, sp.cos)]
     turning = {symbol.name for wave in waves for symbol in wave.free_symbols}
     angles = [name for name in columns.coordinates if name in turning]
-    usual = Library.mechanical(columns.coordinates, angles, size="compact")
+    usual = Library.mechanical(columns.coordinates, angles, size=size)
     texts = {term.text for term in given}
     more = [term.text for term in usual.terms if term.text not in texts]
     both = Library([*texts, *more], columns.coordinates)
