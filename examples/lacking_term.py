@@ -2,8 +2,9 @@
 When the library lacks a term
 =============================
 
-A term that was not offered is not in the result. What a result must do is say so. A cart on a spring carries a
-pendulum; the spring becomes stiffer when it is stretched, and the candidates know of no such spring.
+A term that was not offered is not in the result. What a result must do is say so. A cart on a spring
+carries a pendulum; the spring becomes stiffer when it is stretched, and the candidates know of no such
+spring.
 """
 
 import matplotlib.pyplot as plt

@@ -7,6 +7,7 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -25,36 +26,38 @@ _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
 def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     """Say which common terms would explain the motion better than the candidates do."""
-    structure, columns = selection.structure, workspace.columns
-    if not structure.fit.converged:
+    if not selection.structure.fit.converged:
         return []
-    holds = _holds(workspace, structure)
-    common = _not_offered(columns, "compact" if holds else "standard")
+    found = _with_common(workspace, selection.structure, "compact", rounds=8)
+    if not found and not _holds(workspace, selection.structure):
+        found = _with_common(workspace, selection.structure, "standard", rounds=3)
+    return found
+
+
+def _with_common(workspace: Workspace, structure: StructureFit, size: str, rounds: int) -> list[str]:
+    columns = workspace.columns
+    common = _not_offered(columns, size)
     if not common:
         return []
     wider = copy.copy(workspace)
     wider.columns = EulerLagrange([*columns.terms, *common], columns.coordinates)
     wider.known = np.append(workspace.known, np.full(len(common), np.nan))
     refiner = Refiner(wider, lambda stage, details: None)
-    here = StructureFit(
-        structure.members,
-        np.append(structure.coefficients, np.zeros(len(common))),
-        structure.fit,
-        structure.evidence,
-    )
-    found = refiner.refine(here)
+    here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
+    found = refiner.refine(here, rounds)
     gain = 2.0 * (refiner.value(found) - refiner.value(here))
     new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
     threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
-    lawful = len(found.members) <= len(structure.members) or (not holds and _holds(wider, found))
+    fewer = len(found.members) <= len(structure.members)
+    lawful = fewer or (_holds(wider, found) and not _holds(workspace, structure))
     if not (new and lawful and found.fit.converged and gain > threshold):
         return []
+    it = "it" if len(new) == 1 else "them"
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
     return [
-        f"the library seems to lack {', '.join(new)}: with {'it' if len(new) == 1 else 'them'}, "
-        f"{len(found.members)} free terms instead of {len(structure.members)} explain the motion better{by}; "
-        f"add {'it' if len(new) == 1 else 'them'} to the candidates"
+        f"the library seems to lack {', '.join(new)}: with {it}, {len(found.members)} free terms instead of "
+        f"{len(structure.members)} explain the motion better{by}; add {it} to the candidates"
     ]
 
 
