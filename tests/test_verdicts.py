@@ -13,6 +13,7 @@ from leastaction import systems
 from leastaction._coarse import forecast_error
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._kinetic import kinetic_bases
+from leastaction._lacking import _not_offered
 from leastaction._prepare import prepare
 from leastaction._selection import select_structure
 
@@ -70,6 +71,21 @@ def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
     texts = [t.text for t in systems.compact_library(name).terms if t.text != lacking]
     library = la.Library(texts, data.coordinates, angles=systems.get(name).angles)
     assert f"lack {lacking}: with it" in doubts(data, library, known=systems.get(name).known)
+
+
+@pytest.mark.parametrize("n", [1, 3, 5, 11])
+def test_common_terms_that_are_tried(n):
+    names = [f"q{i}" for i in range(n)]
+    library = la.Library([*(f"{q}_dot**2" for q in names), *(f"cos({q})" for q in names)], names)
+    tried = {t.text for t in _not_offered(EulerLagrange(library.terms, library.coordinates), "compact")}
+    assert {"q0_dot**2*cos(q0)", "sin(q0)"} <= tried
+    assert not tried & {t.text for t in library.terms}
+    assert len(tried) < 130
+
+
+def test_generated_libraries_lack_nothing_common():
+    library = la.Library.mechanical(["x", "theta"], angles=["theta"])
+    assert not _not_offered(EulerLagrange(library.terms, library.coordinates), "standard")
 
 
 def test_nothing_lacks_where_no_common_term_is_needed():

@@ -21,6 +21,7 @@ from leastaction._selection import Refiner, Selection
 __all__ = ["lacking_terms"]
 
 _BETTER = 10.0  # −2 log likelihood, beyond the price of every term
+_MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
 
@@ -71,9 +72,15 @@ def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
     waves = [wave for term in given for wave in term.expr.atoms(sp.sin, sp.cos)]
     turning = {symbol.name for wave in waves for symbol in wave.free_symbols}
     angles = [name for name in columns.coordinates if name in turning]
-    usual = Library.mechanical(columns.coordinates, angles, size=size)
+    together = [columns.coordinates]
+    if len(columns.coordinates) > _MOST_TOGETHER:
+        together = [(name,) for name in columns.coordinates]
+    usual = [
+        term.text
+        for names in together
+        for term in Library.mechanical(names, [name for name in angles if name in names], size=size).terms
+    ]
     texts = {term.text for term in given}
-    more = [term.text for term in usual.terms if term.text not in texts]
-    both = Library([*texts, *more], columns.coordinates)
+    both = Library([*texts, *(text for text in usual if text not in texts)], columns.coordinates)
     kept = both.reduced(keep=[term for term in both.terms if term.text in texts])
     return [term for term in kept.terms if term.text not in texts]
