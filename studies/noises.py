@@ -72,7 +72,7 @@ FORCE_KINDS = {"forces 10 %": 0.1, "forces 30 %": 0.3, "forces 100 %": 1.0}
 def measured(kind: str, truth: Sequence[systems.TrueMotion], sigma, coordinates, seed: int):
     """Return recordings of exact motions with noise of a kind, and the rms noise of each coordinate."""
     rngs = [np.random.default_rng(s) for s in np.random.SeedSequence((seed, 77)).spawn(len(truth))]
-    noise = KINDS.get(kind, _gaussian)
+    noise = _gaussian if kind in FORCE_KINDS else KINDS[kind]
     noisy = [noise(m.q, sigma, rng) for m, rng in zip(truth, rngs, strict=True)]
     error = np.concatenate([q - m.q for q, m in zip(noisy, truth, strict=True)])
     recordings = [
