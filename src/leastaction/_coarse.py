@@ -15,7 +15,7 @@ from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
 from leastaction._mechanics import Mechanics
 from leastaction._prepare import KNOTS_PER_RADIAN, excerpt
-from leastaction._refinement import EXPLAINED, Progress
+from leastaction._refinement import Progress, equations_hold
 from leastaction._selection import Selection, select_structure
 from leastaction._smoothing import smooth
 
@@ -43,8 +43,7 @@ def search_coarse(
     Workspace, Selection
         Those of the better forecasts.
     """
-    off = fine.equation_error(found.structure)[0]
-    if np.all(off <= EXPLAINED) or not knots_per_second < fine.knots_per_second:
+    if equations_hold(fine, found.structure) or not knots_per_second < fine.knots_per_second:
         return fine, found
     coarse = Workspace(fine.trajectories, fine.columns, fine.known, knots_per_second, fine.degree)
     curve = smooth(coarse.grid, coarse.times, coarse.values, rates=coarse.rates)

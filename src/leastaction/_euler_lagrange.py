@@ -244,6 +244,13 @@ class EulerLagrange:
             out += coefficient * self.mass_of(k, points)
         return out
 
+    @property
+    def turning(self) -> tuple[str, ...]:
+        """Coordinates that stand inside a sine or cosine."""
+        waves = [wave for term in self.terms for wave in term.expr.atoms(sp.sin, sp.cos)]
+        inside = {symbol.name for wave in waves for symbol in wave.free_symbols}
+        return tuple(name for name in self.coordinates if name in inside)
+
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Some of the columns, in the given sequence; compiled functions are shared."""
         return EulerLagrange([self.terms[k] for k in select], self.coordinates)

@@ -10,12 +10,11 @@ import copy
 from dataclasses import replace
 
 import numpy as np
-import sympy as sp
 
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import EXPLAINED
+from leastaction._refinement import equations_hold
 from leastaction._selection import Refiner, Selection
 
 __all__ = ["lacking_terms"]
@@ -29,13 +28,16 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     """Say which common terms would explain the motion better than the candidates do."""
     if not selection.structure.fit.converged:
         return []
-    found = _with_common(workspace, selection.structure, "compact", rounds=8)
-    if not found and not _holds(workspace, selection.structure):
-        found = _with_common(workspace, selection.structure, "standard", rounds=3)
+    hold = equations_hold(workspace, selection.structure)
+    found = _with_common(workspace, selection.structure, hold, "compact", rounds=8)
+    if not found and not hold:
+        found = _with_common(workspace, selection.structure, hold, "standard", rounds=3)
     return found
 
 
-def _with_common(workspace: Workspace, structure: StructureFit, size: str, rounds: int) -> list[str]:
+def _with_common(
+    workspace: Workspace, structure: StructureFit, hold: bool, size: str, rounds: int
+) -> list[str]:
     columns = workspace.columns
     common = _not_offered(columns, size)
     if not common:
@@ -51,7 +53,7 @@ def _with_common(workspace: Workspace, structure: StructureFit, size: str, round
     threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.members) <= len(structure.members)
-    lawful = fewer or (_holds(wider, found) and not _holds(workspace, structure))
+    lawful = fewer or (not hold and equations_hold(wider, found))
     if not (new and lawful and found.fit.converged and gain > threshold):
         return []
     it = "it" if len(new) == 1 else "them"
@@ -62,23 +64,18 @@ def _with_common(workspace: Workspace, structure: StructureFit, size: str, round
     ]
 
 
-def _holds(workspace: Workspace, structure: StructureFit) -> bool:
-    return bool(np.all(workspace.equation_error(structure)[0] <= EXPLAINED))
-
-
 def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
     """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
     given = [term for term in columns.terms if term.kind == "lagrangian"]
-    waves = [wave for term in given for wave in term.expr.atoms(sp.sin, sp.cos)]
-    turning = {symbol.name for wave in waves for symbol in wave.free_symbols}
-    angles = [name for name in columns.coordinates if name in turning]
     together = [columns.coordinates]
     if len(columns.coordinates) > _MOST_TOGETHER:
         together = [(name,) for name in columns.coordinates]
     usual = [
         term.text
         for names in together
-        for term in Library.mechanical(names, [name for name in angles if name in names], size=size).terms
+        for term in Library.mechanical(
+            names, [name for name in columns.turning if name in names], size=size
+        ).terms
     ]
     texts = {term.text for term in given}
     both = Library([*texts, *(text for text in usual if text not in texts)], columns.coordinates)

@@ -16,7 +16,7 @@ import numpy as np
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._kinetic import kinetic_bases
-from leastaction._refinement import EXPLAINED, Progress, refine_knots
+from leastaction._refinement import Progress, equations_hold, refine_knots
 from leastaction._search import beam_search, grow_bases, solve_support, support_score
 from leastaction._smoothing import Smooth
 from leastaction._subsets import Choice, QuadraticModel, search_subsets, term_penalty, trade_off
@@ -366,8 +366,7 @@ def _explains(refiner: Refiner, structure: StructureFit) -> bool:
     """Whether the equations hold to one per cent and can be solved; if not, look for a better structure."""
     if not structure.fit.converged or not np.isfinite(refiner.value(structure)):
         return False
-    off = refiner.workspace.equation_error(structure)[0]
-    return bool(np.all(off <= EXPLAINED)) and structure.fit.linearisation.regular > _REGULAR
+    return equations_hold(refiner.workspace, structure) and structure.fit.linearisation.regular > _REGULAR
 
 
 def confirm_structure(

@@ -134,7 +134,9 @@ def _as_forces_are(workspace: Workspace, structure: StructureFit) -> np.ndarray:
 def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]) -> list[str]:
     """Equation errors that are no reason for doubt."""
     notes = []
-    for i in (i for i in range(len(names)) if i not in unexplained):
+    for i in range(len(names)):
+        if i in unexplained:
+            continue
         if excused[i]:
             notes.append(
                 f"the equation of {names[i]} is off by {100 * share[i]:.1f} % of its forces, no more than "
@@ -161,14 +163,12 @@ def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
 
 def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[str]:
     """An angle that covers more than two turns within a recording may be in degrees."""
-    waves = [wave for t in workspace.columns.terms for wave in t.expr.atoms(sp.sin, sp.cos)]
-    angles = {str(symbol) for wave in waves for symbol in wave.free_symbols}
     curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
     spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
         f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
         for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
-        if name in angles and span > _TWO_TURNS
+        if name in workspace.columns.turning and span > _TWO_TURNS
     ]
 
 
