@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -99,15 +100,7 @@ Example:
 @click.pass_context
 def discover(
     ctx: click.Context,
-    data: tuple[str, ...],
-    coordinates: str,
-    time: str,
-    trial: str | None,
-    forces: str | None,
-    force_delay: str | None,
-    angles: str | None,
-    velocity: tuple[str, ...],
-    acceleration: tuple[str, ...],
+    data: Callable[..., DataOptions],
     library: str,
     known: tuple[str, ...],
     dissipation: str | None,
@@ -127,17 +120,7 @@ def discover(
     folder = check_folder(output, OUTPUTS)
     with blame("--option"):
         chosen = method_options(settings)
-    options = DataOptions.of(
-        data,
-        coordinates,
-        time,
-        trial,
-        forces,
-        angles,
-        velocity=velocity,
-        acceleration=acceleration,
-        force_delay=force_delay,
-    )
+    options = data()
     with blame("--force-offset"):
         offsets = force_offsets(force_offset) if force_offset else ()
     with blame("--known"):

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial, wraps
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -273,8 +274,18 @@ def _check_are_coordinates(given: Iterable[str], names: Sequence[str]) -> None:
             raise InputError(f"{quoted(name)} is not a coordinate; the coordinates are {', '.join(names)}")
 
 
+_DATA_PARAMETERS = (
+    *("data", "coordinates", "time", "trial", "forces", "force_delay", "angles"),
+    *("velocity", "acceleration"),
+)
+
+
 def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator that adds the argument DATA and the options that say what its columns mean."""
+    """Return a decorator that adds the argument DATA and the options that say what its columns mean.
+
+    The command gets them as one parameter ``data``, a function that checks them: `DataOptions.of`, of which
+    only ``default`` may be left to give.
+    """
     where = "" if coordinates_required else " By default those of the model."
     decorators = (
         click.argument("data", nargs=-1, required=True, metavar="DATA..."),
@@ -317,8 +328,13 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_data(*args: Any, **given: Any) -> Any:
+            own = {name: given.pop(name) for name in _DATA_PARAMETERS}
+            return command(*args, data=partial(DataOptions.of, **own), **given)
+
         for decorator in reversed(decorators):
-            command = decorator(command)
-        return command
+            with_data = decorator(with_data)
+        return with_data
 
     return decorate

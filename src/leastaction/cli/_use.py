@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+from collections.abc import Callable
 
 import click
 
@@ -117,15 +118,7 @@ Example:
 @click.option("--json", "json_file", metavar="FILE", help="Write the errors to a JSON file too.")
 def validate(
     model: str,
-    data: tuple[str, ...],
-    coordinates: str | None,
-    time: str,
-    trial: str | None,
-    forces: str | None,
-    force_delay: str | None,
-    angles: str | None,
-    velocity: tuple[str, ...],
-    acceleration: tuple[str, ...],
+    data: Callable[..., DataOptions],
     horizon: str | None,
     json_file: str | None,
 ) -> None:
@@ -146,19 +139,7 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    options = DataOptions.of(
-        data,
-        coordinates,
-        time,
-        trial,
-        forces,
-        angles,
-        found.coordinates,
-        velocity,
-        acceleration,
-        force_delay,
-    )
-    trajectories = options.in_order_of(found.coordinates).read()
+    trajectories = data(default=found.coordinates).in_order_of(found.coordinates).read()
     with live_progress("forecast"):
         result = found.validate(trajectories, length)
     if found.fit.status != "ok":
