@@ -49,7 +49,8 @@ print(model.format_table())
 # docs' page on the method); otherwise all coefficients would come out two per cent larger.
 #
 # The result is called doubtful, and rightly so: some per cent of the torques remain unexplained, because
-# belts give, gears stick and currents are not torques. The intervals hold for this model, not for that.
+# belts give, gears stick and currents are not torques. Where that is so, the coefficients are those of the
+# best short free runs along the fitted trials, and their intervals allow for what remains unexplained.
 
 print(model.fit.status)
 for warning in model.fit.warnings:

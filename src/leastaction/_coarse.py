@@ -3,25 +3,32 @@
 Belts and joints vibrate, clocks jitter, motors ripple.  A fine spline follows all of it, and the equations
 then fight accelerations of the wrong origin.  Where the first search leaves a large equation error, another
 one begins on the coarsest grid that shows the motion; free runs along the data judge which of them is right.
+If it is the coarse one, its coefficients are improved by free runs in the end.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import sympy as sp
+from scipy.stats import chi2
 
 from leastaction._errors import InputError
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._forecast import forecast
+from leastaction._free_runs import FreeRuns, minimise_free_runs
 from leastaction._mechanics import Mechanics
-from leastaction._prepare import KNOTS_PER_RADIAN, excerpt
+from leastaction._prepare import KNOTS_PER_RADIAN, Prepared, excerpt
 from leastaction._refinement import Progress, equations_hold
 from leastaction._selection import Selection, select_structure
 from leastaction._smoothing import smooth
 
-__all__ = ["forecast_error", "search_coarse"]
+__all__ = ["forecast_error", "improve_coarse", "search_coarse"]
 
-_HORIZON = 0.5  # of free runs, in periods of the motion
+_HORIZON = 0.5  # of free runs that judge, in periods of the motion
+_QUARTER = 0.25  # of a period: free runs that are minimised; where errors grow, long ones are biased
+_CHANCE = 1e-3  # free runs have to contradict the fit at this level to be believed
 _WINDOW = 0.1
 _WINDOW_STEPS = 8
 _JUDGED = 12_000  # samples that the free runs run along
@@ -50,12 +57,61 @@ def search_coarse(
     other = select_structure(coarse, curve, progress, relevance, seed, thorough=False)
     if not other.structure.fit.converged:
         return fine, found
-    period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second
-    first, second = (
-        forecast_error(w, s.structure, _HORIZON * period) for w, s in ((fine, found), (coarse, other))
-    )
+    horizon = _horizon(knots_per_second)
+    first, second = (forecast_error(w, s.structure, horizon) for w, s in ((fine, found), (coarse, other)))
     progress("coarse", {"forecast_error": second, "before": first})
     return (coarse, other) if second < _CLEARLY * first else (fine, found)
+
+
+def _horizon(knots_per_second: float) -> float:
+    return _HORIZON * 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second
+
+
+def improve_coarse(
+    prepared: Prepared, workspace: Workspace, structure: StructureFit, progress: Progress
+) -> tuple[StructureFit, tuple[str, ...]]:
+    """Coefficients by free runs, if the structure is that of a coarse grid and they contradict its fit.
+
+    Returns
+    -------
+    StructureFit
+        Curve and weights unchanged.
+    tuple of str
+        What is worth knowing about it.
+    """
+    if not structure.fit.converged or workspace.knots_per_second >= prepared.knots.per_second:
+        return structure, ()
+    knots, where = prepared.knots, prepared.workspace(workspace.columns)
+    short = _QUARTER * knots.period
+    found = minimise_free_runs(where, knots.smooth, structure.members, structure.coefficients, short)
+    if found is None or not _differ(found, structure.estimates):
+        return structure, ()
+    coefficients = structure.coefficients.copy()
+    coefficients[list(structure.members)] = found.estimates
+    fit = replace(structure.fit, covariance=found.covariance)
+    better = replace(structure, coefficients=coefficients, fit=fit)
+    horizon = _horizon(knots.coarse)
+    before, after = (forecast_error(workspace, s, horizon) for s in (structure, better))
+    progress("coarse", {"forecast_error": after, "before": before})
+    regular = [workspace.regular(s.coefficients, fit.control_points) for s in (structure, better)]
+    if after > before / _CLEARLY or regular[1] < regular[0]:
+        return structure, ()
+    return better, (
+        "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
+        f"{short:.2g} s, and their intervals allow for what the library cannot explain",
+    )
+
+
+def _differ(found: FreeRuns, before: np.ndarray) -> bool:
+    """Whether free runs contradict the fit beyond chance (Hausman 1978, Econometrica 46:1251).
+
+    If not, both are estimates of the same, and the fit is the better one.
+    """
+    spread = np.sqrt(np.clip(np.diag(found.covariance), 1e-300, None))
+    moved = (found.estimates - before) / spread
+    correlation = found.covariance / np.outer(spread, spread)
+    square = float(moved @ np.linalg.pinv(correlation, hermitian=True) @ moved)
+    return bool(chi2.sf(square, before.size) < _CHANCE)
 
 
 def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from leastaction._coarse import search_coarse
+from leastaction._coarse import improve_coarse, search_coarse
 from leastaction._descent import select_by_descent
 from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._drift import Drift
@@ -118,7 +118,8 @@ def discover(
     Notes
     -----
     Not guaranteed: that the truth is in the library; that two structures can be told apart by these data.
-    Intervals assume white Gaussian noise and a white equation error.
+    Intervals assume white Gaussian noise and a white equation error; where a machine moves in ways that the
+    library cannot explain, those of free runs take their place (`fit` is doubtful then, and a note says so).
 
     Examples
     --------
@@ -176,6 +177,10 @@ def discover(
         )
     clock.start("verify")
     verdict = verify(workspace, selection, smoothed, prepared.knots.period)
+    if not descent:
+        better, notes = improve_coarse(prepared, workspace, selection.structure, clock.report)
+        selection = replace(selection, structure=better)
+        verdict = replace(verdict, notes=(*verdict.notes, *notes))
     clock.stop()
     given = {
         "method": method,

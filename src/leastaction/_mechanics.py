@@ -7,7 +7,7 @@ The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -61,6 +61,8 @@ class Mechanics:
     lagrangian, dissipation : sympy.Expr
         L and ψ with their numbers, over the symbols of `state_symbols`.
     coordinates : sequence of str
+    parameters : sequence of sympy.Symbol
+        Coefficients that stay symbols; `acceleration` takes their values.
 
     Notes
     -----
@@ -68,8 +70,15 @@ class Mechanics:
     name of a coordinate can meet a name in generated code.
     """
 
-    def __init__(self, lagrangian: sp.Expr, dissipation: sp.Expr, coordinates: Sequence[str]) -> None:
+    def __init__(
+        self,
+        lagrangian: sp.Expr,
+        dissipation: sp.Expr,
+        coordinates: Sequence[str],
+        parameters: Sequence[sp.Symbol] = (),
+    ) -> None:
         self.n_dof = len(coordinates)
+        self.parameters = tuple(parameters)
         self._named = state_symbols(coordinates)
         self.q = [sp.Symbol(f"q_{i}", real=True) for i in range(self.n_dof)]
         self.qdot = [sp.Symbol(f"v_{i}", real=True) for i in range(self.n_dof)]
@@ -130,7 +139,7 @@ class Mechanics:
     @cached_property
     def _equations_function(self) -> Callable[..., list]:
         upper = [self.mass[i][j] for i in range(self.n_dof) for j in range(i, self.n_dof)]
-        return self.compile([*upper, *self.right])
+        return self.compile([*upper, *self.right], self.parameters)
 
     @cached_property
     def _energy_function(self) -> Callable[..., list]:
@@ -147,11 +156,16 @@ class Mechanics:
     def _columns(self, q: np.ndarray, qdot: np.ndarray) -> list[np.ndarray]:
         return [x[..., i] for x in (q, qdot) for i in range(self.n_dof)]
 
-    def mass_and_right(self, q: np.ndarray, qdot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return M, shape (..., n_dof, n_dof), and r, shape (..., n_dof), of float arrays of one shape."""
+    def mass_and_right(
+        self, q: np.ndarray, qdot: np.ndarray, parameters: Iterable[np.ndarray] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return M, shape (..., n_dof, n_dof), and r, shape (..., n_dof), of float arrays of one shape.
+
+        ``parameters`` have values of a shape that can be broadcast to (...).
+        """
         n = self.n_dof
         with np.errstate(all="ignore"):
-            values = iter(self._equations_function(*self._columns(q, qdot)))
+            values = iter(self._equations_function(*self._columns(q, qdot), *parameters))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
         for i in range(n):
             for j in range(i, n):
@@ -164,9 +178,15 @@ class Mechanics:
         """Return M, shape (..., n_dof, n_dof)."""
         return self.mass_and_right(q, qdot)[0]
 
-    def acceleration(self, q: np.ndarray, qdot: np.ndarray, forces: np.ndarray | None = None) -> np.ndarray:
+    def acceleration(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        forces: np.ndarray | None = None,
+        parameters: Iterable[np.ndarray] = (),
+    ) -> np.ndarray:
         """Return q̈; NaN where the mass matrix is exactly singular."""
-        mass, right = self.mass_and_right(q, qdot)
+        mass, right = self.mass_and_right(q, qdot, parameters)
         return _solve(mass, right if forces is None else right + forces)
 
     def energy(self, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
