@@ -7,8 +7,6 @@ coefficient is set free to see whether fewer terms then say the same.
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 
 from leastaction._euler_lagrange import EulerLagrange
@@ -16,6 +14,7 @@ from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import score_candidates
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library
+from leastaction._refinement import silent
 from leastaction._selection import Refiner, Selection
 from leastaction._subsets import QuadraticModel
 
@@ -118,13 +117,10 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
     if not known.size or (workspace.forces is None and known.size < 2):
         return []
     structure = selection.structure
-    refiner = Refiner(workspace, lambda stage, details: None)
-    before, out = refiner.value(structure), []
+    before, out = Refiner(workspace, silent).value(structure), []
     for k in known[:_MOST_RELEASED]:
-        released = copy.copy(workspace)
-        released.known = workspace.known.copy()
-        released.known[k] = np.nan
-        other = Refiner(released, lambda stage, details: None)
+        released = workspace.changed(np.where(np.arange(workspace.known.size) == k, np.nan, workspace.known))
+        other = Refiner(released, silent)
         members = tuple(sorted((*structure.members, int(k))))
         found = other.refine(released.fit(members, structure.start))
         gain = 2.0 * (other.value(found) - before)

@@ -6,7 +6,6 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import equations_hold
+from leastaction._refinement import equations_hold, silent
 from leastaction._selection import Refiner, Selection
 
 __all__ = ["lacking_terms"]
@@ -42,10 +41,8 @@ def _with_common(
     common = _not_offered(columns, size)
     if not common:
         return []
-    wider = copy.copy(workspace)
-    wider.columns = EulerLagrange([*columns.terms, *common], columns.coordinates)
-    wider.known = np.append(workspace.known, np.full(len(common), np.nan))
-    refiner = Refiner(wider, lambda stage, details: None)
+    wider = workspace.changed(np.append(workspace.known, np.full(len(common), np.nan)), common)
+    refiner = Refiner(wider, silent)
     here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
     found = refiner.refine(here, rounds)
     gain = 2.0 * (refiner.value(found) - refiner.value(here))

@@ -9,7 +9,7 @@ import numpy as np
 from leastaction._fit.evidence import SLACK_LEFT
 from leastaction._fit.workspace import StructureFit, Workspace
 
-__all__ = ["EXPLAINED", "Progress", "equations_hold", "refine_knots"]
+__all__ = ["EXPLAINED", "Progress", "equations_hold", "refine_knots", "silent"]
 
 Progress = Callable[[str, dict], None]
 
@@ -21,6 +21,10 @@ _MOST_SHRUNK = 0.03
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _GROWN = 1.1
+
+
+def silent(stage: str, details: dict) -> None:
+    """For searches that nobody follows."""
 
 
 def equations_hold(workspace: Workspace, structure: StructureFit) -> bool:

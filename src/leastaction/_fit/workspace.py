@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,7 @@ from leastaction._fit.evidence import Start, evidence, fit_curve, fit_weights, s
 from leastaction._fit.forces import forces_on
 from leastaction._fit.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction._fit.problem import Observations, Physics, positive_definite
+from leastaction._library import Term
 from leastaction._spline import uniform_grid
 from leastaction._trajectory import Trajectories
 
@@ -93,6 +95,14 @@ class Workspace:
     def free(self) -> np.ndarray:
         """Numbers of the columns that are not known."""
         return np.flatnonzero(np.isnan(self.known))
+
+    def changed(self, known: np.ndarray, more: Sequence[Term] = ()) -> Workspace:
+        """The same data on the same grid with other known coefficients, and further candidates."""
+        other = copy.copy(self)
+        if more:
+            other.columns = EulerLagrange([*self.columns.terms, *more], self.columns.coordinates)
+        other.known = known
+        return other
 
     def set_knots(self, knots_per_second: float) -> None:
         """Lay a new spline grid."""
