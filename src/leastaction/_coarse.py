@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 import sympy as sp
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from leastaction._errors import InputError
 from leastaction._fit.workspace import StructureFit, Workspace
@@ -111,7 +111,7 @@ def _differ(found: FreeRuns, before: np.ndarray) -> bool:
     moved = (found.estimates - before) / spread
     correlation = found.covariance / np.outer(spread, spread)
     square = float(moved @ np.linalg.pinv(correlation, hermitian=True) @ moved)
-    return bool(chi2.sf(square, before.size) < _CHANCE)
+    return bool(chdtrc(before.size, square) < _CHANCE)
 
 
 def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float) -> float:
