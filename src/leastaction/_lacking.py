@@ -6,11 +6,14 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from leastaction._euler_lagrange import EulerLagrange
+from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
 from leastaction._refinement import equations_hold, silent
@@ -20,6 +23,7 @@ __all__ = ["lacking_terms"]
 
 _BETTER = 10.0  # −2 log likelihood, beyond the price of every term
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
+_ROUNDS = 3  # a term that is lacking is found in the first
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
 
@@ -28,23 +32,21 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     if not selection.structure.fit.converged:
         return []
     hold = equations_hold(workspace, selection.structure)
-    found = _with_common(workspace, selection.structure, hold, "compact", rounds=8)
+    found = _with_common(workspace, selection.structure, hold, "compact")
     if not found and not hold:
-        found = _with_common(workspace, selection.structure, hold, "standard", rounds=3)
+        found = _with_common(workspace, selection.structure, hold, "standard")
     return found
 
 
-def _with_common(
-    workspace: Workspace, structure: StructureFit, hold: bool, size: str, rounds: int
-) -> list[str]:
+def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size: str) -> list[str]:
     columns = workspace.columns
     common = _not_offered(columns, size)
     if not common:
         return []
     wider = workspace.changed(np.append(workspace.known, np.full(len(common), np.nan)), common)
-    refiner = Refiner(wider, silent)
+    refiner = _Best(wider, silent)
     here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
-    found = refiner.refine(here, rounds)
+    found = refiner.refine(here, _ROUNDS)
     gain = 2.0 * (refiner.value(found) - refiner.value(here))
     new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
     threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
@@ -59,6 +61,13 @@ def _with_common(
         f"the library seems to lack {', '.join(new)}: with {it}, {len(found.members)} free terms instead of "
         f"{len(structure.members)} explain the motion better{by}; add {it} to the candidates"
     ]
+
+
+class _Best(Refiner):
+    """Tries only the best proposal of each round: with the term that is lacking it succeeds at once."""
+
+    def _propose(self, structure: StructureFit) -> Iterator[tuple[tuple[int, ...], Start]]:
+        return islice(super()._propose(structure), 1)
 
 
 def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
