@@ -100,7 +100,7 @@ class Tab:
     def overflow(self) -> int:
         return self.page.evaluate("document.documentElement.scrollWidth - window.innerWidth")
 
-    def see(self, text: str, seconds: float = 60.0) -> None:
+    def see(self, text: str, seconds: float = 180.0) -> None:
         self.page.get_by_text(text).first.wait_for(timeout=1000 * seconds)
 
     def click(self, text: str) -> None:
