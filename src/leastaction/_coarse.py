@@ -116,11 +116,9 @@ def _differ(found: FreeRuns, before: np.ndarray) -> bool:
 
 def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float) -> float:
     """Root mean square error of free runs over standard deviation, runs that are lost counted as one."""
-    parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
-    for term, value in zip(workspace.columns.terms, structure.coefficients, strict=True):
-        parts[term.kind] += sp.Float(float(value)) * term.expr
     data = excerpt(workspace.trajectories, _JUDGED)
-    mechanics = Mechanics(parts["lagrangian"], parts["dissipation"], data.coordinates)
+    values = [sp.Float(float(value)) for value in structure.coefficients]
+    mechanics = Mechanics.of_terms(workspace.columns.terms, values, data.coordinates)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     noise = structure.fit.weights.position_std

@@ -23,6 +23,7 @@ from leastaction._fit.workspace import Workspace
 from leastaction._mechanics import Mechanics
 from leastaction._simulate import rk4
 from leastaction._smoothing import Smooth
+from leastaction._trajectory import Trajectory
 
 __all__ = ["FreeRuns", "minimise_free_runs"]
 
@@ -77,7 +78,7 @@ def minimise_free_runs(
     runs = _Runs(workspace, curve, horizon)
     if runs.n_runs < _FEWEST_RUNS:
         return None
-    flow = _Flow(workspace, tuple(members), coefficients, runs)
+    flow = _Flow(workspace, members, coefficients, runs)
     one = np.ones(len(members))
     before = np.abs(flow.errors(one[None])[0])
     if not 0.0 < before.max() < _LOST:
@@ -122,35 +123,34 @@ class _Runs:
 
     def __init__(self, workspace: Workspace, curve: Smooth, horizon: float) -> None:
         self.nodes = np.linspace(0.0, horizon, _STEPS + 1)
-        begins = [
-            (k, begin)
-            for k, trajectory in enumerate(workspace.trajectories)
-            for begin in _begins(trajectory, horizon)
-        ]
-        keep = np.linspace(0, len(begins) - 1, min(len(begins), _MOST_RUNS)).round().astype(int)
-        begins = [begins[k] for k in keep]
-        self.n_runs = len(begins)
-        parts = workspace.grid.split(curve.control_points)
-        q, qdot, forces = [], [], []
+        begins = [_begins(trajectory, horizon) for trajectory in workspace.trajectories]
+        owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
+        keep = np.linspace(0, owner.size - 1, min(owner.size, _MOST_RUNS)).round().astype(int)
+        begin, owner = np.concatenate(begins)[keep], owner[keep]
+        self.n_runs, n_dof = begin.size, workspace.trajectories.n_dof
+        self.q = np.empty((self.n_runs, self.nodes.size, n_dof))
+        self.qdot = np.empty((self.n_runs, n_dof))
         half = np.linspace(0.0, horizon, 2 * _STEPS + 1)
-        for k, begin in begins:
-            space = workspace.grid.spaces[k]
-            q.append(space.evaluate(parts[k], begin + self.nodes))
-            qdot.append(space.evaluate(parts[k], np.array([begin]), 1)[0])
-            forces.append(workspace.force_at(k, begin + half))
-        self.q, self.qdot = np.array(q), np.array(qdot)
-        self.forces = np.array(forces).swapaxes(0, 1) if begins and workspace.trajectories.driven else None
+        self.forces = np.empty((half.size, self.n_runs, n_dof)) if workspace.trajectories.driven else None
+        for k, part in enumerate(workspace.grid.split(curve.control_points)):
+            own, space = owner == k, workspace.grid.spaces[k]
+            self.q[own] = space.evaluate(part, begin[own][:, None] + self.nodes)
+            self.qdot[own] = space.evaluate(part, begin[own], 1)
+            if self.forces is not None:
+                self.forces[:, own] = workspace.force_at(k, half[:, None] + begin[own])
 
 
-def _begins(trajectory, horizon: float) -> list[float]:
+def _begins(trajectory: Trajectory, horizon: float) -> np.ndarray:
     """Where runs of one trajectory begin, one after the other; none over a gap."""
     t = trajectory.t[np.isfinite(trajectory.q).all(axis=1)]
     if t.size < 2:
-        return []
+        return np.empty(0)
     step = np.diff(t)
     gaps = np.flatnonzero(step > max(_GAP * horizon, 3.0 * float(np.median(step))))
     begins = t[0] + horizon * np.arange(int((t[-1] - t[0]) / horizon))
-    return [float(b) for b in begins if not np.any((t[gaps] < b + horizon) & (t[gaps + 1] > b))]
+    ends = begins + horizon
+    over = (t[gaps] < ends[:, None]) & (t[gaps + 1] > begins[:, None])
+    return begins[~over.any(axis=1)]
 
 
 class _Flow:
@@ -159,13 +159,11 @@ class _Flow:
     def __init__(self, workspace: Workspace, members, coefficients: np.ndarray, runs: _Runs) -> None:
         self.runs, self.size = runs, coefficients[list(members)]
         self.scale = np.ones(runs.q.shape[-1])
-        symbols = [sp.Dummy(f"coefficient_{k}", real=True) for k in members]
-        parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
-        for k, term in enumerate(workspace.columns.terms):
-            value = symbols[members.index(k)] if k in members else sp.Float(float(coefficients[k]))
-            parts[term.kind] += value * term.expr
-        coordinates = workspace.columns.coordinates
-        self.mechanics = Mechanics(parts["lagrangian"], parts["dissipation"], coordinates, symbols)
+        columns, symbols = workspace.columns, [sp.Dummy(real=True) for _ in members]
+        values: list[sp.Expr] = [sp.Float(float(value)) for value in coefficients]
+        for k, symbol in zip(members, symbols, strict=True):
+            values[k] = symbol
+        self.mechanics = Mechanics.of_terms(columns.terms, values, columns.coordinates, symbols)
 
     def errors(self, x: np.ndarray) -> np.ndarray:
         """(n_variants, n_runs, n_steps + 1, n_dof), over ``scale``; ``x`` is (n_variants, n_members)."""

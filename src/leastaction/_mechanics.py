@@ -14,6 +14,8 @@ import numpy as np
 import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 
+from leastaction._library import Term
+
 __all__ = ["Mechanics", "RealAbs", "RealSign", "state_symbols"]
 
 
@@ -85,6 +87,20 @@ class Mechanics:
         swap = dict(zip([*self._named[0], *self._named[1]], [*self.q, *self.qdot], strict=True))
         self._lagrangian = lagrangian.replace(sp.Abs, RealAbs).xreplace(swap)
         self._dissipation = dissipation.replace(sp.Abs, RealAbs).xreplace(swap)
+
+    @classmethod
+    def of_terms(
+        cls,
+        terms: Sequence[Term],
+        values: Sequence[sp.Expr],
+        coordinates: Sequence[str],
+        parameters: Sequence[sp.Symbol] = (),
+    ) -> Mechanics:
+        """Terms of L and ψ with their coefficients, numbers or parameters."""
+        parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
+        for term, value in zip(terms, values, strict=True):
+            parts[term.kind] += value * term.expr
+        return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters)
 
     @cached_property
     def momentum(self) -> list[sp.Expr]:
