@@ -9,7 +9,7 @@ import numpy as np
 
 from reproduction._results import NO_REGULARISATION, Column, Group, Results, best, complete
 
-__all__ = ["Cell", "Table", "ablation", "group_tables", "number", "place", "published", "speed"]
+__all__ = ["Cell", "Table", "ablation", "group_tables", "number", "place", "published"]
 
 
 @dataclass(frozen=True)
@@ -290,52 +290,3 @@ def ablation(results: Results, group: Group, paper: Mapping) -> Table | None:
         _rows(shown, fill),
         len(names),
     )
-
-
-def speed(results: Results) -> Table | None:
-    """Return how many times longer each method takes than ours, pair by pair on one kind of machine."""
-    ours = {_pairing(r): r["result"]["wall_s"] for r in results.column(("ours", "")).records if _timed(r)}
-    others = [c for c in results.columns if c[0] != "ours" and c[1] != NO_REGULARISATION]
-    ratios: dict[tuple[Column, str], list[float]] = {}
-    for column in others:
-        for r in results.column(column).records:
-            if _timed(r) and _pairing(r) in ours:
-                seconds = r["result"]["seconds_to_best"] or r["result"]["wall_s"]
-                key = (column, r["config"]["system"])
-                ratios.setdefault(key, []).append(seconds / ours[_pairing(r)])
-    columns = [c for c in others if any(key[0] == c for key in ratios)]
-    if not columns:
-        return None
-    names = list(dict.fromkeys(system for system, _ in results.cells if any(k[1] == system for k in ratios)))
-    rows = [
-        [Cell(name.replace("_", " "), heading=True), *(_ratio([ratios.get((c, name), [])]) for c in columns)]
-        for name in names
-    ]
-    every = [[ratios[c, name] for name in names if (c, name) in ratios] for c in columns]
-    rows.append([Cell("geometric mean", heading=True), *map(_ratio, every)])
-    note = (
-        "Seconds of a method over seconds of ours on the same data, geometric mean over noise levels, trials "
-        "and libraries; above 1, ours is faster. For methods that iterate: the seconds until the error first "
-        "came within 5 % of its smallest, which nobody could know in practice; for others, the wall time. "
-        "Only pairs from the same kind of machine with as many runs at a time; below, how many."
-    )
-    return Table("Speed against ours", note, ["system", *map(results.title, columns)], rows)
-
-
-def _timed(record: Mapping) -> bool:
-    return record["result"]["finished"] and record["result"]["wall_s"] > 0
-
-
-def _pairing(record: Mapping) -> tuple:
-    """What two runs must share to be compared by time: the problem and the machine."""
-    config = {k: v for k, v in record["config"].items() if k not in ("method", "variant")}
-    return (*sorted(config.items()), *sorted(record["machine"].items()))
-
-
-def _ratio(per_system: Sequence[Sequence[float]]) -> Cell:
-    """Geometric mean over systems of the geometric means within each."""
-    logs = [np.mean(np.log(r)) for r in per_system if r]
-    if not logs:
-        return Cell("")
-    pairs = sum(map(len, per_system))
-    return Cell(number(float(np.exp(np.mean(logs)))), f"{pairs} pair{'s' * (pairs != 1)}")

@@ -18,7 +18,8 @@ import leastaction as la
 from reproduction._findings import Finding, findings
 from reproduction._render import Page, Section, html, markdown
 from reproduction._results import Results, read
-from reproduction._tables import ablation, group_tables, speed
+from reproduction._speed import speed
+from reproduction._tables import ablation, group_tables
 
 HERE = Path(__file__).resolve().parent
 LEAD = (
@@ -41,7 +42,7 @@ def page(results: Results, paper: dict, remarks: dict[str, str]) -> Page:
             sections.append(Section(f"Second table. {group.title}", [table]))
     pace = speed(results)
     if pace:
-        sections.append(Section("Speed", [pace]))
+        sections.append(Section("Speed", pace))
     return Page("Reproduction: tables", LEAD, sections, origin(results))
 
 

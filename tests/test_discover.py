@@ -288,7 +288,9 @@ def test_progress_is_reported_and_data_are_left_alone():
         data, DUFFING_LIBRARY, KINETIC, progress=lambda stage, details: stages.append((stage, details))
     )
     assert {"prepare", "search", "verify"} <= {stage for stage, _ in stages}
-    assert all(isinstance(details, dict) for _, details in stages)
+    last = [details for _, details in stages if "coefficients" in details][-1]
+    assert set(last["coefficients"]) == {"x_dot**2", "x**2", "x**4"}
+    assert last["terms"] == 2
     for d, (t, q) in zip(data, before, strict=True):
         np.testing.assert_array_equal(d.t, t)
         np.testing.assert_array_equal(d.q, q)

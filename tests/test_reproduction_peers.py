@@ -68,10 +68,11 @@ def test_xlsindy_finds_exact_motions_exactly(name):
 
 
 @pytest.mark.usefixtures("brief")
-def test_xlsindy_history_ends_in_the_answer():
-    answer = load("xlsindy_positions").solve(posed("xlsindy_positions"))
+@pytest.mark.parametrize("name", ["xlsindy_positions", "ours"])
+def test_history_ends_in_the_answer(name):
+    answer = load(name).solve(posed(name))
     seconds = [t for t, _ in answer.history]
-    assert len(seconds) > 5
+    assert len(seconds) > 3
     assert seconds == sorted(seconds)
     assert answer.history[-1][1] == answer.coefficients
     assert answer.history[0][1] != answer.coefficients

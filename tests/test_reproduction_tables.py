@@ -16,7 +16,8 @@ from leastaction import systems
 from reproduction import scoring
 from reproduction._findings import findings
 from reproduction._results import Group, Results
-from reproduction._tables import ablation, group_tables, number, speed
+from reproduction._speed import speed
+from reproduction._tables import ablation, group_tables, number
 from reproduction.collate import HERE, main
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
@@ -81,7 +82,10 @@ class TestScore:
         history = [(k + 1.0, true | {"x**3": error}) for k, error in enumerate(off)]
         scores = found(true, history=history)
         assert (scores["seconds_to_best"], scores["seconds_at_best"]) == (2.0, 4.0)
-        assert scores["best_l2"] == pytest.approx(0.1 / np.sqrt(1.5**2 + 1 + 0.5**2 + 50))
+        size = np.sqrt(1.5**2 + 1 + 0.5**2 + 50)
+        assert scores["best_l2"] == pytest.approx(0.1 / size)
+        # 0.1 is less than another 5 % below 0.104
+        assert scores["course"] == [(1.0, pytest.approx(100 / size)), (2.0, pytest.approx(0.104 / size))]
 
     def test_coefficients_that_are_not_finite_are_a_failure(self):
         with pytest.raises(ValueError, match="not finite"):
@@ -163,6 +167,11 @@ class TestHorizon:
         else:
             assert 0 <= scores["forecast_horizon"] < 2
 
+    def test_model_undefined_at_the_start_is_asked_once(self):
+        motion, asked = scoring.fresh_motions(problem())[0], []
+        scoring._horizon(lambda q, v, f: asked.append(1) or np.full_like(q, np.nan), motion, np.ones(1))
+        assert len(asked) == 1
+
 
 def record(method="ours", l2=0.01, trial=0, system="single_pendulum", noise=0.1, finished=True, **other):
     """Return a record; names of `other` may be of the configuration or of the result."""
@@ -170,7 +179,7 @@ def record(method="ours", l2=0.01, trial=0, system="single_pendulum", noise=0.1,
     config = case.as_dict() | {k: v for k, v in other.items() if hasattr(case, k)}
     result = {"finished": finished, "status": "ok", "l2": l2, "precision": 1.0, "recall": 1.0, "exact": True}
     result |= {"l2_over_crb": l2 and 100 * l2, "equation_error": 0.1, "forecast_horizon": 5.0, "wall_s": 2.0}
-    result |= {"peak_mb": 100.0, "covered": 2, "intervals": 2, "seconds_to_best": None}
+    result |= {"peak_mb": 100.0, "covered": 2, "intervals": 2, "seconds_to_best": None, "best_l2": None}
     if not finished:
         result = {"finished": False, "status": "timed out", "reason": "no result after 9 s"}
     result |= {k: v for k, v in other.items() if not hasattr(case, k)}
@@ -290,13 +299,31 @@ class TestTables:
         ]
         other = record("adam", trial=0, wall_s=1e9)
         other["machine"] = other["machine"] | {"cores": 64}
-        rows = speed(Results([*records, other])).rows
+        (table,) = speed(Results([*records, other]))
+        rows = table.rows
         assert [[c.text for c in row] for row in rows] == [
             ["single pendulum", "4.00"],  # of 2 and 8
             ["magnetic pendulum", "16.0"],
             ["geometric mean", "8.00"],
         ]
         assert [row[1].detail for row in rows] == ["2 pairs", "1 pair", "3 pairs"]
+
+    def test_speed_until_ours_is_as_good(self):
+        course = [[0.5, 2.0], [1.0, 0.104], [2.0, 0.01]]
+        records = [record(trial=k, course=course) for k in range(3)]
+        records += [
+            record("adam", 0.3, best_l2=0.1, seconds_to_best=8.0),  # ours is there after 1 s
+            record("adam", 0.01, trial=1, wall_s=4.0),  # after 2 s
+            record("adam", 1e-9, trial=2),  # never
+            record("sindy", None),  # has no such error
+        ]
+        table = speed(Results(records))[1]
+        assert table.head == ["system", "Paper's"]
+        assert [[c.text for c in row] for row in table.rows] == [
+            ["single pendulum", "4.00"],  # of 8 and 2
+            ["geometric mean", "4.00"],
+        ]
+        assert table.rows[0][1].detail == "2 of 3 pairs"
 
     @pytest.mark.parametrize(
         ("value", "text"),

@@ -41,11 +41,9 @@ def select_by_descent(
         points = points.copy()
         points[problem.ends] = _through_samples(workspace)[problem.ends]
     coefficients = _start(workspace, problem, options, points)
-    texts = [term.text for term in workspace.columns.terms]
 
     def report(details: dict) -> None:
-        named = dict(zip(texts, details.pop("coefficients").tolist(), strict=True))
-        progress("descent", {**details, "coefficients": {k: v for k, v in named.items() if v != 0.0}})
+        progress("descent", {**details, "coefficients": workspace.named(details["coefficients"])})
 
     fit = descend(problem, points, coefficients, rng, report)
     return Selection(_structure(workspace, fit), {}, np.nan, True), smoothed

@@ -101,7 +101,8 @@ def discover(
     options : AdamOptions or mapping, optional
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
-        Called as ``progress(stage, details)``.
+        Called as ``progress(stage, details)``; where a stage has an intermediate law, ``details`` holds its
+        ``"coefficients"`` (term → value) and the number of free ``"terms"``.
 
     Returns
     -------

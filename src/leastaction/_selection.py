@@ -101,13 +101,19 @@ def propose_supports(
         bases = kinetic_bases(workspace, smooth) if from_bases else None
         for gram in grams:
             proposal = _settle(workspace, smooth, *_best_support(workspace, smooth, gram, bases))
-            progress("search", {"terms": len(proposal.members), "evidence": proposal.evidence})
+            progress("search", _details(workspace, proposal.start.coefficients, proposal.evidence))
             if any(proposal.members == p.members for p in found):
                 break
             found.append(proposal)
         if not thorough and any(np.isfinite(p.evidence) for p in found):
             break
     return sorted(found, key=lambda p: -p.evidence)
+
+
+def _details(workspace: Workspace, coefficients: np.ndarray, evidence: float) -> dict:
+    """What a user may see of a structure on the way, known terms included in the coefficients only."""
+    free = np.count_nonzero(coefficients[workspace.free])
+    return {"terms": free, "evidence": evidence, "coefficients": workspace.named(coefficients)}
 
 
 def _best_support(
@@ -178,7 +184,7 @@ class Refiner:
 
     def refine(self, structure: StructureFit, rounds: int = 8) -> StructureFit:
         for _ in range(rounds):
-            self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
+            self._tell(structure)
             if not structure.fit.usable:
                 break
             better = self._better(structure)
@@ -223,7 +229,7 @@ class Refiner:
             there = model.solution(members)
             start = self._start(structure, there)
             structure = self.workspace.fit(self._columns(members), start)
-            self.progress("select", {"terms": len(structure.members), "evidence": structure.evidence})
+            self._tell(structure)
         return structure
 
     def dissipate(self, structure: StructureFit) -> tuple[StructureFit, tuple[int, ...]]:
@@ -259,6 +265,10 @@ class Refiner:
             size: [Choice(self._columns(c.members), c.cost) for c in level]
             for size, level in trade_off(model, current).items()
         }
+
+    def _tell(self, structure: StructureFit) -> None:
+        details = _details(self.workspace, structure.coefficients, structure.evidence)
+        self.progress("select", details)
 
     def _propose(self, structure: StructureFit) -> Iterator[tuple[tuple[int, ...], Start]]:
         """Better supports by the quadratic model, with their starts: the best, one near by, the second best.

@@ -96,6 +96,11 @@ class Workspace:
         """Numbers of the columns that are not known."""
         return np.flatnonzero(np.isnan(self.known))
 
+    def named(self, coefficients: np.ndarray) -> dict[str, float]:
+        """Coefficients of all columns by the texts of their terms; zeros are left out."""
+        texts = [term.text for term in self.columns.terms]
+        return {k: v for k, v in zip(texts, coefficients.tolist(), strict=True) if v != 0.0}
+
     def changed(self, known: np.ndarray, more: Sequence[Term] = ()) -> Workspace:
         """The same data on the same grid with other known coefficients, and further candidates."""
         other = copy.copy(self)
