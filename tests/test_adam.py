@@ -144,8 +144,9 @@ def test_same_seed_same_answer():
     assert values[0] == values[1] != values[2]
 
 
-def test_a_descent_that_was_cut_short_is_doubtful():
-    short = {"iterations": 100, "check_every": 50, "threshold": 0.0}
+@pytest.mark.parametrize("check_every", [50, 1000])  # the last iteration is checked in any case
+def test_a_descent_that_was_cut_short_is_doubtful(check_every):
+    short = {"iterations": 100, "check_every": check_every, "threshold": 0.0}
     model = la.discover(duffing(), DUFFING_LIBRARY, KINETIC, method="adam", options=short)
     assert model.fit.status == "doubtful"
     assert any("converge" in w for w in model.fit.warnings)

@@ -194,7 +194,7 @@ def descend(
         points -= options.learning_rate_curve * fade * _direction(moments[0], moments[1], by_point, step)
         move = options.learning_rate_coefficients * fade * _direction(moments[2], moments[3], by_value, step)
         values -= np.where(free, move, 0.0)
-        if step % options.check_every:
+        if step % options.check_every and step < options.iterations:
             continue
         changed = False
         if step >= options.threshold_from:
