@@ -100,13 +100,14 @@ def _regression(space: Workspace, control_points: np.ndarray) -> np.ndarray:
 @click.option("--noise", "levels", multiple=True, type=float, default=(0.01, 0.1), show_default=True)
 @click.option("--physics-weight", "gammas", multiple=True, type=float, default=(0.1, 1.0, 10.0))
 @click.option("--finer", multiple=True, type=float, default=(1.0, 2.0), help="Times the default knots.")
+@click.option("--trial", default=0, show_default=True, help="Number of the data set.")
 @click.option("--results", type=click.Path(path_type=Path), default=RESULTS)
-def main(names, levels, gammas, finer, results: Path) -> None:
+def main(names, levels, gammas, finer, trial: int, results: Path) -> None:
     """Compute what has not been computed, and print it."""
     grid = [(s, n, f, g) for n in levels for s in names or systems.names() for f in finer for g in gammas]
     for name, noise, factor, gamma in grid:
-        case = Case(name, noise, "adam")
-        path = results / f"{name}-{noise:g}-{factor:g}-{gamma:g}.json"
+        case = Case(name, noise, "adam", trial=trial)
+        path = results / f"{name}-{noise:g}-{factor:g}-{gamma:g}-trial{trial}.json"
         if not path.exists():
             la.io.write_text(path, json.dumps(minima(case, gamma, factor), indent=1) + "\n")
         r = json.loads(path.read_text())

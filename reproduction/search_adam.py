@@ -50,7 +50,8 @@ def draws(count: int) -> list[tuple[float, la.AdamOptions]]:
     out.append((2.0, la.AdamOptions(learning_rate_coefficients=3e-4, learning_rate_curve=1e-6)))
     while len(out) < count:
         chosen = {name: values[rng.integers(len(values))] for name, values in _CHOICES.items()}
-        out.append((_KNOTS[rng.integers(2)], la.AdamOptions(**chosen)))
+        new = (_KNOTS[rng.integers(2)], la.AdamOptions(**chosen))
+        out += [] if new in out else [new]
     return out[:count]
 
 
