@@ -43,8 +43,9 @@ def settings(table: str, methods: Sequence[Method], missing: Sequence[float]) ->
     """Return the (method, variant), share of missing samples of a table."""
     if table == "1":
         return list(product(methods, missing))
-    complete = [(m, share) for share in (0.0, TABLE2_MISSING) for m in methods if m[0] in TABLE2_METHODS]
-    return complete + [(TABLE2_PLAIN, 0.0)] * any(name == TABLE2_PLAIN[0] for name, _ in methods)
+    complete = [m for m in methods if m[0] in TABLE2_METHODS and m != TABLE2_PLAIN]
+    plain = [(TABLE2_PLAIN, 0.0)] if any(name == TABLE2_PLAIN[0] for name, _ in methods) else []
+    return [(m, share) for share in (0.0, TABLE2_MISSING) for m in complete] + plain
 
 
 def build_cases(

@@ -224,6 +224,7 @@ def test_cases_of_the_tables():
     assert len(table) == 5  # A and B by both, C by Adam alone
     assert (("adam", "no-regularisation"), 0.0) in table
     assert not any(method[0] == "sindy" for method, _ in table)
+    assert settings("2", [*methods, ("adam", "no-regularisation")], [0.0]) == table
     cases = build_cases(table, ["single_pendulum", "magnetic_pendulum"], [0.0, 0.1], trials=3)
     assert len({case.key for case in cases}) == len(cases) == 5 * 2 * 2 * 3
     assert [case.trial for case in cases] == sorted(case.trial for case in cases)
