@@ -15,8 +15,9 @@ __all__ = ["speed"]
 _SPEED_NOTE = (
     "Seconds of a method over seconds of ours on the same data, geometric mean over noise levels, trials "
     "and libraries; above 1, ours is faster. For methods that iterate: the seconds until the error first "
-    "came within 5 % of its smallest, which nobody could know in practice; for others, the wall time. "
-    "Only pairs from the same kind of machine with as many runs at a time; below, how many."
+    "came within 5 % of its smallest, which nobody could know in practice; for others, all of them. Seconds "
+    "of the processor, one thread: the wall time of a quiet machine, comparable on a busy one, too. Only "
+    "pairs from the same kind of machine; below, how many."
 )
 _LEVEL_NOTE = (
     "The same seconds of a method over those after which the law that ours then had was within 5 % of that "
@@ -35,7 +36,7 @@ def speed(results: Results) -> list[Table]:
         if config["method"] == "ours" or config["variant"] == NO_REGULARISATION or own is None:
             continue
         place = (config["method"], config["variant"]), config["system"]
-        whole.append((*place, _own_seconds(theirs) / own["wall_s"]))
+        whole.append((*place, _own_seconds(theirs) / own["cpu_s"]))
         if own.get("course") and _error(theirs) is not None:
             level.append((*place, _level(theirs, own)))
     made = [
@@ -47,7 +48,12 @@ def speed(results: Results) -> list[Table]:
 
 def _own_seconds(result: Mapping) -> float:
     """Seconds until a method was near its own best."""
-    return result["seconds_to_best"] or result["wall_s"]
+    return _processor(result, result["seconds_to_best"] or result["wall_s"])
+
+
+def _processor(result: Mapping, seconds: float) -> float:
+    """Of the processor instead of the clock, which runs on while others compute."""
+    return seconds * result["cpu_s"] / result["wall_s"]
 
 
 def _error(result: Mapping) -> float | None:
@@ -59,7 +65,7 @@ def _level(theirs: Mapping, own: Mapping) -> float | None:
     """Ratio of the times to the error that they reach; None if ours never does."""
     enough = NEAR_BEST * _error(theirs)
     reached = next((seconds for seconds, error in own["course"] if error <= enough), None)
-    return None if reached is None else _own_seconds(theirs) / reached
+    return None if reached is None else _own_seconds(theirs) / _processor(own, reached)
 
 
 def _speed_table(
@@ -87,7 +93,8 @@ def _timed(record: Mapping) -> bool:
 def _pairing(record: Mapping) -> tuple:
     """What two runs must share to be compared by time: the problem and the machine."""
     config = {k: v for k, v in record["config"].items() if k not in ("method", "variant")}
-    return (*sorted(config.items()), *sorted(record["machine"].items()))
+    machine = {k: v for k, v in record["machine"].items() if k != "parallel_runs"}
+    return (*sorted(config.items()), *sorted(machine.items()))
 
 
 def _ratio(per_system: Sequence[Sequence[float | None]]) -> Cell:

@@ -120,7 +120,9 @@ _KINDS = (
     _Kind(
         "Wall time, s",
         "wall_s",
-        "Of the method alone, one thread, mean over the trials; simulation and scoring are not in it.",
+        "Of the method alone, one thread, mean over the trials; simulation and scoring are not in it. Below, "
+        "the seconds of the processor: less where other runs kept the machine busy.",
+        detail=lambda runs: f"CPU {number(runs.mean('cpu_s'))}",
     ),
     _Kind(
         "Peak memory, MB",
