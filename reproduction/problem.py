@@ -96,6 +96,12 @@ class Problem:
     known: Mapping[str, float]
     true_coefficients: Mapping[str, float]
 
+    def free(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Those of the free terms, by the texts of the library, which a model may write another way."""
+        known = {self.library.index(text) for text in self.known}
+        places = {self.library.index(text): value for text, value in values.items()}
+        return {self.library[k].text: value for k, value in places.items() if k not in known}
+
 
 @dataclass(frozen=True, eq=False)
 class Answer:

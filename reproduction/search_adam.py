@@ -74,8 +74,7 @@ def attempt(case: Case, options: la.AdamOptions) -> dict:
         )
     except la.DataError as error:
         return {"l2": 1.0, "exact": False, "status": str(error), "wall_s": time.perf_counter() - started}
-    names = {t.expression: problem.library[problem.library.index(t.expression)].text for t in model.terms}
-    found = {names[t.expression]: t.coefficient for t in model.terms}
+    found = problem.free({t.expression: t.coefficient for t in model.terms})
     left_out = list(problem.known)
     return {
         "l2": la.metrics.l2_error(found, problem.true_coefficients, exclude=left_out),

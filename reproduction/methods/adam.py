@@ -75,22 +75,19 @@ def discover(problem: Problem, options: la.AdamOptions, watch) -> la.LagrangianM
 
 def _solve(problem: Problem):
     options = settings_for(problem)
-    history: list = []
+    course: list = []
     started = time.perf_counter()
 
     def watch(stage: str, details: dict) -> None:
         if stage == "descent" and "coefficients" in details:
-            found = {k: v for k, v in details["coefficients"].items() if k not in problem.known}
-            history.append((time.perf_counter() - started, found))
+            course.append((time.perf_counter() - started, details["coefficients"]))
 
     model = discover(problem, options, watch)
-    names = [problem.library[problem.library.index(t.expression)].text for t in model.terms]
-    free = {n: t.coefficient for n, t in zip(names, model.terms, strict=True) if not t.known}
     answer = Answer(
-        coefficients=free,
+        coefficients=problem.free({t.expression: t.coefficient for t in model.terms}),
         acceleration=model.acceleration,
         status=model.fit.status,
         settings=asdict(options),
-        history=history,
+        history=[(seconds, problem.free(values)) for seconds, values in course],
     )
     return answer, model
