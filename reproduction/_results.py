@@ -16,6 +16,7 @@ from reproduction import methods
 __all__ = ["Column", "Group", "Results", "best", "complete", "read"]
 
 NO_REGULARISATION = "no-regularisation"  # the variant that only the second table asks for
+EXPERIMENTS = ("from-truth", "true-terms")  # variants of the paper's method that are told the truth
 
 Column = tuple[str, str]  # method, variant
 
@@ -95,6 +96,12 @@ class Results:
         place = {name: k for k, name in enumerate(systems.names())}
         found = {(r["config"]["system"], r["config"]["noise"]) for r in self.records}
         return sorted(found, key=lambda c: (place.get(c[0], len(place)), c))
+
+    @property
+    def comparable(self) -> Results:
+        """Those of the first table: complete data, nothing left out of a method and nothing told to it."""
+        apart = (NO_REGULARISATION, *EXPERIMENTS)
+        return self.where(lambda c: c["missing"] == 0 and c["variant"] not in apart)
 
     @property
     def finished(self) -> list[dict]:

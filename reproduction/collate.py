@@ -19,7 +19,7 @@ from reproduction._findings import Finding, findings
 from reproduction._render import Page, Section, html, markdown
 from reproduction._results import Results, read
 from reproduction._speed import speed
-from reproduction._tables import ablation, group_tables
+from reproduction._tables import ablation, experiments, group_tables
 
 HERE = Path(__file__).resolve().parent
 LEAD = (
@@ -35,6 +35,8 @@ def page(results: Results, paper: dict, remarks: dict[str, str]) -> Page:
     for group in results.groups:
         tables = group_tables(results, group, paper)
         if tables:
+            told = experiments(results, group, paper)
+            tables += [told] if told else []
             sections.append(Section(group.title, tables, findings(results, group, paper, remarks)))
     for group in results.groups:
         table = ablation(results, group, paper)

@@ -1,15 +1,16 @@
-"""Peers written afresh: xL-SINDy, Lagrangian-SINDy by energy and RK4-SINDy."""
+"""The paper's method, and peers written afresh: xL-SINDy, Lagrangian-SINDy by energy and RK4-SINDy."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import leastaction as la
 from leastaction import systems
-from reproduction.methods import _dictionary, _lagrangian, _subsets, _xlsindy, load
+from reproduction.methods import _dictionary, _lagrangian, _subsets, _xlsindy, adam, load
 from reproduction.problem import Case, pose
 
 
@@ -188,3 +189,23 @@ def test_dictionary_values_agree_with_their_names():
     for name, value in zip(dictionary.names, values, strict=True):
         expected = eval(name, {"sin": np.sin, "cos": np.cos}, state)
         assert value == pytest.approx(expected), name
+
+
+def test_variants_of_the_paper_s_method(monkeypatch):
+    def asked(variant):  # candidates and options
+        posed = pose(Case("single_pendulum", 0.1, "adam", variant=variant, trajectories=1))
+        calls = []
+        monkeypatch.setattr(adam.la, "discover", lambda *a, **more: calls.append((*a, more["options"])))
+        adam.discover(posed, adam.settings_for(posed), None)
+        (data, library, options) = calls[0]
+        assert data is posed.data
+        return [term.text for term in library], options
+
+    texts, plain = asked("")
+    assert len(texts) > 2
+    assert asked("true-terms") == (["theta_dot**2", "cos(theta)"], plain)
+    assert asked("from-truth")[1].start_coefficients == {"theta_dot**2": 0.5, "cos(theta)": 9.81}
+    assert asked("no-regularisation") == (texts, replace(plain, curvature_weight=0.0))
+    assert asked("short")[1].iterations == plain.iterations // 10
+    with pytest.raises(ValueError, match="variant 'other' is unknown; use no-regularisation, from-truth"):
+        asked("other")

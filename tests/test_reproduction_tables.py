@@ -17,7 +17,7 @@ from reproduction import scoring
 from reproduction._findings import findings
 from reproduction._results import Group, Results
 from reproduction._speed import speed
-from reproduction._tables import ablation, group_tables, number
+from reproduction._tables import ablation, experiments, group_tables, number
 from reproduction.collate import HERE, main
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
@@ -291,6 +291,16 @@ class TestTables:
         assert len(first.rows) == 1
         assert "no-regularisation" not in " ".join(first.head)
 
+    def test_experiments_are_no_competitors(self):
+        plain = [record(), record("adam", 0.3), record("adam", 0.3, system="double_pendulum")]
+        assert experiments(Results(plain), GROUP, PAPER) is None
+        told = [record("adam", 1e-9, variant="true-terms", wall_s=1e-9)]
+        tried = experiments(Results([*plain, *told]), GROUP, PAPER)
+        assert tried.head[2:] == ["as in the tables", "true-terms", "published"]
+        assert [[c.text for c in row[2:]] for row in tried.rows] == [["30.0", "1.0e−7", "10.94"]]
+        assert table("Accuracy", [*plain, *told]) == table("Accuracy", plain)
+        assert speed(Results([*plain, *told])) == speed(Results(plain))
+
     def test_speed_is_a_geometric_mean_of_pairs_from_one_machine(self):
         records = [record(), record(trial=1), record(noise=0.0, system="magnetic_pendulum", wall_s=1.0)]
         records += [record("adam", wall_s=99.0, seconds_to_best=4.0), record("adam", trial=1, wall_s=16.0)]
@@ -362,6 +372,12 @@ class TestFindings:
         )
         assert "is 3.08 times the published" in papers.text
         assert "Median of the runs 6.00 × 10⁻², smallest 5.00 × 10⁻²; 2 of 3 runs are within 2" in papers.text
+
+    def test_what_the_true_terms_alone_give_is_said(self):
+        told = record("adam", 0.02, variant="true-terms")
+        (papers,) = self.found(record("adam", 0.5), told)
+        assert papers.text.endswith("With the true terms as its only candidates: 2.00 × 10⁻² (1 run).")
+        assert self.found(record("adam", 0.2), told) == []
 
     def test_failed_runs_are_said(self):
         ours, papers = self.found(record(finished=False), record("adam", finished=False))
