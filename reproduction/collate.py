@@ -83,6 +83,17 @@ def unexplained(sections: tuple[Section, ...] | list[Section]) -> list[Finding]:
     return [f for section in sections for f in section.findings if not f.remark]
 
 
+def mixed_settings(results: Results) -> list[str]:
+    """Return the cells of the paper's method whose runs were made with different searched settings."""
+    seen: dict[str, set[str]] = {}
+    for r in (r for r in results.where(method="adam").records if r["result"]["finished"]):
+        config = r["config"]
+        name = " ".join(f"adam {config['variant']} {config['system']} {config['noise']:g}".split())
+        searched = {k: v for k, v in r["result"].get("settings", {}).items() if k != "start_coefficients"}
+        seen.setdefault(name, set()).add(json.dumps(searched, sort_keys=True))
+    return [name for name, settings in seen.items() if len(settings) > 1]
+
+
 @click.command(help=__doc__.split("\n\n")[0])
 @click.option("--results", type=click.Path(file_okay=False, path_type=Path), default=HERE / "results")
 @click.option("--output", type=click.Path(file_okay=False, path_type=Path), default=HERE / "tables")
@@ -102,6 +113,8 @@ def main(results: Path, output: Path, remarks: Path) -> None:
         click.echo(path)
     for finding in unexplained(whole.sections):
         click.echo(f"no remark for {finding.key}", err=True)
+    for name in mixed_settings(found):
+        click.echo(f"runs with different settings: {name}; remove the older records and run again", err=True)
 
 
 if __name__ == "__main__":

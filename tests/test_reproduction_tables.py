@@ -18,7 +18,7 @@ from reproduction._findings import findings
 from reproduction._results import Group, Results
 from reproduction._speed import speed
 from reproduction._tables import ablation, experiments, group_tables, number
-from reproduction.collate import HERE, main
+from reproduction.collate import HERE, main, mixed_settings
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
 
@@ -428,6 +428,16 @@ def test_collate_writes_both_files(tmp_path):
     assert not re.search(r"(src|href)=\"(?!#)|url\(|<script", html)  # it needs nothing else
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert all(line.count("|") > 2 for line in rows)
+
+
+def test_runs_with_old_settings_are_named():
+    searched = {"threshold": 0.1, "start_coefficients": "regression"}
+    old = searched | {"threshold": 0.2}
+    records = [record("adam", settings=searched), record("adam", trial=1, settings=dict(searched))]
+    records += [record("xlsindy_exact", settings=searched), record("xlsindy_exact", trial=1, settings=old)]
+    assert mixed_settings(Results(records)) == []
+    late = record("adam", missing=0.05, settings=old)
+    assert mixed_settings(Results([*records, late])) == ["adam single_pendulum 0.1"]
 
 
 def test_collate_names_a_file_that_is_no_record(tmp_path):
