@@ -205,6 +205,22 @@ def test_hostile_library(line, says):
         discover(2, "--known", f"{line}=1", says="--known: ")
 
 
+def test_gyroscopic_terms_are_generated_ones(monkeypatch):
+    discover(2, "--gyroscopic", says=("--gyroscopic", "--library auto", "x*y_dot"))
+    asked = []
+
+    def refuse(data, library, **options):
+        asked.append({term.text for term in library})
+        raise leastaction.DataError("no")
+
+    monkeypatch.setattr(leastaction, "discover", refuse, raising=False)
+    Path("xy.csv").write_text("t,x,y\n" + "\n".join(f"{k},{k**2},{k}" for k in range(30)), encoding="utf-8")
+    options = ["--library", "auto"]
+    for more in ([], ["--gyroscopic"]):
+        discover(1, *options, *more, data="xy.csv", coordinates="x,y", says="no")
+    assert asked[1] - asked[0] == {"x*y_dot"}
+
+
 def test_library_file():
     discover(2, "--library", "none.txt", says=("--library", "none.txt", "check the path"))
     Path("empty.txt").write_text("# nothing\n", encoding="utf-8")

@@ -97,7 +97,7 @@ def test_every_warning_is_explained() -> None:
     explained = tuple(re.findall(r"^\| ([^|]+?) \|", page, re.MULTILINE))[1:]
     explained = tuple(text for text in explained if not text.startswith("---"))
     source = ROOT / "src/leastaction"
-    modules = ("_verify.py", "_rivals.py", "_hidden.py", "_causes.py", "_rate_checks.py")
+    modules = ("_verify.py", "_rivals.py", "_hidden.py", "_lacking.py", "_causes.py", "_rate_checks.py")
     sentences = [text for name in modules for text in _sentences(source / name)]
     for beginning in explained:
         assert any(text.startswith(beginning) for text in sentences), beginning

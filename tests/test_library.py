@@ -212,16 +212,26 @@ def test_generated_library_holds_the_truth(system, size):
         library.index(text)
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize(("size", "gyroscopic"), [*((size, False) for size in SIZES), ("large", True)])
 @pytest.mark.parametrize("kinds", ["x", "a", "xx", "xa", "aa", "xxx", "xxa", "xaa", "aaa"])
-def test_generated_library_has_nothing_to_drop(kinds, size):
+def test_generated_library_has_nothing_to_drop(kinds, size, gyroscopic):
     coordinates = [f"{kind}{k}" for k, kind in enumerate(kinds)]
     angles = [name for name in coordinates if name[0] == "a"]
-    library = Library.mechanical(coordinates, angles, size=size)
+    library = Library.mechanical(coordinates, angles, size=size, gyroscopic=gyroscopic)
     assert [str(dropped) for dropped in library.reduced().dropped] == []
+    assert len(library) == Library.mechanical_size(coordinates, angles, size=size, gyroscopic=gyroscopic)
     if size == "standard":
         low, high = {1: (5, 12), 2: (25, 60), 3: (60, 150)}[len(kinds)]
         assert low <= len(library) <= high
+
+
+def test_gyroscopic_terms():
+    plain, with_them = (
+        Library.mechanical(["x", "y", "a"], ["a"], size="compact", gyroscopic=on) for on in (False, True)
+    )
+    more = {term.text for term in with_them} - {term.text for term in plain}
+    waves = {f"{v}_dot*{wave}(a)" for v in "xy" for wave in ("cos", "sin")}
+    assert more == {"x*y_dot", "x*a_dot", "y*a_dot", *waves}
 
 
 def test_sizes_are_nested():

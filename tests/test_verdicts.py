@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, pendulum
@@ -84,8 +85,40 @@ def test_common_terms_that_are_tried(n):
 
 
 def test_generated_libraries_lack_nothing_common():
-    library = la.Library.mechanical(["x", "theta"], angles=["theta"])
+    library = la.Library.mechanical(["x", "theta"], angles=["theta"], gyroscopic=True)
     assert not _not_offered(EulerLagrange(library.terms, library.coordinates), "standard")
+
+
+def charged(noise: float) -> la.Trajectories:
+    """A charge in a trap and a uniform magnetic field: L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
+
+    def rate(t, state):
+        x, y, vx, vy = state
+        return vx, vy, 1.5 * vy - 4.0 * x - 2.0 * x**3, -1.5 * vx - 6.0 * y
+
+    rng, times, runs = np.random.default_rng(5), np.arange(0.0, 10.0, 0.02), []
+    for _ in range(3):
+        start = rng.normal(0.0, 1.0, 4)
+        q = solve_ivp(rate, (0.0, 10.0), start, t_eval=times, rtol=1e-9, atol=1e-9).y.T[:, :2]
+        runs.append(
+            la.Trajectory(times, q + noise * q.std(0) * rng.normal(size=q.shape), coordinates=["x", "y"])
+        )
+    return la.Trajectories(runs)
+
+
+def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():
+    # no structure of the others is near enough to the law for one more term to lead there
+    data, texts = (
+        charged(0.05),
+        ["x_dot**2", "y_dot**2", "x_dot*y_dot", "x**2", "y**2", "x*y", "x**4", "y**4"],
+    )
+    given = {"x_dot**2": 0.5}
+    assert "the library seems to lack x*y_dot: with it, 5 free terms" in doubts(data, texts, known=given)
+    model = la.discover(data, [*texts, "x*y_dot"], known=given)
+    assert model.fit.status == "ok"
+    found = {t.expression: t for t in model.terms}
+    assert set(found) == {"x_dot**2", "y_dot**2", "x**2", "y**2", "x**4", "x*y_dot"}
+    assert abs(found["x*y_dot"].coefficient - 1.5) < 4.0 * found["x*y_dot"].standard_error
 
 
 def test_nothing_lacks_where_no_common_term_is_needed():

@@ -17,12 +17,14 @@ from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
 from leastaction._refinement import equations_hold, silent
-from leastaction._selection import Refiner, Selection
+from leastaction._selection import Refiner, Selection, best_structure, propose_supports
+from leastaction._smoothing import smooth
 
-__all__ = ["lacking_terms"]
+__all__ = ["lacking_terms", "searched_terms"]
 
 _BETTER = 10.0  # −2 log likelihood, beyond the price of every term
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
+_MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 _ROUNDS = 3  # a term that is lacking is found in the first
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
@@ -43,7 +45,7 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     common = _not_offered(columns, size)
     if not common:
         return []
-    wider = workspace.changed(np.append(workspace.known, np.full(len(common), np.nan)), common)
+    wider = _with(workspace, common)
     refiner = _Best(wider, silent)
     here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
     found = refiner.refine(here, _ROUNDS)
@@ -55,12 +57,35 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     lawful = fewer or (not hold and equations_hold(wider, found))
     if not (new and lawful and found.fit.converged and gain > threshold):
         return []
-    it = "it" if len(new) == 1 else "them"
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
-    return [
-        f"the library seems to lack {', '.join(new)}: with {it}, {len(found.members)} free terms instead of "
-        f"{len(structure.members)} explain the motion better{by}; add {it} to the candidates"
-    ]
+    free = f"{len(found.members)} free terms instead of {len(structure.members)}"
+    return [_say(new, f"{free} explain the motion better{by}")]
+
+
+def searched_terms(workspace: Workspace) -> list[str]:
+    """Say with which common terms a new search finds a law, where no structure explains the motion.
+
+    There :func:`lacking_terms` has no fit from which one more term would lead to the law.
+    """
+    columns, common = workspace.columns, _not_offered(workspace.columns, "standard")
+    if not common or workspace.trajectories.n_samples > _MOST_SAMPLES:
+        return []
+    wider = _with(workspace, common)
+    curve = smooth(wider.grid, wider.times, wider.values, rates=wider.rates)
+    found = best_structure(Refiner(wider, silent), propose_supports(wider, curve, silent), None)
+    new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
+    if not (new and found.fit.converged and equations_hold(wider, found)):
+        return []
+    return [_say(new, f"{len(found.members)} free terms explain the motion")]
+
+
+def _with(workspace: Workspace, terms: list[Term]) -> Workspace:
+    return workspace.changed(np.append(workspace.known, np.full(len(terms), np.nan)), terms)
+
+
+def _say(new: list[str], what: str) -> str:
+    it = "it" if len(new) == 1 else "them"
+    return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates"
 
 
 class _Best(Refiner):
@@ -80,7 +105,7 @@ def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
         term.text
         for names in together
         for term in Library.mechanical(
-            names, [name for name in columns.turning if name in names], size=size
+            names, [n for n in columns.turning if n in names], size=size, gyroscopic=size != "compact"
         ).terms
     ]
     texts = {term.text for term in given}

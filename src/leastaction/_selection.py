@@ -25,6 +25,7 @@ from leastaction._weak import WeakForm, WeakGram
 __all__ = [
     "Refiner",
     "Selection",
+    "best_structure",
     "confirm_structure",
     "propose_supports",
     "select_structure",
@@ -339,13 +340,13 @@ def select_structure(
     """
     refiner = Refiner(workspace, progress)
     first = workspace.knots_per_second
-    best = _best_structure(refiner, propose_supports(workspace, smooth, progress, seed), None)
+    best = best_structure(refiner, propose_supports(workspace, smooth, progress, seed), None)
     structure, settled, vibrates = refine_knots(workspace, best, progress)
     if thorough and not vibrates and not _explains(refiner, structure):
         fine = workspace.knots_per_second
         workspace.set_knots(first)
         proposals = propose_supports(workspace, smooth, progress, seed + 1, thorough=True)
-        other = _best_structure(refiner, proposals, best)
+        other = best_structure(refiner, proposals, best)
         if other is best:
             workspace.set_knots(fine)
         else:
@@ -357,7 +358,7 @@ def select_structure(
     return Selection(pruned, refiner.levels(pruned), refiner.penalty, settled, feeding)
 
 
-def _best_structure(refiner: Refiner, proposals: list[Proposal], best: StructureFit | None) -> StructureFit:
+def best_structure(refiner: Refiner, proposals: list[Proposal], best: StructureFit | None) -> StructureFit:
     """Refine the proposals, the best first, until two of them lead to the same structure."""
     for proposal in proposals:
         if best is not None and not np.isfinite(proposal.evidence):

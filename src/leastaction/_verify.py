@@ -11,7 +11,7 @@ from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._hidden import hidden_friction, late_forces, wrong_known
-from leastaction._lacking import lacking_terms
+from leastaction._lacking import lacking_terms, searched_terms
 from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
 from leastaction._selection import Selection
@@ -27,6 +27,7 @@ _MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
 _FEW_SAMPLES = 7.0  # a period of the fastest motion
 _BAND = 12.0  # times the frequency of the fastest coordinate
+_FAR_OFF = 0.1  # equation error with which a structure is no start for a better one
 _EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
 _OF_FORCES = 4.0  # noise of forces gives 0.2 to 3 times its density, a missing term 30 and more
 _HIDDEN = 0.001  # equation error below which no cause is looked for
@@ -76,6 +77,8 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
         for find in (lacking_terms, hidden_friction, late_forces, wrong_known):
             causes += find(workspace, selection)
         causes += doubts_about_forces(workspace, structure) if np.any(share > _HIDDEN) else []
+    if not causes and any(share[i] > _FAR_OFF for i in unexplained):
+        causes += searched_terms(workspace)
     for i in unexplained:
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "

@@ -15,6 +15,7 @@ large     also sin θ cos θ, cos(θ+φ), sin(θ+φ),  also sin θ cos θ, x² c
           gyroscopic x ẏ
 ========  =====================================  ==================================================
 
+Every size can be had with the gyroscopic terms x q̇, q̇ cos θ and q̇ sin θ beside them.
 No generated term is null or a sum of others: kinetic terms with one pair q̇_i q̇_j are independent when
 their factors are, and potentials when they are independent beside constants.
 """
@@ -22,7 +23,7 @@ their factors are, and potentials when they are independent beside constants.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations, combinations_with_replacement, permutations
 
 from leastaction._errors import InputError
 
@@ -38,7 +39,11 @@ _MAX_DEGREE = 12
 
 
 def mechanical_terms(
-    coordinates: Sequence[str], angles: Sequence[str] = (), size: str = "standard", degree: int | None = None
+    coordinates: Sequence[str],
+    angles: Sequence[str] = (),
+    size: str = "standard",
+    degree: int | None = None,
+    gyroscopic: bool = False,
 ) -> list[str]:
     """Return the texts of the generated candidates, kinetic terms first.
 
@@ -50,6 +55,8 @@ def mechanical_terms(
         ``"compact"``, ``"standard"`` or ``"large"``.
     degree
         Greatest total degree of the monomials in coordinates that are no angles; by default 2, 4 or 6.
+    gyroscopic
+        Whether to add terms linear in the velocities.
 
     Raises
     ------
@@ -78,8 +85,8 @@ def mechanical_terms(
         for a, b in combinations_with_replacement([f"{name}_dot" for name in coordinates], 2)
         for factor in factors
     ]
-    gyroscopic = [f"{x}*{y}_dot" for x, y in combinations(lengths, 2)] if size == "large" else []
-    return [*kinetic, *gyroscopic, *_potentials(lengths, angles, size, degree)]
+    turned = coordinates if gyroscopic else lengths if size == "large" else ()
+    return [*kinetic, *_gyroscopic(turned, angles), *_potentials(lengths, angles, size, degree)]
 
 
 def check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
@@ -115,6 +122,17 @@ def _kinetic_factors(lengths: Sequence[str], angles: Sequence[str], size: str) -
             yield from (f"{x}**2*cos({a})", f"{x}**2*sin({a})") if large else ()
     if standard:
         yield from (f"{x}*{y}" for x, y in combinations(lengths, 2))
+
+
+def _gyroscopic(coordinates: Sequence[str], angles: Sequence[str]) -> list[str]:
+    """Return terms linear in the velocities; of x ẏ and y ẋ, which differ by d(xy)/dt, the first."""
+    out: list[str] = []
+    for a, b in permutations(coordinates, 2):
+        if a in angles:
+            out += [f"{b}_dot*cos({a})", f"{b}_dot*sin({a})"]
+        elif f"{b}*{a}_dot" not in out:
+            out.append(f"{a}*{b}_dot")
+    return out
 
 
 def _potentials(lengths: Sequence[str], angles: Sequence[str], size: str, degree: int) -> Iterator[str]:

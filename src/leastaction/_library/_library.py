@@ -141,6 +141,7 @@ class Library(Sequence[Term]):
         *,
         size: str = "standard",
         degree: int | None = None,
+        gyroscopic: bool = False,
         dissipation: Iterable[Candidate] = (),
     ) -> Library:
         """Generate the candidates that mechanical systems are usually made of.
@@ -158,6 +159,9 @@ class Library(Sequence[Term]):
         degree
             Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6
             with the size.
+        gyroscopic
+            Whether to add terms linear in the velocities, x ẏ and φ̇ cos θ: spinning rotors, rotating frames,
+            charges in magnetic fields.
         dissipation
             Candidates of the dissipation function, as for `Library`.
 
@@ -172,7 +176,7 @@ class Library(Sequence[Term]):
         '42 terms in theta1, theta2 (angles: theta1, theta2): 27 with velocities, 15 without'
         """
         names = check_coordinate_names(coordinates)
-        terms = mechanical_terms(names, check_angles(angles, names), size, degree)
+        terms = mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic)
         if len(terms) > MAX_TERMS:
             raise InputError(
                 f"the {size} library over {len(names)} coordinates would have {len(terms)} terms; expected "
@@ -187,6 +191,7 @@ class Library(Sequence[Term]):
         *,
         size: str = "standard",
         degree: int | None = None,
+        gyroscopic: bool = False,
     ) -> int:
         """Return how many terms `mechanical` would generate, without doing so.
 
@@ -196,7 +201,7 @@ class Library(Sequence[Term]):
         38
         """
         names = check_coordinate_names(coordinates)
-        return len(mechanical_terms(names, check_angles(angles, names), size, degree))
+        return len(mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic))
 
     @property
     def terms(self) -> tuple[Term, ...]:

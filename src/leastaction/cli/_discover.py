@@ -50,6 +50,12 @@ Example:
     "auto: what mechanical systems are usually made of.",
 )
 @click.option(
+    "--gyroscopic",
+    is_flag=True,
+    help="With --library auto: also candidates linear in the velocities (spinning rotors, rotating frames, "
+    "charges in magnetic fields).",
+)
+@click.option(
     "--known",
     multiple=True,
     metavar="EXPR=VALUE",
@@ -102,6 +108,7 @@ def discover(
     ctx: click.Context,
     data: Callable[..., DataOptions],
     library: str,
+    gyroscopic: bool,
     known: tuple[str, ...],
     dissipation: str | None,
     force_offset: str | None,
@@ -126,7 +133,7 @@ def discover(
     with blame("--known"):
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)
-    candidates = _library(library, options, dissipation)
+    candidates = _library(library, gyroscopic, options, dissipation)
     _check_known(candidates, given)
     if not given and not fitted.driven:
         raise InputError(
@@ -180,12 +187,14 @@ def command_line(ctx: click.Context) -> str:
     return shlex.join(["leastaction", *(ctx.find_root().obj or [])])
 
 
-def _library(source: str, options: DataOptions, dissipation: str | None) -> Library:
+def _library(source: str, gyroscopic: bool, options: DataOptions, dissipation: str | None) -> Library:
     from leastaction import Library
 
+    if gyroscopic and source != "auto":
+        raise InputError("--gyroscopic goes with --library auto; write the terms into the file, e.g. x*y_dot")
     with blame("--library"):
         if source == "auto":
-            library = Library.mechanical(options.names, options.angles)
+            library = Library.mechanical(options.names, options.angles, gyroscopic=gyroscopic)
         else:
             library = Library.from_file(source, options.names, angles=options.angles)
     if dissipation is None:
