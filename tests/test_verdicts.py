@@ -14,7 +14,7 @@ from leastaction import systems
 from leastaction._coarse import forecast_error
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._kinetic import kinetic_bases
-from leastaction._lacking import _not_offered
+from leastaction._lacking import common_terms
 from leastaction._prepare import prepare
 from leastaction._selection import select_structure
 
@@ -78,7 +78,7 @@ def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
 def test_common_terms_that_are_tried(n):
     names = [f"q{i}" for i in range(n)]
     library = la.Library([*(f"{q}_dot**2" for q in names), *(f"cos({q})" for q in names)], names)
-    tried = {t.text for t in _not_offered(EulerLagrange(library.terms, library.coordinates), "compact")}
+    tried = {t.text for t in common_terms(EulerLagrange(library.terms, library.coordinates), "compact")}
     assert {"q0_dot**2*cos(q0)", "sin(q0)"} <= tried
     assert not tried & {t.text for t in library.terms}
     assert len(tried) < 130
@@ -86,32 +86,63 @@ def test_common_terms_that_are_tried(n):
 
 def test_generated_libraries_lack_nothing_common():
     library = la.Library.mechanical(["x", "theta"], angles=["theta"], gyroscopic=True)
-    assert not _not_offered(EulerLagrange(library.terms, library.coordinates), "standard")
+    assert not common_terms(EulerLagrange(library.terms, library.coordinates), "standard")
 
 
-def charged(noise: float) -> la.Trajectories:
-    """A charge in a trap and a uniform magnetic field: L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
-
-    def rate(t, state):
-        x, y, vx, vy = state
-        return vx, vy, 1.5 * vy - 4.0 * x - 2.0 * x**3, -1.5 * vx - 6.0 * y
-
-    rng, times, runs = np.random.default_rng(5), np.arange(0.0, 10.0, 0.02), []
+def measured(acceleration, names: list[str], noise: float, drive: float = 0.0) -> la.Trajectories:
+    """Three motions of q̈ = acceleration(q, q̇, f), with forces of two tones each if there is a drive."""
+    rng, times, n, runs = np.random.default_rng(5), np.arange(0.0, 10.0, 0.02), len(names), []
     for _ in range(3):
-        start = rng.normal(0.0, 1.0, 4)
-        q = solve_ivp(rate, (0.0, 10.0), start, t_eval=times, rtol=1e-9, atol=1e-9).y.T[:, :2]
-        runs.append(
-            la.Trajectory(times, q + noise * q.std(0) * rng.normal(size=q.shape), coordinates=["x", "y"])
-        )
+        start, pace, phase = rng.normal(size=2 * n), rng.uniform(0.5, 3.0, (2, n)), rng.uniform(0, 6, (2, n))
+
+        def force(t, pace=pace, phase=phase):
+            return drive * np.sin(np.multiply.outer(t, pace) + phase).sum(axis=-2)
+
+        def rate(t, state, force=force):
+            return [*state[n:], *acceleration(state[:n], state[n:], force(t))]
+
+        q = solve_ivp(rate, (0.0, 10.0), start, t_eval=times, rtol=1e-9, atol=1e-9).y.T[:, :n]
+        noisy = q + noise * q.std(0) * rng.normal(size=q.shape)
+        runs.append(la.Trajectory(times, noisy, forces=force(times) if drive else None, coordinates=names))
     return la.Trajectories(runs)
+
+
+def two_masses(q, v, f):
+    """A relative damper of 0.4 between masses of 1 and 0.5."""
+    spring = 2.0 * (q[0] - q[1]) + 0.4 * (v[0] - v[1])
+    return f[0] - 3.0 * q[0] - spring, 2.0 * (f[1] + spring)
+
+
+@pytest.mark.parametrize("offered", [(), ("x_dot**2/2", "y_dot**2/2")])
+def test_a_damper_between_two_coordinates_is_named(offered):
+    library = la.Library.mechanical(["x", "y"], size="compact")
+    text = doubts(measured(two_masses, ["x", "y"], 0.03, 0.8), library, dissipation=offered)
+    (found,) = re.findall(r"about ([\d.]+)[^:]*: give \(x_dot-y_dot\)\*\*2/2 as a candidate", text)
+    assert float(found) == pytest.approx(0.4, rel=0.1)
+    assert text.count("friction seems to act") == 1
+
+
+def in_water(q, v, f):
+    return f - 9.81 * np.sin(q) - 0.3 * v * np.abs(v)
+
+
+@pytest.mark.parametrize("offered", [(), ("theta_dot**2/2", "abs(theta_dot)")])
+def test_drag_is_named(offered):
+    text = doubts(measured(in_water, ["theta"], 0.03, 2.0), PENDULUM_LIBRARY, dissipation=offered)
+    assert "give abs(theta_dot)**3/3 as a candidate" in text
+    assert text.count("friction seems to act") == 1
+    assert "the forces seem" not in text
+
+
+def in_a_magnetic_field(q, v, f):
+    """L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
+    return 1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]
 
 
 def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():
     # no structure of the others is near enough to the law for one more term to lead there
-    data, texts = (
-        charged(0.05),
-        ["x_dot**2", "y_dot**2", "x_dot*y_dot", "x**2", "y**2", "x*y", "x**4", "y**4"],
-    )
+    data = measured(in_a_magnetic_field, ["x", "y"], 0.05)
+    texts = ["x_dot**2", "y_dot**2", "x_dot*y_dot", "x**2", "y**2", "x*y", "x**4", "y**4"]
     given = {"x_dot**2": 0.5}
     assert "the library seems to lack x*y_dot: with it, 5 free terms" in doubts(data, texts, known=given)
     model = la.discover(data, [*texts, "x*y_dot"], known=given)

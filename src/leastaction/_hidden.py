@@ -7,18 +7,21 @@ coefficient is set free to see whether fewer terms then say the same.
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
+import sympy as sp
 
 from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import score_candidates
 from leastaction._fit.workspace import StructureFit, Workspace
-from leastaction._library import Library
+from leastaction._library import Library, Term
 from leastaction._refinement import silent
 from leastaction._selection import Refiner, Selection
 from leastaction._subsets import QuadraticModel
 
-__all__ = ["hidden_friction", "late_forces", "wrong_known"]
+__all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
 _BETTER = 10.0  # the same, beyond the price of every term
@@ -28,35 +31,62 @@ _HALF = 0.15  # of a sample
 
 
 def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
-    """Viscous friction that is not among the candidates and would explain much of the equation error."""
+    """Friction that is not among the candidates and would explain much of the equation error."""
     structure, columns = selection.structure, workspace.columns
-    given = {term.expr.as_coeff_Mul()[1] for term in columns.terms if term.kind == "dissipation"}
-    library = Library(
-        [columns.terms[0].text],
-        columns.coordinates,
-        dissipation=[f"{name}_dot**2/2" for name in columns.coordinates],
-    )
-    tested = [term for term in library.dissipation if term.expr.as_coeff_Mul()[1] not in given]
+    tested = usual_friction(columns)
     if not tested:
         return []
     free = [columns.terms[m] for m in structure.members]
-    candidates = EulerLagrange([*free, *tested], columns.coordinates)
-    out = []
-    for term, (gain, value) in zip(tested, _beside(workspace, structure, candidates), strict=True):
-        if not gain:
-            continue
-        (rate,) = term.expr.free_symbols
+    model, base, threshold = _beside(
+        workspace, structure, EulerLagrange([*free, *tested], columns.coordinates)
+    )
+    out, rest = [], set(range(len(base), len(base) + len(tested)))
+    while rest:  # the best first: what resembles it has nothing left to explain then
+        gain, best = max((_gain(model, base, k), k) for k in rest)
+        if gain < threshold:
+            break
+        rest.remove(best)
+        term, value = tested[best - len(free)], float(model.solution((*base, best))[best])
         if value > 0.0:
+            base = (*base, best)
+            out.append(say_friction(term, f"coefficient about {value:.2g}, -2 log likelihood {gain:.0f}"))
+        elif term.expr.is_polynomial() and len(term.expr.free_symbols) == 1:
+            base = (*base, best)
             out.append(
-                f"friction seems to act on {rate} (coefficient about {value:.2g}, -2 log likelihood "
-                f"{gain:.0f}): give {term.text} as a candidate for dissipation"
-            )
-        else:
-            out.append(
-                f"energy seems to be fed in along {rate} (friction of about {value:.2g}): check the sign of "
-                "forces and of known coefficients, and whether a driving force is missing"
+                f"energy seems to be fed in along {_rates(term)} (friction of about {value:.2g}): check the "
+                "sign of forces and of known coefficients, and whether a driving force is missing"
             )
     return out
+
+
+def say_friction(term: Term, details: str) -> str:
+    """The warning that names a candidate for dissipation."""
+    give = f"give {term.text} as a candidate for dissipation"
+    return f"friction seems to act on {_rates(term)} ({details}): {give}"
+
+
+def _rates(term: Term) -> str:
+    return ", ".join(sorted(symbol.name for symbol in term.expr.free_symbols))
+
+
+def usual_friction(columns: EulerLagrange) -> list[Term]:
+    """Viscous and dry friction and drag on each velocity, and dampers between two, that are no candidates."""
+    rates = [f"{name}_dot" for name in columns.coordinates]
+    usual = [text for v in rates for text in (f"{v}**2/2", f"abs({v})", f"abs({v})**3/3")]
+    usual += [f"({v}-{w})**2/2" for v, w in combinations(rates, 2)]
+    library = Library([columns.terms[0].text], columns.coordinates, dissipation=usual)
+    given = {_kind(term.expr) for term in columns.terms if term.kind == "dissipation"}
+    return [term for term in library.dissipation if _kind(term.expr) not in given]
+
+
+def _kind(friction: sp.Expr) -> sp.Expr:
+    """Friction without its factor and with |v| where that was smoothed."""
+    roots = {
+        root: sp.Abs(*root.free_symbols)
+        for root in friction.atoms(sp.Pow)
+        if root.exp == sp.Rational(1, 2) and len(root.free_symbols) == 1
+    }
+    return sp.expand(friction.xreplace(roots)).primitive()[1]
 
 
 class _Late:
@@ -78,9 +108,12 @@ def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
     if workspace.force_rates is None:
         return []
     chosen = workspace.columns.subset(structure.members)
-    ((gain, delay),) = _beside(workspace, structure, WithPushes(chosen, _Late(workspace.force_rates)))
-    if not gain:
+    late = WithPushes(chosen, _Late(workspace.force_rates))
+    model, base, threshold = _beside(workspace, structure, late)
+    gain = _gain(model, base, len(base))
+    if gain < threshold:
         return []
+    delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / workspace.trajectories.sampling_interval - 0.5) < _HALF
     when = "later" if delay > 0.0 else "earlier"
     hint = ", half a sample (are they held from one sample to the next?)" if held else ""
@@ -92,20 +125,20 @@ def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
 
 def _beside(
     workspace: Workspace, structure: StructureFit, candidates: EulerLagrange
-) -> list[tuple[float, float]]:
-    """(gain, coefficient) of each candidate after the chosen terms; no gain unless it is decisive."""
+) -> tuple[QuadraticModel, tuple[int, ...], float]:
+    """Quadratic model of the chosen terms and those behind them, places of the chosen, a decisive gain."""
     physics, _ = workspace.physics(structure.members)
     quadratic = score_candidates(workspace.observations, physics, structure.fit, candidates)
     chosen = len(structure.members)
     here = np.concatenate([structure.estimates, np.zeros(len(candidates) - chosen)])
-    model, base = QuadraticModel(quadratic.matrix, quadratic.gradient, here), tuple(range(chosen))
-    cost = model.best({base}, 1)[0].cost
+    model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
     threshold = _DECISIVE + _RELEVANT * float(structure.fit.weights.slack.sum())
-    out = []
-    for k in range(chosen, len(candidates)):
-        gain = cost - model.best({(*base, k)}, 1)[0].cost
-        out.append((gain if gain >= threshold else 0.0, float(model.solution((*base, k))[k])))
-    return out
+    return model, tuple(range(chosen)), threshold
+
+
+def _gain(model: QuadraticModel, members: tuple[int, ...], more: int) -> float:
+    """By how much one more term lowers −2 log likelihood."""
+    return model.best({members}, 1)[0].cost - model.best({(*members, more)}, 1)[0].cost
 
 
 def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:

@@ -17,14 +17,12 @@ from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
 from leastaction._refinement import equations_hold, silent
-from leastaction._selection import Refiner, Selection, best_structure, propose_supports
-from leastaction._smoothing import smooth
+from leastaction._selection import Refiner, Selection
 
-__all__ = ["lacking_terms", "searched_terms"]
+__all__ = ["common_terms", "lacking_terms", "say_lacking"]
 
 _BETTER = 10.0  # −2 log likelihood, beyond the price of every term
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
-_MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 _ROUNDS = 3  # a term that is lacking is found in the first
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
@@ -42,10 +40,10 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
 
 def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size: str) -> list[str]:
     columns = workspace.columns
-    common = _not_offered(columns, size)
+    common = common_terms(columns, size)
     if not common:
         return []
-    wider = _with(workspace, common)
+    wider = workspace.changed(np.append(workspace.known, np.full(len(common), np.nan)), common)
     refiner = _Best(wider, silent)
     here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
     found = refiner.refine(here, _ROUNDS)
@@ -59,31 +57,11 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
         return []
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
     free = f"{len(found.members)} free terms instead of {len(structure.members)}"
-    return [_say(new, f"{free} explain the motion better{by}")]
+    return [say_lacking(new, f"{free} explain the motion better{by}")]
 
 
-def searched_terms(workspace: Workspace) -> list[str]:
-    """Say with which common terms a new search finds a law, where no structure explains the motion.
-
-    There :func:`lacking_terms` has no fit from which one more term would lead to the law.
-    """
-    columns, common = workspace.columns, _not_offered(workspace.columns, "standard")
-    if not common or workspace.trajectories.n_samples > _MOST_SAMPLES:
-        return []
-    wider = _with(workspace, common)
-    curve = smooth(wider.grid, wider.times, wider.values, rates=wider.rates)
-    found = best_structure(Refiner(wider, silent), propose_supports(wider, curve, silent), None)
-    new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
-    if not (new and found.fit.converged and equations_hold(wider, found)):
-        return []
-    return [_say(new, f"{len(found.members)} free terms explain the motion")]
-
-
-def _with(workspace: Workspace, terms: list[Term]) -> Workspace:
-    return workspace.changed(np.append(workspace.known, np.full(len(terms), np.nan)), terms)
-
-
-def _say(new: list[str], what: str) -> str:
+def say_lacking(new: list[str], what: str) -> str:
+    """The warning that names candidates to add, and what is so with them."""
     it = "it" if len(new) == 1 else "them"
     return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates"
 
@@ -95,7 +73,7 @@ class _Best(Refiner):
         return islice(super()._propose(structure), 1)
 
 
-def _not_offered(columns: EulerLagrange, size: str) -> list[Term]:
+def common_terms(columns: EulerLagrange, size: str) -> list[Term]:
     """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
     given = [term for term in columns.terms if term.kind == "lagrangian"]
     together = [columns.coordinates]

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import sympy as sp
 
+from leastaction._afresh import search_afresh
 from leastaction._causes import doubts_about_forces
 from leastaction._euler_lagrange import Points
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._hidden import hidden_friction, late_forces, wrong_known
-from leastaction._lacking import lacking_terms, searched_terms
+from leastaction._lacking import lacking_terms
 from leastaction._refinement import EXPLAINED
 from leastaction._rivals import rival_warnings
 from leastaction._selection import Selection
@@ -72,13 +73,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes: list[str] = []
-    if fit.converged and np.isfinite(structure.evidence):
-        for find in (lacking_terms, hidden_friction, late_forces, wrong_known):
-            causes += find(workspace, selection)
-        causes += doubts_about_forces(workspace, structure) if np.any(share > _HIDDEN) else []
-    if not causes and any(share[i] > _FAR_OFF for i in unexplained):
-        causes += searched_terms(workspace)
+    causes = _likely_causes(workspace, selection, share, unexplained)
     for i in unexplained:
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
@@ -105,6 +100,25 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _likely_causes(
+    workspace: Workspace, selection: Selection, share: np.ndarray, unexplained: list[int]
+) -> list[str]:
+    """What was left out or is wrong: by tests on the fit, or a new search where these cannot tell."""
+    structure, found = selection.structure, []
+    far_off = any(share[i] > _FAR_OFF for i in unexplained)
+    if far_off:
+        found = search_afresh(workspace)
+    if found or not (structure.fit.converged and np.isfinite(structure.evidence)):
+        return found
+    for find in (lacking_terms, hidden_friction, late_forces, wrong_known):
+        found += find(workspace, selection)
+    if not found and not far_off and any(share[i] > EXPLAINED for i in unexplained):
+        found = search_afresh(workspace)
+    if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
+        found = doubts_about_forces(workspace, structure)
+    return found
 
 
 def _behind_noise(
