@@ -1,12 +1,13 @@
-"""A search begun anew, with common terms and friction beside the candidates, where these explain nothing.
+"""A search begun anew, with common terms and friction where the candidates do not explain the data.
 
-Tests on the final fit (`_lacking`, `_hidden`) add a little to a structure that is nearly right.  A structure
-that is far from the law is no start for that: the search begins from the data again.
+Tests on the final fit (`_lacking`, `_hidden`) add a little to a structure that is nearly right.  One that is
+far from the law is no start for that, and imitates what is missing: the search begins from the data again.
 """
 
 from __future__ import annotations
 
 import numpy as np
+import sympy as sp
 
 from leastaction._fit.workspace import Workspace
 from leastaction._hidden import say_friction, usual_friction
@@ -17,15 +18,15 @@ from leastaction._smoothing import smooth
 
 __all__ = ["search_afresh"]
 
+_CERTAIN = 20.0  # standard errors: laws have 170 and more, what imitates them has terms of 4 to 8
 _MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
 def search_afresh(workspace: Workspace) -> list[str]:
     """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
-    smooth_friction = [
-        t for t in usual_friction(workspace.columns) if not t.text.startswith("abs") or "**" in t.text
-    ]
-    more = [*common_terms(workspace.columns, "standard"), *smooth_friction]
+    # dry friction has a kink, which a curve meets only where it is smoothed
+    friction = [term for term in usual_friction(workspace.columns) if not isinstance(term.expr, sp.Abs)]
+    more = [*common_terms(workspace.columns, "standard"), *friction]
     if not more or workspace.trajectories.n_samples > _MOST_SAMPLES:
         return []
     wider = workspace.changed(np.append(workspace.known, np.full(len(more), np.nan)), more)
@@ -33,6 +34,8 @@ def search_afresh(workspace: Workspace) -> list[str]:
     curve = smooth(wider.grid, wider.times, wider.values, rates=wider.rates)
     found, _ = refiner.dissipate(best_structure(refiner, propose_supports(wider, curve, silent), None))
     if not (found.fit.converged and equations_hold(wider, found)):
+        return []
+    if np.any(np.abs(found.estimates) < _CERTAIN * found.standard_errors):
         return []
     new = [m for m in found.members if m >= len(workspace.columns)]
     terms = [wider.columns.terms[m].text for m in new if wider.columns.terms[m].kind == "lagrangian"]

@@ -36,27 +36,53 @@ def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
     tested = usual_friction(columns)
     if not tested:
         return []
-    free = [columns.terms[m] for m in structure.members]
-    model, base, threshold = _beside(
-        workspace, structure, EulerLagrange([*free, *tested], columns.coordinates)
-    )
-    out, rest = [], set(range(len(base), len(base) + len(tested)))
-    while rest:  # the best first: what resembles it has nothing left to explain then
-        gain, best = max((_gain(model, base, k), k) for k in rest)
-        if gain < threshold:
-            break
-        rest.remove(best)
-        term, value = tested[best - len(free)], float(model.solution((*base, best))[best])
+    candidates = EulerLagrange([*(columns.terms[m] for m in structure.members), *tested], columns.coordinates)
+    model, base, threshold = _beside(workspace, structure, candidates)
+    found = _most_likely(model, base, dict(enumerate(tested, len(base))))
+    if _gain(model, base, *found) < threshold:
+        return []
+    out, values = [], model.solution((*base, *found))
+    for k in found:
+        term, value = candidates.terms[k], float(values[k])
+        gain = _gain(model, (*base, *(other for other in found if other != k)), k)
         if value > 0.0:
-            base = (*base, best)
             out.append(say_friction(term, f"coefficient about {value:.2g}, -2 log likelihood {gain:.0f}"))
-        elif term.expr.is_polynomial() and len(term.expr.free_symbols) == 1:
-            base = (*base, best)
+        else:
             out.append(
                 f"energy seems to be fed in along {_rates(term)} (friction of about {value:.2g}): check the "
                 "sign of forces and of known coefficients, and whether a driving force is missing"
             )
     return out
+
+
+def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int, Term]) -> tuple[int, ...]:
+    """The friction that explains most, each at its price; it may be negative where it is viscous.
+
+    Terms are added and dropped one at a time: a damper between two joints does for friction in both, until
+    both are there.
+    """
+
+    def value(chosen: tuple[int, ...]) -> float:
+        return _gain(model, base, *chosen) - _BETTER * len(chosen)
+
+    chosen: tuple[int, ...] = ()
+    while True:
+        moves = [(*chosen, k) for k in tested if k not in chosen]
+        moves += [tuple(k for k in chosen if k != out) for out in chosen]
+        best = max(moves, key=value, default=chosen)
+        if value(best) > value(chosen):
+            chosen = best
+            continue
+        solution = model.solution((*base, *chosen))
+        wrong = [k for k in chosen if solution[k] < 0.0 and not _viscous(tested[k])]
+        if not wrong:
+            return chosen
+        tested = {k: term for k, term in tested.items() if k not in wrong}
+        chosen = tuple(k for k in chosen if k not in wrong)
+
+
+def _viscous(term: Term) -> bool:
+    return term.expr.is_polynomial() and len(term.expr.free_symbols) == 1
 
 
 def say_friction(term: Term, details: str) -> str:
@@ -136,9 +162,9 @@ def _beside(
     return model, tuple(range(chosen)), threshold
 
 
-def _gain(model: QuadraticModel, members: tuple[int, ...], more: int) -> float:
-    """By how much one more term lowers −2 log likelihood."""
-    return model.best({members}, 1)[0].cost - model.best({(*members, more)}, 1)[0].cost
+def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
+    """By how much further terms lower −2 log likelihood."""
+    return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost
 
 
 def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:

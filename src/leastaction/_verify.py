@@ -28,7 +28,6 @@ _MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
 _FEW_SAMPLES = 7.0  # a period of the fastest motion
 _BAND = 12.0  # times the frequency of the fastest coordinate
-_FAR_OFF = 0.1  # equation error with which a structure is no start for a better one
 _EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
 _OF_FORCES = 4.0  # noise of forces gives 0.2 to 3 times its density, a missing term 30 and more
 _HIDDEN = 0.001  # equation error below which no cause is looked for
@@ -73,7 +72,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(workspace, selection, share, unexplained)
+    causes = _likely_causes(workspace, selection, share, any(share[i] > EXPLAINED for i in unexplained))
     for i in unexplained:
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
@@ -102,20 +101,17 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
 
 
-def _likely_causes(
-    workspace: Workspace, selection: Selection, share: np.ndarray, unexplained: list[int]
-) -> list[str]:
-    """What was left out or is wrong: by tests on the fit, or a new search where these cannot tell."""
-    structure, found = selection.structure, []
-    far_off = any(share[i] > _FAR_OFF for i in unexplained)
-    if far_off:
-        found = search_afresh(workspace)
-    if found or not (structure.fit.converged and np.isfinite(structure.evidence)):
+def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[str]:
+    """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
+    structure = selection.structure
+    usable = structure.fit.converged and np.isfinite(structure.evidence)
+    known = wrong_known(workspace, selection) if usable else []
+    found = search_afresh(workspace) if off and not known else []
+    if found or not usable:
         return found
-    for find in (lacking_terms, hidden_friction, late_forces, wrong_known):
+    for find in (lacking_terms, hidden_friction, late_forces):
         found += find(workspace, selection)
-    if not found and not far_off and any(share[i] > EXPLAINED for i in unexplained):
-        found = search_afresh(workspace)
+    found += known
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
         found = doubts_about_forces(workspace, structure)
     return found
