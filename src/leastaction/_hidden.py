@@ -25,6 +25,7 @@ __all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
 _BETTER = 10.0  # the same, beyond the price of every term
+_UNUSUAL = 20.0  # so much better must friction be that is not viscous
 _RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 _MOST_RELEASED = 3
 _HALF = 0.15  # of a sample
@@ -63,7 +64,8 @@ def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int,
     """
 
     def value(chosen: tuple[int, ...]) -> float:
-        return _gain(model, base, *chosen) - _BETTER * len(chosen)
+        price = sum(_BETTER if _viscous(tested[k]) else _UNUSUAL for k in chosen)
+        return _gain(model, base, *chosen) - price
 
     chosen: tuple[int, ...] = ()
     while True:
