@@ -17,6 +17,7 @@ __all__ = ["Column", "Group", "Results", "best", "complete", "read"]
 
 NO_REGULARISATION = "no-regularisation"  # the variant that only the second table asks for
 EXPERIMENTS = ("from-truth", "true-terms")  # variants of the paper's method that are told the truth
+APART = (NO_REGULARISATION, *EXPERIMENTS)  # these do not compete
 
 Column = tuple[str, str]  # method, variant
 
@@ -100,8 +101,7 @@ class Results:
     @property
     def comparable(self) -> Results:
         """Those of the first table: complete data, nothing left out of a method and nothing told to it."""
-        apart = (NO_REGULARISATION, *EXPERIMENTS)
-        return self.where(lambda c: c["missing"] == 0 and c["variant"] not in apart)
+        return self.where(lambda c: c["missing"] == 0 and c["variant"] not in APART)
 
     @property
     def finished(self) -> list[dict]:

@@ -6,10 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import leastaction as la
-from helpers import PENDULUM_LIBRARY, changed, pendulum
+from helpers import PENDULUM_LIBRARY, changed, pendulum, record
 from leastaction import systems
 from leastaction._coarse import forecast_error
 from leastaction._euler_lagrange import EulerLagrange
@@ -90,27 +89,21 @@ def test_generated_libraries_lack_nothing_common():
 
 
 def measured(acceleration, names: list[str], noise: float, drive: float = 0.0) -> la.Trajectories:
-    """Three motions of q̈ = acceleration(q, q̇, f), with forces of two tones each if there is a drive."""
-    rng, times, n, runs = np.random.default_rng(5), np.arange(0.0, 10.0, 0.02), len(names), []
-    for _ in range(3):
-        start, pace, phase = rng.normal(size=2 * n), rng.uniform(0.5, 3.0, (2, n)), rng.uniform(0, 6, (2, n))
+    """Three recordings of q̈ = acceleration(q, q̇, f), with forces of two tones each if there is a drive."""
+    rng, shape = np.random.default_rng(5), (3, 2, len(names))
+    starts, pace, phase = rng.normal(size=shape), rng.uniform(0.5, 3.0, shape), rng.uniform(0.0, 6.0, shape)
 
-        def force(t, pace=pace, phase=phase):
-            return drive * np.sin(np.multiply.outer(t, pace) + phase).sum(axis=-2)
+    def force(k, t):
+        return drive * np.sin(np.multiply.outer(t, pace[k]) + phase[k]).sum(axis=1)
 
-        def rate(t, state, force=force):
-            return [*state[n:], *acceleration(state[:n], state[n:], force(t))]
-
-        q = solve_ivp(rate, (0.0, 10.0), start, t_eval=times, rtol=1e-9, atol=1e-9).y.T[:, :n]
-        noisy = q + noise * q.std(0) * rng.normal(size=q.shape)
-        runs.append(la.Trajectory(times, noisy, forces=force(times) if drive else None, coordinates=names))
-    return la.Trajectories(runs)
+    forcing = force if drive else None
+    return record(acceleration, list(starts), names, duration=10.0, noise=noise, forcing=forcing)
 
 
 def two_masses(q, v, f):
     """A relative damper of 0.4 between masses of 1 and 0.5."""
     spring = 2.0 * (q[0] - q[1]) + 0.4 * (v[0] - v[1])
-    return f[0] - 3.0 * q[0] - spring, 2.0 * (f[1] + spring)
+    return np.array([f[0] - 3.0 * q[0] - spring, 2.0 * (f[1] + spring)])
 
 
 @pytest.mark.parametrize("offered", [(), ("x_dot**2/2", "y_dot**2/2")])
@@ -136,7 +129,7 @@ def test_drag_is_named(offered):
 
 def in_a_magnetic_field(q, v, f):
     """L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
-    return 1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]
+    return np.array([1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]])
 
 
 def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():

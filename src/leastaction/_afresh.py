@@ -29,7 +29,7 @@ def search_afresh(workspace: Workspace) -> list[str]:
     more = [*common_terms(workspace.columns, "standard"), *friction]
     if not more or workspace.trajectories.n_samples > _MOST_SAMPLES:
         return []
-    wider = workspace.changed(np.append(workspace.known, np.full(len(more), np.nan)), more)
+    wider = workspace.wider(more)
     refiner = Refiner(wider, silent)
     curve = smooth(wider.grid, wider.times, wider.values, rates=wider.rates)
     found, _ = refiner.dissipate(best_structure(refiner, propose_supports(wider, curve, silent), None))

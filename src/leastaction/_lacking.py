@@ -43,7 +43,7 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     common = common_terms(columns, size)
     if not common:
         return []
-    wider = workspace.changed(np.append(workspace.known, np.full(len(common), np.nan)), common)
+    wider = workspace.wider(common)
     refiner = _Best(wider, silent)
     here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
     found = refiner.refine(here, _ROUNDS)

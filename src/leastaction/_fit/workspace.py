@@ -101,12 +101,16 @@ class Workspace:
         texts = [term.text for term in self.columns.terms]
         return {k: v for k, v in zip(texts, coefficients.tolist(), strict=True) if v != 0.0}
 
-    def changed(self, known: np.ndarray, more: Sequence[Term] = ()) -> Workspace:
-        """The same data on the same grid with other known coefficients, and further candidates."""
+    def changed(self, known: np.ndarray) -> Workspace:
+        """The same data on the same grid with other known coefficients."""
         other = copy.copy(self)
-        if more:
-            other.columns = EulerLagrange([*self.columns.terms, *more], self.columns.coordinates)
         other.known = known
+        return other
+
+    def wider(self, terms: Sequence[Term]) -> Workspace:
+        """The same data on the same grid with further candidates, behind the others."""
+        other = self.changed(np.append(self.known, np.full(len(terms), np.nan)))
+        other.columns = EulerLagrange([*self.columns.terms, *terms], self.columns.coordinates)
         return other
 
     def set_knots(self, knots_per_second: float) -> None:
