@@ -275,7 +275,7 @@ class Refiner:
         """Better supports by the quadratic model, with their starts: the best, one near by, the second best.
 
         Far from the law the best may be a heap of terms whose fit fails; then the best with one term more
-        than now, at most, is a step on firmer ground.
+        than now, at most, is a step on firmer ground, and after it the best with none more.
         """
         model, current = self._model(structure)
         levels = search_subsets(model, current, self.penalty)
@@ -284,8 +284,10 @@ class Refiner:
         here = next((n for n, choice in enumerate(ranked) if choice.members == current), len(ranked))
         better = ranked[:here]
         near = [c for c in better if len(c.members) <= len(current) + 1]
-        chosen = {c.members: c for c in (*better[:1], *near[:1], *better[1:_PROPOSED])}
-        for members in chosen:
+        no_larger = [c for c in better if len(c.members) <= len(current)]
+        for members in dict.fromkeys(
+            c.members for c in (*better[:1], *near[:1], *better[1:_PROPOSED], *no_larger[:1])
+        ):
             yield self._columns(members), self._start(structure, model.solution(members))
 
     def _first_regular(
