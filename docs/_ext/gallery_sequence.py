@@ -15,6 +15,7 @@ _NAMES = (
     "missing_samples",
     "camera_pixels",
     "lacking_term",
+    "unmeasured_drive",
     "next_experiment",
     "controller",
 )

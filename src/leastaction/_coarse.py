@@ -118,14 +118,15 @@ def forecast_error(workspace: Workspace, structure: StructureFit, horizon: float
     """Root mean square error of free runs over standard deviation, runs that are lost counted as one."""
     data = excerpt(workspace.trajectories, _JUDGED)
     values = [sp.Float(float(value)) for value in structure.coefficients]
-    mechanics = Mechanics.of_terms(workspace.columns.terms, values, data.coordinates)
+    columns = workspace.columns
+    mechanics = Mechanics.of_terms(columns.terms, values, data.coordinates, prescribed=columns.prescribed)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     noise = structure.fit.weights.position_std
     step = data.sampling_interval
     window = max(_WINDOW * horizon, _WINDOW_STEPS * step)
     try:
-        result = forecast(mechanics.acceleration, data, noise, horizon, window)
+        result = forecast(mechanics.acceleration, data, noise, horizon, window, prescribed=columns.prescribed)
     except InputError:  # too short for a free run
         return np.inf
     errors = np.array([trace.rms / result.std for trace in result.traces])

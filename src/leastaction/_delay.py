@@ -18,7 +18,6 @@ from scipy.interpolate import CubicSpline
 
 from leastaction._discover import discover
 from leastaction._errors import DataError, InputError
-from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.evidence import Start
 from leastaction._library import Library
 from leastaction._model import LagrangianModel
@@ -133,13 +132,14 @@ def estimate(
     *,
     max_delay: float = 0.1,
     angles: Iterable[str] | None = None,
+    prescribed: Iterable[str] = (),
     progress: Callable[[str, dict], None] | None = None,
 ) -> DelayEstimate:
     """Find by how much the forces act later than they are recorded.
 
     Parameters
     ----------
-    trajectories, library, known, dissipation, angles, progress
+    trajectories, library, known, dissipation, angles, prescribed, progress
         As for `leastaction.discover`; the trajectories must have forces.
     max_delay : float
         Delays from −max_delay to max_delay are tried, in seconds. So much is cut off at both ends of every
@@ -187,10 +187,18 @@ def estimate(
     pieces = excerpt(data, _MOST_SAMPLES)
     candidates = library if isinstance(library, Library) else Library(library, data.coordinates)
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
+    prescribed = [prescribed] if isinstance(prescribed, str) else list(prescribed)
 
     def find(delay: float) -> LagrangianModel:
-        shifted = shift_forces(pieces, delay, max_delay)
-        return discover(shifted, candidates, known, dissipation, angles=angles, progress=progress)
+        return discover(
+            shift_forces(pieces, delay, max_delay),
+            candidates,
+            known,
+            dissipation,
+            angles=angles,
+            prescribed=prescribed,
+            progress=progress,
+        )
 
     delay = 0.0
     model = find(delay)
@@ -232,10 +240,10 @@ class _Profile:
             [t.expression for t in model.dissipation],
             options["angles"],
             options["degree"],
+            prescribed=model.prescribed,
         )
-        columns = EulerLagrange(prepared.columns, model.coordinates)
         knots = float(model.provenance["knots_per_second"])
-        self.workspace, curve = prepared.whole_workspace(columns, knots)
+        self.workspace, curve = prepared.whole_workspace(prepared.euler_lagrange, knots)
         self.members = tuple(int(k) for k in self.workspace.free)
         values = {t.expression: t.coefficient for t in (*model.terms, *model.dissipation)}
         coefficients = np.array([values.get(term.text, 0.0) for term in prepared.columns])

@@ -15,7 +15,7 @@ from leastaction._descent import select_by_descent
 from leastaction._diagnostics import Diagnostics, PathPoint
 from leastaction._drift import Drift
 from leastaction._errors import DataError, InputError
-from leastaction._euler_lagrange import EulerLagrange, Points
+from leastaction._euler_lagrange import Points
 from leastaction._fit.adam_options import AdamOptions
 from leastaction._fit.problem import Weights
 from leastaction._fit.workspace import Workspace
@@ -44,6 +44,7 @@ def discover(
     method: str = "gauss-newton",
     angles: Iterable[str] | None = None,
     force_offset: Iterable[str] | Mapping[str, float] = (),
+    prescribed: Iterable[str] = (),
     robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
@@ -86,6 +87,11 @@ def discover(
         coefficient is the force.  A mapping gives the seconds within which the force may change (infinite:
         constant); it is then found in each trajectory as a cubic spline with knots so far apart
         (``diagnostics.force_offset``).  Choose them longer than a few periods of the motion.
+    prescribed : iterable of str
+        Coordinates that are measured, but moved by forces nobody knows: a trolley under its drive, a support
+        that is shaken, a joint without a torque sensor. Their own equations are not used, and what only they
+        contain (the trolley's mass) is not found; of the others everything is. In the model, the force on
+        such a coordinate is its acceleration.
     robust : bool
         Leave out samples that are more than five standard deviations off a smooth motion and alone there
         (glitches of a camera, lost counts); a note says how many. Noise with heavy tails, more than 5 % of it
@@ -145,7 +151,8 @@ def discover(
     clock.start("prepare")
     dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
     trajectories = Trajectories.coerce(trajectories)
-    constant, slow = _offsets(force_offset, trajectories.coordinates)
+    prescribed = [prescribed] if isinstance(prescribed, str) else list(prescribed)
+    constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
     descent = method == "adam"
     if descent and slow:
         raise InputError(
@@ -157,12 +164,14 @@ def discover(
     unused = trajectories.rates if descent else ()
     if unused:
         trajectories = trajectories.without_rates()
-    prepared = prepare(trajectories, library, known, dissipation, angles, degree, most, constant, robust)
+    prepared = prepare(
+        trajectories, library, known, dissipation, angles, degree, most, constant, robust, prescribed
+    )
     if unused:
         note = "method='adam' fits positions alone: measured velocities and accelerations were left out"
         prepared = replace(prepared, notes=(*prepared.notes, note))
     drift = Drift(prepared.trajectories, slow)
-    workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
+    workspace = prepared.workspace(prepared.euler_lagrange)
     _check_columns(workspace, prepared)
     if descent:
         clock.start("descent")
@@ -193,6 +202,7 @@ def discover(
         "angles": list(prepared.library.angles if angles is None else angles),
         "robust": robust,
         "force_offset": {**dict.fromkeys(constant), **drift.seconds_of},
+        "prescribed": [prepared.library.coordinates[i] for i in prepared.prescribed],
     }
     if descent:
         given["adam"] = asdict(settings)
@@ -240,7 +250,7 @@ def _search_once(
 
 
 def _offsets(
-    given: Iterable[str] | Mapping[str, float], coordinates: tuple[str, ...]
+    given: Iterable[str] | Mapping[str, float], coordinates: tuple[str, ...], prescribed: list[str]
 ) -> tuple[list[str], dict[int, float]]:
     """Coordinates with a constant force, and numbers of those with a slow one → seconds."""
     if isinstance(given, str):
@@ -252,6 +262,11 @@ def _offsets(
             raise InputError(
                 f"force_offset names {name!r}, which is not a coordinate; the coordinates are "
                 f"{', '.join(coordinates)}"
+            )
+        if name in prescribed:
+            raise InputError(
+                f"force_offset names {name!r}, which is prescribed: any force may act there; leave out one "
+                "of the two"
             )
         if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not seconds > 0.0:
             raise InputError(
@@ -318,12 +333,14 @@ def _model(
             value = float(structure.coefficients[k])
             parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
     rate_noise = _rate_noise(workspace, weights)
+    density = weights.physics.copy()
+    density[list(prepared.prescribed)] = np.nan
     diagnostics = Diagnostics(
         workspace.trajectories,
         workspace.grid,
         structure.fit.control_points,
         weights.position_std,
-        weights.physics,
+        density,
         verdict.equation_error,
         _path(prepared, selection),
         prepared.library.dropped,
@@ -343,7 +360,7 @@ def _model(
         tuple(parts["dissipation"]),
         None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
         weights.position_std,
-        FitSummary(status, verdict.chi2_per_sample, weights.physics.tolist(), warnings),
+        FitSummary(status, verdict.chi2_per_sample, density.tolist(), warnings),
         {
             "version": _version(),
             "options": options,

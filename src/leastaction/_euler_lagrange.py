@@ -192,11 +192,17 @@ class EulerLagrange:
     terms : sequence of Term
         Candidates of L and of the dissipation function, in any mixture.
     coordinates : sequence of str
+    prescribed : sequence of int
+        Coordinates that unknown forces move: their equations are empty, and the mass matrix is that of the
+        others, with a one for each of them.
     """
 
-    def __init__(self, terms: Sequence[Term], coordinates: Sequence[str]) -> None:
+    def __init__(
+        self, terms: Sequence[Term], coordinates: Sequence[str], prescribed: Sequence[int] = ()
+    ) -> None:
         self.terms = tuple(terms)
         self.coordinates = tuple(coordinates)
+        self.prescribed = tuple(prescribed)
         self.n_dof = len(self.coordinates)
         self._columns = [_column(term, self.coordinates) for term in self.terms]
 
@@ -209,6 +215,7 @@ class EulerLagrange:
         for k, column in enumerate(self._columns):
             for (part, i), value in column.get("weak")(points):
                 out[part, k, i] = value
+        out[:, :, self.prescribed] = 0.0
         return out
 
     def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
@@ -218,6 +225,7 @@ class EulerLagrange:
         for row, k in enumerate(select):
             for (i,), value in self._columns[k].get("strong")(points):
                 out[row, i] = value
+        out[:, self.prescribed] = 0.0
         return out
 
     def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
@@ -227,7 +235,8 @@ class EulerLagrange:
             if coefficient == 0.0:
                 continue
             for key, value in column.get("jacobian")(points):
-                out[key] = out.get(key, 0.0) + coefficient * value
+                if key[1] not in self.prescribed:
+                    out[key] = out.get(key, 0.0) + coefficient * value
         return out  # type: ignore[return-value]
 
     def mass_of(self, k: int, points: Points) -> np.ndarray:
@@ -235,6 +244,7 @@ class EulerLagrange:
         out = np.zeros((points.n_points, self.n_dof, self.n_dof))
         for (i, j), value in self._columns[k].get("mass")(points):
             out[:, i, j] = value
+        out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
         return out
 
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
@@ -242,6 +252,7 @@ class EulerLagrange:
         out = np.zeros((points.n_points, self.n_dof, self.n_dof))
         for k, coefficient in enumerate(coefficients):
             out += coefficient * self.mass_of(k, points)
+        out[:, self.prescribed, self.prescribed] = 1.0
         return out
 
     @property
@@ -253,7 +264,11 @@ class EulerLagrange:
 
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Some of the columns, in the given sequence; compiled functions are shared."""
-        return EulerLagrange([self.terms[k] for k in select], self.coordinates)
+        return self.of([self.terms[k] for k in select])
+
+    def of(self, terms: Sequence[Term]) -> EulerLagrange:
+        """Other terms for the same coordinates."""
+        return EulerLagrange(terms, self.coordinates, self.prescribed)
 
 
 def euler_lagrange(library: Library, q, qdot, qddot) -> np.ndarray:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -215,11 +215,13 @@ def forecast(
     horizon: float | None = None,
     window: float | None = None,
     tolerance: float = 0.4,
+    prescribed: Sequence[int] = (),
 ) -> ForecastResult:
     """Run the forecasts of `LagrangianModel.validate`, which says what the arguments mean.
 
     `acceleration` is vectorised, ``acceleration(q, qdot, forces)`` -> array of the shape of q, where
-    `forces` has the shape of q or broadcasts to it.
+    `forces` has the shape of q or broadcasts to it.  Those on coordinates that are `prescribed` are the
+    accelerations of their smoothed measurements.
     """
     horizon, window = _lengths(data, horizon, window)
     if not _positive(tolerance):
@@ -232,7 +234,13 @@ def forecast(
             f"{max(trial.duration for trial in data):g} s). Choose a shorter horizon or window"
         )
     std = np.sqrt(np.nanvar(np.concatenate([trial.q for trial in data]), axis=0))
-    state, estimated = _smoothed_states(data, starts, window)
+    curves, estimated = _smoothed(data, starts)
+    state = np.full((len(starts), 2 * data.n_dof), np.nan)
+    if curves:
+        begins = [(curves[start.trial], np.array([start.begin])) for start in starts]
+        state = np.array([np.concatenate([curve(t, nu)[0] for nu in (0, 1)]) for curve, t in begins])
+    if curves and prescribed:
+        starts = [_moved(start, curves[start.trial], list(prescribed)) for start in starts]
     sigma = np.where(noise_std > 0, noise_std, estimated)
     # Data without noise, or a coordinate at rest, must not divide by zero.
     tiny = np.finfo(float).tiny
@@ -292,8 +300,11 @@ def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start
     return starts, skipped
 
 
-def _smoothed_states(data: Trajectories, starts: list[Start], window: float) -> tuple[np.ndarray, np.ndarray]:
-    """q and q̇ at the begin of every window, (n_starts, 2 n_dof), and the noise: from smoothing splines."""
+Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
+
+
+def _smoothed(data: Trajectories, starts: list[Start]) -> tuple[dict[int, Curve], np.ndarray]:
+    """Smoothing splines of the trials that are used, and the noise; none where they cannot be smoothed."""
     used = sorted({start.trial for start in starts})
     trials = [data[k] for k in used]
     spaces = [
@@ -303,13 +314,22 @@ def _smoothed_states(data: Trajectories, starts: list[Start], window: float) -> 
     try:
         fitted = smooth(grid, [trial.t for trial in trials], [trial.q for trial in trials])
     except np.linalg.LinAlgError:
-        return np.full((len(starts), 2 * data.n_dof), np.nan), np.full(data.n_dof, np.nan)
-    parts = dict(zip(used, zip(spaces, grid.split(fitted.control_points), strict=True), strict=True))
-    rows = []
-    for start in starts:
-        space, control = parts[start.trial]
-        rows.append(np.concatenate([space.evaluate(control, [start.begin], nu)[0] for nu in (0, 1)]))
-    return np.array(rows), fitted.noise_std
+        return {}, np.full(data.n_dof, np.nan)
+    parts = zip(spaces, grid.split(fitted.control_points), strict=True)
+    curves = [partial(space.evaluate, control) for space, control in parts]
+    return dict(zip(used, curves, strict=True)), fitted.noise_std
+
+
+def _moved(start: Start, curve: Curve, prescribed: Sequence[int]) -> Start:
+    """The same start, its forces on some coordinates replaced by the accelerations of a curve."""
+
+    def forces(times: np.ndarray) -> np.ndarray:
+        accelerations = curve(times, 2)
+        out = np.zeros_like(accelerations) if start.forces is None else start.forces(times)
+        out[:, prescribed] = accelerations[:, prescribed]
+        return out
+
+    return replace(start, forces=forces)
 
 
 def _trace(

@@ -131,13 +131,18 @@ class _Runs:
         self.q = np.empty((self.n_runs, self.nodes.size, n_dof))
         self.qdot = np.empty((self.n_runs, n_dof))
         half = np.linspace(0.0, horizon, 2 * _STEPS + 1)
-        self.forces = np.empty((half.size, self.n_runs, n_dof)) if workspace.trajectories.driven else None
+        prescribed = workspace.columns.prescribed
+        moved = workspace.trajectories.driven or prescribed
+        self.forces = np.empty((half.size, self.n_runs, n_dof)) if moved else None
         for k, part in enumerate(workspace.grid.split(curve.control_points)):
             own, space = owner == k, workspace.grid.spaces[k]
             self.q[own] = space.evaluate(part, begin[own][:, None] + self.nodes)
             self.qdot[own] = space.evaluate(part, begin[own], 1)
             if self.forces is not None:
-                self.forces[:, own] = workspace.force_at(k, half[:, None] + begin[own])
+                times = half[:, None] + begin[own]
+                self.forces[:, own] = workspace.force_at(k, times)
+                for i in prescribed:  # its force is its acceleration
+                    self.forces[:, own, i] = space.evaluate(part, times, 2)[..., i]
 
 
 def _begins(trajectory: Trajectory, horizon: float) -> np.ndarray:
@@ -163,7 +168,9 @@ class _Flow:
         values: list[sp.Expr] = [sp.Float(float(value)) for value in coefficients]
         for k, symbol in zip(members, symbols, strict=True):
             values[k] = symbol
-        self.mechanics = Mechanics.of_terms(columns.terms, values, columns.coordinates, symbols)
+        self.mechanics = Mechanics.of_terms(
+            columns.terms, values, columns.coordinates, symbols, columns.prescribed
+        )
 
     def errors(self, x: np.ndarray) -> np.ndarray:
         """(n_variants, n_runs, n_steps + 1, n_dof), over ``scale``; ``x`` is (n_variants, n_members)."""

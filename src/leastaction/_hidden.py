@@ -37,7 +37,7 @@ def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
     tested = usual_friction(columns)
     if not tested:
         return []
-    candidates = EulerLagrange([*(columns.terms[m] for m in structure.members), *tested], columns.coordinates)
+    candidates = columns.of([*(columns.terms[m] for m in structure.members), *tested])
     model, base, threshold = _beside(workspace, structure, candidates)
     found = _most_likely(model, base, dict(enumerate(tested, len(base))))
     if _gain(model, base, *found) < threshold:
@@ -100,8 +100,9 @@ def _rates(term: Term) -> str:
 def usual_friction(columns: EulerLagrange) -> list[Term]:
     """Viscous and dry friction and drag on each velocity, and dampers between two, that are no candidates."""
     rates = [f"{name}_dot" for name in columns.coordinates]
-    usual = [text for v in rates for text in (f"{v}**2/2", f"abs({v})", f"abs({v})**3/3")]
-    usual += [f"({v}-{w})**2/2" for v, w in combinations(rates, 2)]
+    driven = {rates[i] for i in columns.prescribed}
+    usual = [text for v in rates if v not in driven for text in (f"{v}**2/2", f"abs({v})", f"abs({v})**3/3")]
+    usual += [f"({v}-{w})**2/2" for v, w in combinations(rates, 2) if not {v, w} <= driven]
     library = Library([columns.terms[0].text], columns.coordinates, dissipation=usual)
     given = {_kind(term.expr) for term in columns.terms if term.kind == "dissipation"}
     return [term for term in library.dissipation if _kind(term.expr) not in given]

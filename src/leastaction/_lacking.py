@@ -88,5 +88,6 @@ def common_terms(columns: EulerLagrange, size: str) -> list[Term]:
     ]
     texts = {term.text for term in given}
     both = Library([*texts, *(text for text in usual if text not in texts)], columns.coordinates)
-    kept = both.reduced(keep=[term for term in both.terms if term.text in texts])
+    driven = [columns.coordinates[i] for i in columns.prescribed]
+    kept = both.reduced(keep=[term for term in both.terms if term.text in texts], prescribed=driven)
     return [term for term in kept.terms if term.text not in texts]

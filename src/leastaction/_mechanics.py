@@ -3,6 +3,9 @@
 The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f are M(q, q̇) q̈ = r(q, q̇) + f with
 
     M_ij = ∂²L/∂q̇_i∂q̇_j,    r_i = ∂L/∂q_i − ∂ψ/∂q̇_i − Σ_j (∂²L/∂q̇_i∂q_j) q̇_j.
+
+Where the motion of a coordinate is prescribed, q̈_i = f_i takes the place of its equation: its force is its
+acceleration.
 """
 
 from __future__ import annotations
@@ -65,6 +68,8 @@ class Mechanics:
     coordinates : sequence of str
     parameters : sequence of sympy.Symbol
         Coefficients that stay symbols; `acceleration` takes their values.
+    prescribed : sequence of int
+        Coordinates whose motion is prescribed.
 
     Notes
     -----
@@ -78,7 +83,9 @@ class Mechanics:
         dissipation: sp.Expr,
         coordinates: Sequence[str],
         parameters: Sequence[sp.Symbol] = (),
+        prescribed: Sequence[int] = (),
     ) -> None:
+        self.prescribed = tuple(prescribed)
         self.n_dof = len(coordinates)
         self.parameters = tuple(parameters)
         self._named = state_symbols(coordinates)
@@ -95,12 +102,13 @@ class Mechanics:
         values: Sequence[sp.Expr],
         coordinates: Sequence[str],
         parameters: Sequence[sp.Symbol] = (),
+        prescribed: Sequence[int] = (),
     ) -> Mechanics:
         """Terms of L and ψ with their coefficients, numbers or parameters."""
         parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
         for term, value in zip(terms, values, strict=True):
             parts[term.kind] += value * term.expr
-        return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters)
+        return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters, prescribed)
 
     @cached_property
     def momentum(self) -> list[sp.Expr]:
@@ -109,10 +117,13 @@ class Mechanics:
 
     @cached_property
     def mass(self) -> list[list[sp.Expr]]:
-        """M_ij, symmetric."""
+        """M_ij, symmetric but for the rows of prescribed coordinates."""
         n = self.n_dof
         upper = {(i, j): sp.diff(self.momentum[i], self.qdot[j]) for i in range(n) for j in range(i, n)}
-        return [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
+        rows = [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
+        for i in self.prescribed:
+            rows[i] = [sp.Integer(int(i == j)) for j in range(n)]
+        return rows
 
     @cached_property
     def right(self) -> list[sp.Expr]:
@@ -121,6 +132,8 @@ class Mechanics:
             sp.diff(self._lagrangian, self.q[i])
             - sp.diff(self._dissipation, self.qdot[i])
             - sp.Add(*(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True)))
+            if i not in self.prescribed
+            else sp.Integer(0)
             for i in range(self.n_dof)
         ]
 
@@ -132,30 +145,48 @@ class Mechanics:
         )
 
     def equations(self, forces: bool) -> tuple[sp.Eq, ...]:
-        """Equations in the symbols of the coordinates: solved for q̈ up to three coordinates."""
+        """Equations in the symbols of the coordinates: solved for q̈ up to three coordinates.
+
+        Coordinates that are prescribed have none; their accelerations stay in those of the others.
+        """
         q, qdot, qddot = self._named
         back = dict(zip([*self.q, *self.qdot], [*q, *qdot], strict=True))
 
         def named(expr: sp.Expr) -> sp.Expr:
             return expr.replace(RealAbs, sp.Abs).replace(RealSign, sp.sign).xreplace(back)
 
-        mass = sp.Matrix(self.n_dof, self.n_dof, lambda i, j: named(self.mass[i][j]))
-        right = sp.Matrix([named(r) for r in self.right])
+        free = [i for i in range(self.n_dof) if i not in self.prescribed]
+        mass = sp.Matrix(len(free), len(free), lambda i, j: named(self.mass[free[i]][free[j]]))
+        right = sp.Matrix(
+            [
+                named(self.right[i]) - sp.Add(*(named(self.mass[i][j]) * qddot[j] for j in self.prescribed))
+                for i in free
+            ]
+        )
         if forces:
-            right += sp.Matrix([sp.Symbol(f"{symbol.name}_force", real=True) for symbol in q])
-        if self.n_dof > 3:
-            left = mass * sp.Matrix(qddot)
+            right += sp.Matrix([sp.Symbol(f"{q[i].name}_force", real=True) for i in free])
+        accelerations = [qddot[i] for i in free]
+        if len(free) > 3:
+            left = mass * sp.Matrix(accelerations)
             return tuple(sp.Eq(a, b, evaluate=False) for a, b in zip(left, right, strict=True))
         if mass.is_diagonal():
-            solved = [right[i] / mass[i, i] for i in range(self.n_dof)]
+            solved = [right[i] / mass[i, i] for i in range(len(free))]
         else:
             solved = list(mass.adjugate() * right / mass.det())
-        return tuple(sp.Eq(a, sp.sympify(b), evaluate=False) for a, b in zip(qddot, solved, strict=True))
+        return tuple(
+            sp.Eq(a, sp.sympify(b), evaluate=False) for a, b in zip(accelerations, solved, strict=True)
+        )
 
     @cached_property
     def _equations_function(self) -> Callable[..., list]:
-        upper = [self.mass[i][j] for i in range(self.n_dof) for j in range(i, self.n_dof)]
-        return self.compile([*upper, *self.right], self.parameters)
+        entries = [self.mass[i][j] for i, j in self._entries]
+        return self.compile([*entries, *self.right], self.parameters)
+
+    @cached_property
+    def _entries(self) -> list[tuple[int, int]]:
+        """Places of the mass matrix that are computed: all, or the upper ones where it is symmetric."""
+        n = self.n_dof
+        return [(i, j) for i in range(n) for j in range(0 if self.prescribed else i, n)]
 
     @cached_property
     def _energy_function(self) -> Callable[..., list]:
@@ -183,9 +214,10 @@ class Mechanics:
         with np.errstate(all="ignore"):
             values = iter(self._equations_function(*self._columns(q, qdot), *parameters))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
-        for i in range(n):
-            for j in range(i, n):
-                mass[..., i, j] = mass[..., j, i] = next(values)
+        for i, j in self._entries:
+            mass[..., i, j] = next(values)
+            if not self.prescribed:
+                mass[..., j, i] = mass[..., i, j]
         for i in range(n):
             right[..., i] = next(values)
         return mass, right

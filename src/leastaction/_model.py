@@ -23,6 +23,7 @@ from leastaction._model_checks import (
     checked_start,
     checked_states,
     held_out,
+    prescribed_in,
 )
 from leastaction._model_parts import FitSummary, ModelTerm
 from leastaction._simulate import SimulationResult, simulate
@@ -123,10 +124,20 @@ class LagrangianModel:
         """ψ with its numbers; 0 if there is no dissipation."""
         return _weighted_sum(self.dissipation, self.dissipation_expressions)
 
+    @property
+    def prescribed(self) -> tuple[str, ...]:
+        """Coordinates whose motion was prescribed in the discovery (`provenance`), by unknown forces.
+
+        Nothing is known of what moves them: wherever the model takes forces, the entry of such a coordinate
+        is its acceleration.
+        """
+        return prescribed_in(self.coordinates, self.provenance)
+
     @cached_property
     def mechanics(self) -> Mechanics:
         """Symbolic and compiled equations of motion."""
-        return Mechanics(self.lagrangian, self.dissipation_function, self.coordinates)
+        places = [self.coordinates.index(name) for name in self.prescribed]
+        return Mechanics(self.lagrangian, self.dissipation_function, self.coordinates, prescribed=places)
 
     def equations_of_motion(self, forces: bool = False) -> tuple[sp.Eq, ...]:
         """Equations of motion as SymPy equations.
@@ -139,9 +150,9 @@ class LagrangianModel:
         Returns
         -------
         tuple of sympy.Eq
-            One per coordinate. Up to three coordinates they are solved: the left sides are the symbols
-            ``<coordinate>_dot_dot``. Beyond, the i-th one reads Σ_j M_ij q̈_j = r_i, since the solution
-            would fill pages.
+            One per coordinate that is not `prescribed`. Up to three coordinates they are solved: the left
+            sides are the symbols ``<coordinate>_dot_dot``. Beyond, the i-th one reads Σ_j M_ij q̈_j = r_i,
+            since the solution would fill pages.
         """
         return self.mechanics.equations(forces)
 
@@ -209,7 +220,8 @@ class LagrangianModel:
         t : array_like, shape (n_times,)
             Times in seconds, strictly increasing.
         forces : array_like, shape (n_times, n_dof), or callable, optional
-            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``.
+            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; accelerations of coordinates that are
+            `prescribed`.
         **limits
             ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction._simulate.simulate`.
 
@@ -250,7 +262,7 @@ class LagrangianModel:
         Every `horizon` seconds a forecast starts. Its initial state is that of the model's own motion which
         fits the data in the `window` before best (least squares); from there the model runs free. Known
         forces of the trajectories are used. Coordinates that were angles in the discovery (provenance) are
-        unwrapped first.
+        unwrapped first; those that are `prescribed` move as their smoothed measurements do.
 
         Parameters
         ----------
@@ -278,7 +290,10 @@ class LagrangianModel:
             If the coordinates differ, or no trial is long enough for one forecast.
         """
         data = held_out(self, trajectories)
-        return forecast(self.mechanics.acceleration, data, self.noise_std, horizon, window, tolerance)
+        motion = self.mechanics
+        return forecast(
+            motion.acceleration, data, self.noise_std, horizon, window, tolerance, motion.prescribed
+        )
 
     def _states(self, **arrays: ArrayLike | None) -> list[np.ndarray]:
         return checked_states(self.coordinates, arrays)

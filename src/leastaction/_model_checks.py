@@ -177,7 +177,18 @@ def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Traject
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
             f"{', '.join(model.coordinates)}, and the sequence matters too"
         )
-    options = model.provenance.get("options")
-    angles = options.get("angles") if isinstance(options, Mapping) else None
-    chosen = [c for c in model.coordinates if c in angles] if isinstance(angles, (list, tuple)) else []
+    chosen = _listed(model.coordinates, model.provenance, "angles")
     return data.unwrap(chosen) if chosen else data
+
+
+def prescribed_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> tuple[str, ...]:
+    """Coordinates that a discovery was told are prescribed; not all of them, whatever a file says."""
+    found = _listed(coordinates, provenance, "prescribed")
+    return tuple(found) if len(found) < len(coordinates) else ()
+
+
+def _listed(coordinates: Sequence[str], provenance: Mapping[str, Any], option: str) -> list[str]:
+    """Coordinates that an option of the discovery names; files may hold anything there."""
+    options = provenance.get("options")
+    names = options.get(option) if isinstance(options, Mapping) else None
+    return [c for c in coordinates if c in names] if isinstance(names, (list, tuple)) else []

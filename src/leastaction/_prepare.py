@@ -10,8 +10,10 @@ import numpy as np
 import sympy as sp
 
 from leastaction._errors import DataError, InputError
+from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.workspace import Workspace
 from leastaction._library import Library, Term, smooth_abs
+from leastaction._names import quoted
 from leastaction._outliers import leave_out_outliers
 from leastaction._rate_checks import doubts_about_rates
 from leastaction._smoothing import Smooth, smooth
@@ -45,6 +47,8 @@ class Prepared:
         Candidates of L, then of the dissipation function.
     known : (n_columns,) array
         Known coefficients, NaN where free.
+    prescribed : tuple of int
+        Coordinates whose equations are not used.
     knots : Knots
         Of ``searched``.
     degree : int
@@ -56,10 +60,16 @@ class Prepared:
     library: Library
     columns: tuple[Term, ...]
     known: np.ndarray
+    prescribed: tuple[int, ...]
     knots: Knots
     degree: int
     notes: tuple[str, ...]
     doubts: tuple[str, ...]
+
+    @property
+    def euler_lagrange(self) -> EulerLagrange:
+        """All candidates, as functions."""
+        return EulerLagrange(self.columns, self.library.coordinates, self.prescribed)
 
     def workspace(self, columns) -> Workspace:
         """To search in."""
@@ -87,6 +97,7 @@ def prepare(
     most_samples: int | None = None,
     force_offset: Iterable[str] = (),
     robust: bool = True,
+    prescribed: Iterable[str] = (),
 ) -> Prepared:
     """Check and complete everything that a search needs.
 
@@ -112,6 +123,8 @@ def prepare(
     angles = library.angles if angles is None else tuple(angles)
     trajectories = trajectories.unwrap(angles)
     _check_data(trajectories)
+    places = _prescribed(prescribed, trajectories.coordinates)
+    trajectories, unused_forces = _without_forces_on(places, trajectories)
     library = _with_offsets(library.with_dissipation(dissipation), force_offset)
     known_terms = _resolve_known(library, dict(known or {}))
     if not known_terms and not trajectories.driven:
@@ -122,6 +135,7 @@ def prepare(
             + "': 1.0}, which sets the units of L"
         )
     notes, turning = _about_angles(trajectories, angles)
+    notes += unused_forces
     doubts = [
         f"{name} jumps by about 2π {count} times, which was undone: if it is an angle, say so with "
         f"angles=[{name!r}]"
@@ -146,7 +160,8 @@ def prepare(
         notes.append(
             "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in changed.items())
         )
-    reduced = softened.reduced(keep=list(known_terms))
+    driven = [library.coordinates[i] for i in places]
+    reduced = softened.reduced(keep=list(known_terms), prescribed=driven)
     columns = (*reduced.terms, *reduced.dissipation)
     coefficients = np.array([known_terms.get(term, np.nan) for term in columns])
     missing = [term.text for term in known_terms if term not in columns]
@@ -165,11 +180,44 @@ def prepare(
         reduced,
         columns,
         coefficients,
+        places,
         knots,
         degree,
         tuple(notes),
         tuple(doubts),
     )
+
+
+def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int, ...]:
+    """Places of the prescribed coordinates."""
+    names = [names] if isinstance(names, str) else list(names)
+    for name in names:
+        if name not in coordinates:
+            raise InputError(
+                f"prescribed names {quoted(name)}, which is not a coordinate; the coordinates are "
+                f"{', '.join(coordinates)}"
+            )
+    if set(names) == set(coordinates):
+        raise InputError(
+            "every coordinate is prescribed, so that no equation of motion is left; leave out those that "
+            "known forces move, or none"
+        )
+    return tuple(i for i, name in enumerate(coordinates) if name in names)
+
+
+def _without_forces_on(places: tuple[int, ...], trajectories: Trajectories) -> tuple[Trajectories, list[str]]:
+    """What is known of the forces on prescribed coordinates is of no use."""
+    names = [
+        trajectories.coordinates[i]
+        for i in places
+        if any(t.forces is not None and np.any(t.forces[:, i]) for t in trajectories)
+    ]
+    if not names:
+        return trajectories, []
+    rest = np.array([i not in places for i in range(trajectories.n_dof)])
+    left = [np.zeros(t.q.shape) if t.forces is None else t.forces * rest for t in trajectories]
+    note = f"forces on {', '.join(names)} were left out: the motion there is prescribed"
+    return trajectories.with_forces(left), [note]
 
 
 def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:

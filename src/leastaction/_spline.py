@@ -141,7 +141,8 @@ class SplineGrid:
     spaces : sequence of SplineSpace
         All of one degree.
     n_quadrature : int
-        Gauss–Legendre points in each knot interval.
+        Gauss–Legendre points in each knot interval; with a single one, points of collocation, which see
+        every spline: the left knot for odd degrees, the midpoint for even ones.
 
     Attributes
     ----------
@@ -167,6 +168,8 @@ class SplineGrid:
         self.n_intervals = self.first.size
         self.owner = np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
         nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
+        if n_quadrature == 1 and self.degree % 2:  # at midpoints the fastest spline vanishes
+            nodes = nodes - 1.0
         widths = np.concatenate([np.diff(s.breakpoints) for s in self.spaces])
         lefts = np.concatenate([s.breakpoints[:-1] for s in self.spaces])
         self.points = lefts[:, None] + 0.5 * widths[:, None] * (nodes + 1.0)

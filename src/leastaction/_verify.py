@@ -78,7 +78,7 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
             f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
             + _ANY_CAUSE
-            + ("; see the likely cause below" if causes else "")
+            + ("; see the likely cause below" if causes else _perhaps_unmeasured(workspace, i))
         )
     doubts += _unexplained_rates(workspace, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
@@ -99,6 +99,13 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     if not selection.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _perhaps_unmeasured(workspace: Workspace, i: int) -> str:
+    names = workspace.trajectories.coordinates
+    if len(names) - len(workspace.columns.prescribed) < 2:
+        return ""
+    return f"; if forces that were not measured move {names[i]}, name it in prescribed"
 
 
 def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[str]:
@@ -281,6 +288,7 @@ def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[str]:
 def _whiteness(workspace: Workspace, structure) -> list[str]:
     notes = []
     observations, names = workspace.observations, workspace.trajectories.coordinates
+    loose = [names[i] for i in workspace.columns.prescribed]  # a curve that nothing holds follows the noise
     for name, r, least, sigma in zip(
         (*names, *(rate.label(names) for rate in workspace.rates)),
         observations.residuals(structure.fit.control_points),
@@ -289,7 +297,8 @@ def _whiteness(workspace: Workspace, structure) -> list[str]:
         strict=True,
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
-        if abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least:
+        visible = abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
+        if visible and name not in loose:
             notes.append(
                 f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, "
                 "encoder steps or filtered data; intervals may be too narrow or too wide"

@@ -75,7 +75,9 @@ class WeakForm:
         widths: Sequence[float],
         scale: np.ndarray,
     ) -> None:
-        self.grid, self.columns, self.forces, self.scale = grid, columns, forces, scale
+        self.grid, self.columns, self.forces = grid, columns, forces
+        self.equations = np.setdiff1d(np.arange(columns.n_dof), columns.prescribed)
+        self.scale = scale[self.equations]
         self.is_free = np.isnan(known)
         self.fixed = np.where(self.is_free, 0.0, known)
         self.widths = tuple(widths)
@@ -129,7 +131,7 @@ class WeakForm:
             v_known = v_known + push
         parts = []
         for part, known in ((inertial, i_known), (potential, v_known)):
-            joined = np.concatenate([part[..., self.is_free], known[..., None]], axis=2)
+            joined = np.concatenate([part[..., self.is_free], known[..., None]], axis=2)[:, self.equations]
             parts.append((joined * self.scale[None, :, None]).reshape(-1, joined.shape[2]))
         return parts
 

@@ -45,7 +45,8 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
         add(f"{c}_dot_dot", f"acceleration of {c}", "output", "continuous", initial="calculated")
     add("energy", "sum of qdot * dL/dqdot, less L", "output", "continuous", initial="calculated")
     for c in model.coordinates:
-        add(f"{c}_force", f"generalised force on {c}", "input", "continuous", start=0.0)
+        what = f"acceleration of {c}" if c in model.prescribed else f"generalised force on {c}"
+        add(f"{c}_force", what, "input", "continuous", start=0.0)
     text = "longest step of the integration inside, in seconds"
     add("max_step", text, "parameter", "tunable", initial="exact", start=max_step)
     groups = (

@@ -25,7 +25,11 @@ def unused(name: str, taken: Sequence[str]) -> str:
 def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> list[str]:
     """What the file holds, for its comments: plain ASCII, whatever the coordinates are called."""
     lines = ["Equations of motion  d/dt dL/dqdot - dL/dq = forces - dpsi/dqdot, written by leastaction."]
-    lines += [f"{element.format(i=base + i)}: {name}" for i, name in enumerate(model.coordinates)]
+    for i, name in enumerate(model.coordinates):
+        driven = (
+            "; its motion is prescribed: its force is its acceleration" if name in model.prescribed else ""
+        )
+        lines.append(f"{element.format(i=base + i)}: {name}{driven}")
     groups = (
         ("L", model.terms, model.expressions),
         ("psi", model.dissipation, model.dissipation_expressions),

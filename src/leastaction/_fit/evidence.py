@@ -27,6 +27,8 @@ __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start
 
 SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is left
 _LOG_STEP = 0.05
+# equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
+_SMALL, _EXACT = 1e-3, 1e-5
 _REGULAR = 0.9
 _HALVINGS = 4
 _MOST_STEPS = 100  # a structure that needs more is not worth it
@@ -46,9 +48,12 @@ class Start:
 
 
 def equation_rank(observations: Observations) -> int:
-    """Directions of one coordinate that its equation touches: all but initial position and rate."""
+    """Directions of one coordinate that its equation touches: all but initial position and rate.
+
+    No more than there are points at which the equation is compared.
+    """
     grid = observations.grid
-    return grid.n_ctrl - 2 * len(grid.spaces)
+    return min(grid.n_ctrl - 2 * len(grid.spaces), grid.points.size)
 
 
 def evidence(observations: Observations, fit: JointFit) -> float:
@@ -63,7 +68,7 @@ def evidence(observations: Observations, fit: JointFit) -> float:
     weights = fit.weights
     value = -0.5 * at.misfit(weights) - float(observations.counts @ np.log(weights.noise_std))
     prior = equation_rank(observations) * (0.5 * float(np.log(weights.physics).sum()) + at.log_volume)
-    unpushed = float((weights.slack - weights.volume).mean()) * at.log_volume
+    unpushed = at.mean(weights.slack - weights.volume) * at.log_volume
     return value + prior - unpushed - 0.5 * fit.logdet
 
 
@@ -79,13 +84,13 @@ def start_weights(
     ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
     """
     at = linearise(observations, physics, control_points, coefficients)
-    one = np.ones_like(noise_std)
+    slack = np.full_like(noise_std, equation_rank(observations))
+    slack[list(physics.columns.prescribed)] = 0.0
     n = observations.n_dof
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
     counts = np.maximum(np.bincount(observations.coordinates, observations.counts), 1)
-    rank = equation_rank(observations)
-    return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), rank * one)
+    return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), slack)
 
 
 def update_weights(observations: Observations, fit: JointFit) -> Weights:
@@ -111,10 +116,16 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
         lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
         new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
+        if at.terms[i] > 0.0:
+            # an error that small makes no difference, and steps towards none at all would end on the way
+            hardly = slack[i] < SLACK_LEFT and fit.covariance.size > 0  # not while coefficients are held
+            least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
+            new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
     for c, i in enumerate(observations.coordinates):
         used = slope(observations.gram(c) / weights.noise_std[c] ** 2, n, i)
         estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
+    slack[list(at.prescribed)] = 0.0
     return replace(weights, noise_std=new_noise, physics=new_physics, slack=slack)
 
 

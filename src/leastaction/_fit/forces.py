@@ -116,7 +116,7 @@ class WithPushes(EulerLagrange):
     """Columns of a structure, then those of pushes, which depend on time, not on the state."""
 
     def __init__(self, columns: EulerLagrange, pushes: Pushes) -> None:
-        super().__init__(columns.terms, columns.coordinates)
+        super().__init__(columns.terms, columns.coordinates, columns.prescribed)
         self.pushes = pushes
 
     def __len__(self) -> int:

@@ -110,7 +110,7 @@ def condense(
     curve_gradient, gradient = linearisation.gradients(weights)
     border = np.tensordot(weights.physics, linearisation.borders, 1)
     corner = np.tensordot(weights.physics, linearisation.corners, 1)
-    corner += weights.volume.mean() * linearisation.volume_corner
+    corner += linearisation.mean(weights.volume) * linearisation.volume_corner
     right = np.column_stack([curve_gradient, border])
     solved = cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False)
     shift, response = solved[:, 0], solved[:, 1:]

@@ -3,7 +3,9 @@
     cost(P, λ) = Σ_c ‖y_c − N_c P_i‖² / σ_c² + Σ_i w_i ∫ r_i² dt,      r = Σ_k λ_k E[φ_k] − f
 
 with one channel c for the positions of each coordinate i, N_c = N, and one for every velocity and
-acceleration that is measured, N_c = Ṅ and N̈, each with a noise of its own.
+acceleration that is measured, N_c = Ṅ and N̈, each with a noise of its own.  A coordinate that is prescribed
+has no equation of motion; r_i = q̈_i stands in its place, as for a free mass that white noise pushes, which
+makes its curve a smoothing spline (Wahba 1978, J. R. Stat. Soc. B 40:364).
 
 Unknowns of the curve are numbered control point by control point (coordinate fastest), so that the
 Gauss–Newton matrix of P is banded and λ forms a dense border.
@@ -34,8 +36,8 @@ class Weights:
     """Noise of each channel, equation weight w_i, and degrees of freedom left to the equation error.
 
     The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack``
-    vanishes when the equations hold exactly. ``force_density`` is the spectral density of the noise of the
-    given forces.
+    vanishes when the equations hold exactly, and where a coordinate has none. ``force_density`` is the
+    spectral density of the noise of the given forces.
     """
 
     noise_std: np.ndarray
@@ -183,6 +185,10 @@ class Linearisation:
         Mean over time of (∂M/∂λ_k M⁻¹)_ii.
     volume_corner : (n_border, n_border) array
         Mean over time of tr(∂M/∂λ_k M⁻¹ ∂M/∂λ_l M⁻¹).
+    terms : (n_dof,) array
+        ∫ Σ_k (λ_k e_ik)² dt of each equation, computed only where a coordinate is prescribed.
+    prescribed : tuple of int
+        Coordinates without an equation of motion.
     log_volume, regular : float
         Mean of log |det M|, and share of the motion along which M is positive definite.
     """
@@ -198,6 +204,8 @@ class Linearisation:
     equation: np.ndarray
     volume: np.ndarray
     volume_corner: np.ndarray
+    terms: np.ndarray
+    prescribed: tuple[int, ...] = ()
     log_volume: float = 0.0
     regular: float = 0.0
 
@@ -206,8 +214,12 @@ class Linearisation:
         return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
 
     def cost(self, weights: Weights) -> float:
-        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / n_dof."""
-        return self.misfit(weights) - 2.0 * float(weights.volume.mean()) * self.log_volume
+        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
+        return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
+
+    def mean(self, values: np.ndarray) -> float:
+        """Mean over the equations of motion of what is zero where a coordinate has none."""
+        return float(values.sum()) / (self.equation.size - len(self.prescribed))
 
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
@@ -255,6 +267,8 @@ def linearise(
         equation=np.zeros(n),
         volume=np.zeros((n, k)),
         volume_corner=np.zeros((k, k)),
+        terms=np.zeros(n),
+        prescribed=columns.prescribed,
     )
     for chunk in grid.chunks(_CHUNK):
         states = grid.at_quadrature(control_points, chunk)
@@ -267,13 +281,19 @@ def _add_physics(out, rows, grid, physics, states, coefficients, border, chunk) 
     m, n_quad, n = states[0].shape
     # all arrays below run over quadrature point, then interval: long inner loops
     points = Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states), intervals=chunk)
+    weight = grid.weights[chunk].T.ravel()
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
         residual -= physics.forces[chunk].transpose(2, 1, 0).reshape(n, -1)
+    jacobian = physics.columns.jacobian(points, coefficients)
+    if physics.columns.prescribed:
+        out.terms += np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
+    for i in physics.columns.prescribed:
+        residual[i], jacobian[2, i, i] = points.columns[2 * n + i], 1.0
     columns = strong[physics.free] if border is None else border.strong(points)
-    root = np.sqrt(grid.weights[chunk]).T.ravel()
-    local = _local_jacobian(grid, physics.columns.jacobian(points, coefficients), root, chunk, n)
+    root = np.sqrt(weight)
+    local = _local_jacobian(grid, jacobian, root, chunk, n)
     for i in range(n):
         r = root * residual[i]
         e = root * columns[:, i]

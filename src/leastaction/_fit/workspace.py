@@ -69,8 +69,6 @@ class Workspace:
         Known coefficients, NaN where free.
     knots_per_second : float
     degree : int
-    n_quadrature : int
-        Gauss–Legendre points in each knot interval.
     """
 
     def __init__(
@@ -80,12 +78,14 @@ class Workspace:
         known: np.ndarray,
         knots_per_second: float,
         degree: int = 5,
-        n_quadrature: int = 2,
     ) -> None:
         self.trajectories = trajectories
         self.columns = columns
         self.known = known
-        self.degree, self.n_quadrature = degree, n_quadrature
+        self.degree = degree
+        # with a prescribed coordinate there are more curves than equations; compared at two points an
+        # interval they would lock: a spline that meets both must be smoother than the motion
+        self.n_quadrature = 1 if columns.prescribed else 2
         self.times = [trajectory.t for trajectory in trajectories]
         self.values = [trajectory.q for trajectory in trajectories]
         self.rates = trajectories.rates
@@ -110,7 +110,7 @@ class Workspace:
     def wider(self, terms: Sequence[Term]) -> Workspace:
         """The same data on the same grid with further candidates, behind the others."""
         other = self.changed(np.append(self.known, np.full(len(terms), np.nan)))
-        other.columns = EulerLagrange([*self.columns.terms, *terms], self.columns.coordinates)
+        other.columns = self.columns.of([*self.columns.terms, *terms])
         return other
 
     def set_knots(self, knots_per_second: float) -> None:
@@ -191,7 +191,10 @@ class Workspace:
         return float(np.mean(positive_definite(self.columns.mass_matrix(points, coefficients))))
 
     def equation_error(self, structure: StructureFit) -> tuple[np.ndarray, np.ndarray]:
-        """Root mean square of the equation residual, relative to the terms of each equation, and absolute."""
+        """Root mean square of the equation residual, relative to the terms of each equation, and absolute.
+
+        Where a coordinate has no equation: zero, and NaN.
+        """
         physics, index = self.physics(structure.members)
         states = self.grid.at_quadrature(structure.fit.control_points)
         points = Points(*(s[:, 0] for s in states))
@@ -203,7 +206,10 @@ class Workspace:
         if self.forces is not None:
             size += self.forces[:, 0].T ** 2
         rms = np.sqrt(structure.fit.linearisation.equation / self.grid.weights.sum())
-        return rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300)), rms
+        share = rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300))
+        none = list(physics.columns.prescribed)
+        share[none], rms[none] = 0.0, np.nan
+        return share, rms
 
     def score(self, structure: StructureFit) -> Quadratic:
         """Quadratic model of the cost in all free columns about a structure's fit."""

@@ -7,7 +7,7 @@ expression so gives E_i[φ] = d/dt ∂φ/∂q̇_i − ∂φ/∂q_i, in double or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -112,6 +112,8 @@ class Jets:
         Names of the coordinates.
     points
         Where; what they hold decides on the precision.
+    prescribed
+        Numbers of coordinates whose equations are left out.
 
     Examples
     --------
@@ -121,8 +123,9 @@ class Jets:
     29.0
     """
 
-    def __init__(self, coordinates: Sequence[str], points: Points) -> None:
+    def __init__(self, coordinates: Sequence[str], points: Points, prescribed: Collection[int] = ()) -> None:
         self.n_dof = n = len(coordinates)
+        self._equations = [i for i in range(n) if i not in prescribed]
         self.n_points = points.n_points
         self._digits = points.digits
         self._arithmetic = _Arithmetic(points.digits)
@@ -138,9 +141,10 @@ class Jets:
                 self._cache[sympy.Symbol(symbol, real=True)] = jet
 
     def effect(self, term: Term) -> np.ndarray:
-        """Return what the term adds to the equations of motion: E_i[φ] or ∂ψ/∂q̇_i, (n_dof, n_points)."""
+        """Return what the term adds to the equations: E_i[φ] or ∂ψ/∂q̇_i, (n_equations, n_points)."""
         jet = self.jet(term.expr)
-        return jet[self._v] if term.kind == "dissipation" else jet[self._vt] - jet[self._q]
+        effect = jet[self._v] if term.kind == "dissipation" else jet[self._vt] - jet[self._q]
+        return effect[self._equations]
 
     def lift(self, values: np.ndarray) -> np.ndarray:
         """Return floats in the precision of the points, so that products with them lose nothing."""

@@ -341,7 +341,7 @@ class Library(Sequence[Term]):
         more = Library(self._terms, self._coordinates, dissipation=expressions)
         return self.replace(dissipation=[*self._dissipation, *more._dissipation])
 
-    def reduced(self, keep: Iterable[Candidate] | str = ()) -> Library:
+    def reduced(self, keep: Iterable[Candidate] | str = (), *, prescribed: Iterable[str] = ()) -> Library:
         """Return the library without terms that change nothing in the equations of motion it can write.
 
         Left out are null terms (constants and total time derivatives), multiples of another term, and
@@ -352,6 +352,8 @@ class Library(Sequence[Term]):
         ----------
         keep
             Terms of the library that stay where there is a choice; otherwise earlier terms stay.
+        prescribed
+            Coordinates that are moved by unknown forces: their equations do not count.
 
         Raises
         ------
@@ -366,7 +368,8 @@ class Library(Sequence[Term]):
         """
         both = (*self._terms, *self._dissipation)
         wanted = (keep,) if isinstance(keep, Candidate) else keep
-        found = find_redundant(both, self._coordinates, {self._place(item) for item in wanted})
+        places = [self._coordinates.index(name) for name in prescribed]
+        found = find_redundant(both, self._coordinates, {self._place(item) for item in wanted}, places)
         left = [term for k, term in enumerate(both) if k not in found]
         terms = [term for term in left if term.kind == "lagrangian"]
         if not terms:

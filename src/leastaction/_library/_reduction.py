@@ -36,7 +36,11 @@ _MAX_SUMMANDS = 6
 
 @np.errstate(all="ignore")  # states outside the domain of a term are left out of its columns
 def find_redundant(
-    terms: Sequence[Term], coordinates: Sequence[str], keep: Collection[int] = (), seed: int = 0
+    terms: Sequence[Term],
+    coordinates: Sequence[str],
+    keep: Collection[int] = (),
+    prescribed: Collection[int] = (),
+    seed: int = 0,
 ) -> dict[int, Dropped]:
     """Find the terms to leave out: null terms, multiples of another term, and sums of others.
 
@@ -48,6 +52,8 @@ def find_redundant(
         Names of the coordinates.
     keep
         Indices of terms that should stay where there is a choice; then earlier terms stay.
+    prescribed
+        Indices of coordinates whose equations do not count.
     seed
         Of the random states; the result does not depend on it.
 
@@ -65,7 +71,7 @@ def find_redundant(
     1 null | total time derivative
     3 duplicate | equals 2+x up to a null term
     """
-    return _Search(terms, coordinates, seed).run(set(keep))
+    return _Search(terms, coordinates, prescribed, seed).run(set(keep))
 
 
 @np.errstate(all="ignore")
@@ -100,20 +106,22 @@ def same_functions(wanted: sympy.Expr, others: Sequence[sympy.Expr], coordinates
 class _Search:
     """One analysis: the columns in double precision, and the exact check behind it."""
 
-    def __init__(self, terms: Sequence[Term], coordinates: Sequence[str], seed: int) -> None:
-        self.terms, self.coordinates = terms, coordinates
+    def __init__(
+        self, terms: Sequence[Term], coordinates: Sequence[str], prescribed: Collection[int], seed: int
+    ) -> None:
+        self.terms, self.prescribed = terms, prescribed
         self.found: dict[int, Dropped] = {}
         rng = np.random.default_rng(seed)
         n_dof, n_points = len(coordinates), max(_MIN_POINTS, 3 * (len(terms) + _EXTRA_POINTS))
         self.pool = Points.draw(rng, n_dof, n_points)
-        self.weights = rng.normal(size=(n_dof, n_points))
-        jets = Jets(coordinates, self.pool)
+        weights = rng.normal(size=(n_dof - len(prescribed), n_points))
+        jets = Jets(coordinates, self.pool, prescribed)
         self.effects = np.array([jets.effect(term) for term in terms])
         self.scales = [_size(jets.jet(term.expr)) for term in terms]
         self.finite = np.isfinite(self.effects).all(axis=1) & np.isfinite(
             [jets.jet(term.expr).sum(axis=0) for term in terms]
         )
-        self.exact = _ExactColumns(terms, coordinates, self.pool, self.weights)
+        self.exact = _ExactColumns(terms, coordinates, prescribed, self.pool, weights)
 
     def run(self, keep: set[int]) -> dict[int, Dropped]:
         order = [*sorted(keep), *(k for k in range(len(self.terms)) if k not in keep)]
@@ -143,6 +151,8 @@ class _Search:
         term = self.terms[k]
         if self.exact.is_constant(k, inside):
             because = "constant"
+        elif self.prescribed:
+            because = "no effect on the equations of the coordinates that are not prescribed"
         elif term.kind == "dissipation":
             because = "no force: it does not depend on a velocity"
         else:
@@ -214,10 +224,10 @@ class _Search:
 
 
 class _ExactColumns:
-    """Columns in 60-digit arithmetic: one number per state, a random mixture of its n_dof equations."""
+    """Columns in 60-digit arithmetic: one number per state, a random mixture of its equations."""
 
-    def __init__(self, terms, coordinates, pool: Points, weights: np.ndarray) -> None:
-        self.terms, self.coordinates = terms, coordinates
+    def __init__(self, terms, coordinates, prescribed, pool: Points, weights: np.ndarray) -> None:
+        self.terms, self.coordinates, self.prescribed = terms, coordinates, prescribed
         self.pool, self.weights = pool, weights
         self._jets: dict[tuple[bytes, int], Jets] = {}
         self.forget()
@@ -229,7 +239,7 @@ class _ExactColumns:
     def _at(self, rows: np.ndarray, digits: int = _DIGITS) -> Jets:
         key = rows.tobytes(), digits
         if key not in self._jets:
-            self._jets[key] = Jets(self.coordinates, self.pool[rows].with_digits(digits))
+            self._jets[key] = Jets(self.coordinates, self.pool[rows].with_digits(digits), self.prescribed)
         return self._jets[key]
 
     def _column(self, k: int, rows: np.ndarray, digits: int) -> np.ndarray:

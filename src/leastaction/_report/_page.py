@@ -145,12 +145,15 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
 
 def _energy(series: Series) -> dict[str, Any]:
     model, data = series.model, series.trajectories
+    if model.prescribed:
+        names = ", ".join(model.prescribed)
+        return {"energy": None, "no_energy": f"No balance: the forces that move {names} are not known."}
     everything = [Energy.of(series, k) for k in range(min(len(data), _MOST_ENERGIES))]
     if series.trial >= len(everything):
         everything[-1] = Energy.of(series, series.trial)
     shown = everything[min(series.trial, len(everything) - 1)]
     if not all(energy.finite for energy in everything):
-        return {"energy": None}
+        return {"energy": None, "no_energy": "Not drawn: it is not finite everywhere along the fitted curve."}
     balance = bool(model.dissipation) or data.driven
     floor = float(shown.potential.min())
     worst = max(e.imbalance for e in everything)

@@ -96,7 +96,9 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
                 "wraps": data.wraps_removed[name],
                 "noise": plain(sigma, full=True),
                 "relative": percent(sigma / spread) if spread > 0 else "–",
-                "equation": plain(float(diagnostics.equation_error[i]), full=True),
+                "equation": "prescribed"
+                if name in model.prescribed
+                else plain(float(diagnostics.equation_error[i]), full=True),
             }
         )
     return rows

@@ -19,6 +19,7 @@ from leastaction.cli._options import (
     force_offsets,
     known_coefficients,
     method_options,
+    name_list,
 )
 from leastaction.cli._output import check_folder, write_together
 from leastaction.cli._show import live_progress, say, show_forecast, show_model, warn
@@ -71,6 +72,12 @@ Example:
     "changing within so many seconds.",
 )
 @click.option(
+    "--prescribed",
+    metavar="A,B",
+    help="Coordinates that are measured but moved by forces nobody measured, such as a trolley under its "
+    "drive: their equations are not used.",
+)
+@click.option(
     "--keep-outliers",
     is_flag=True,
     help="Fit samples that are far off the motion, too; otherwise they are left out and counted.",
@@ -112,6 +119,7 @@ def discover(
     known: tuple[str, ...],
     dissipation: str | None,
     force_offset: str | None,
+    prescribed: str | None,
     keep_outliers: bool,
     method: str,
     settings: tuple[str, ...],
@@ -148,6 +156,7 @@ def discover(
             candidates,
             known=given,
             force_offset=offsets,
+            prescribed=name_list(prescribed) if prescribed else (),
             robust=not keep_outliers,
             method=method,
             seed=seed,

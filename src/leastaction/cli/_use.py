@@ -53,6 +53,9 @@ def simulate(model: str, initial: str, duration: str, rate: str, output: str) ->
         q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
     if found.fit.status != "ok":
         warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+    if found.prescribed:
+        names = ", ".join(found.prescribed)
+        warn(f"the motion of {names} was prescribed: it is uniform here; in Python, give its acceleration")
     run = found.simulate(q0, qdot0, times)
     if not run.complete:
         raise DataError(
