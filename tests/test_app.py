@@ -14,7 +14,7 @@ import leastaction as la
 from leastaction import InputError
 from leastaction._diagnostics import PathPoint
 from leastaction._model_parts import ModelTerm
-from leastaction.app import _candidates, _columns
+from leastaction.app import _candidates, _columns, _jobs
 from leastaction.app._candidates import Choice, friction_choices, split_trials
 from leastaction.app._columns import ANGLE, COORDINATE, DEGREES, FORCE, TIME, TRIAL, UNUSED
 from leastaction.app._jobs import Motion
@@ -129,6 +129,27 @@ def test_a_driven_system_needs_none():
     assert task.known == {}
     assert len(task.fitted) == 1
     assert task.held_out is not None
+
+
+def test_what_something_unmeasured_moves_is_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"])
+    task = choice.task(data, ["theta"])
+    assert task.prescribed == ("x",)
+    assert task.restricted(["cos(theta)"], []).prescribed == ("x",)
+    given = {}
+
+    def discover(*args, **options):
+        given.update(options)
+        raise InputError("enough")
+
+    monkeypatch.setattr(la, "discover", discover)
+    with pytest.raises(InputError, match="enough"):
+        _jobs.search(lambda stage, details: None, task)
+    assert given["prescribed"] == ("x",)
+    choice.prescribed = ["theta", "x"]
+    with pytest.raises(InputError, match="no equation is left"):
+        choice.task(data, ["theta"])
 
 
 def test_a_known_term_that_is_no_candidate_is_refused():

@@ -92,6 +92,23 @@ def test_faults_are_lines_in_the_page():
     simulate(script)
 
 
+def test_a_coordinate_may_be_moved_by_something_unmeasured():
+    async def script(user) -> None:
+        user.find(marker="example-double").click()
+        await user.should_see("What was measured", retries=100)
+        session = session_of_page()
+        user.find(marker="continue").click()
+        await user.should_see("Moved by something that was not measured", retries=50)
+        first, second = session.data.coordinates
+        user.find(marker=f"prescribed-{first}").click()
+        await until(lambda: session.choice.prescribed)
+        assert session.choice.task(session.data, session.angles).prescribed == (first,)
+        user.find(marker=f"prescribed-{second}").click()
+        await user.should_see("no equation is left", retries=50)
+
+    simulate(script)
+
+
 def test_cancelling_keeps_the_page():
     async def script(user) -> None:
         user.find(marker="example-double").click()

@@ -14,7 +14,7 @@ from leastaction.cli._options import known_coefficients
 if TYPE_CHECKING:
     from leastaction import Library, Trajectories
 
-__all__ = ["SIZES", "Choice", "Task", "faults", "friction_choices", "split_trials"]
+__all__ = ["SIZES", "Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
 
 SIZES = ("compact", "standard", "large")
 _MOST_LINES = 1500
@@ -32,6 +32,8 @@ class Choice:
         One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
     friction : list of str
         The ready-made friction candidates that are ticked.
+    prescribed : list of str
+        Coordinates that are ticked as moved by forces nobody measured.
     held_out : int
         How many trials are not fitted but forecast.
     every_third : bool
@@ -44,6 +46,7 @@ class Choice:
     friction: list[str] = field(default_factory=list)
     more_friction: str = ""
     known: str = ""
+    prescribed: list[str] = field(default_factory=list)
     held_out: int = 0
     every_third: bool = False
 
@@ -106,11 +109,25 @@ class Choice:
             )
         return known
 
+    def prescribed_names(self, coordinates: Sequence[str]) -> tuple[str, ...]:
+        """Coordinates whose equations are left out.
+
+        Raises
+        ------
+        InputError
+            If none would be left.
+        """
+        names = tuple(name for name in coordinates if name in self.prescribed)
+        if len(names) == len(coordinates):
+            raise InputError("no equation is left: something that was not measured may not move everything")
+        return names
+
     def task(self, data: Trajectories, angles: Iterable[str]) -> Task:
         """Everything that a discovery needs."""
         library = self.library(data.coordinates, angles)
         fitted, held_out = split_trials(data, self.held_out, self.every_third)
-        return Task(fitted, held_out, library, self.known_terms(library, data.driven))
+        known, prescribed = self.known_terms(library, data.driven), self.prescribed_names(data.coordinates)
+        return Task(fitted, held_out, library, known, prescribed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +138,7 @@ class Task:
     held_out: Trajectories | None
     library: Library
     known: dict[str, float]
+    prescribed: tuple[str, ...] = ()
     relevance: float = 0.05
 
     def restricted(self, expressions: Sequence[str], dissipation: Sequence[str]) -> Task:
@@ -192,16 +210,27 @@ def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
     >>> friction_choices(["theta1"])
     [('viscous, θ₁', 'theta1_dot**2/2'), ('dry, θ₁', 'abs(theta1_dot)')]
     """
-    from leastaction._report._mathml import Notation
-
-    notation = Notation(coordinates)
-    shown = {c: notation.text(c) for c in coordinates}
+    shown = shown_names(coordinates)
     found = [(f"viscous, {shown[c]}", f"{c}_dot**2/2") for c in coordinates]
     found += [(f"dry, {shown[c]}", f"abs({c}_dot)") for c in coordinates]
     for a, b in pairwise(coordinates):
         found.append((f"viscous, {shown[a]} to {shown[b]}", f"({b}_dot-{a}_dot)**2/2"))
         found.append((f"dry, {shown[a]} to {shown[b]}", f"abs({b}_dot-{a}_dot)"))
     return found
+
+
+def shown_names(coordinates: Sequence[str]) -> dict[str, str]:
+    """Coordinates as people write them.
+
+    Examples
+    --------
+    >>> shown_names(["theta1"])
+    {'theta1': 'θ₁'}
+    """
+    from leastaction._report._mathml import Notation
+
+    notation = Notation(coordinates)
+    return {c: notation.text(c) for c in coordinates}
 
 
 def split_trials(

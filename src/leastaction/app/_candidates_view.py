@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from nicegui import html, ui
 
 from leastaction._errors import InputError
-from leastaction.app._candidates import SIZES, faults, friction_choices, lines, split_trials
+from leastaction.app._candidates import SIZES, faults, friction_choices, lines, shown_names, split_trials
 from leastaction.app._parts import action, fault, field, math, panel, say, title
 from leastaction.cli._text import counted
 
@@ -48,6 +48,8 @@ class CandidatesView:
             with panel("stack"):
                 self._friction()
                 self._known()
+                if len(self.data.coordinates) > 1:
+                    self._prescribed()
                 if len(self.data) > 1:
                     self._held_out()
         with html.div().classes("run") as self.bar:
@@ -141,6 +143,20 @@ class CandidatesView:
         with field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
 
+    def _prescribed(self) -> None:
+        words = (
+            "By a motor, a hand or the ground: its own equation is not used then, only those of the others."
+        )
+        with field("Moved by something that was not measured", words), html.div().classes("checks"):
+            for name, shown in shown_names(self.data.coordinates).items():
+                box = ui.checkbox(shown, value=name in self.choice.prescribed).props("dense")
+                box.mark(f"prescribed-{name}")
+                box.on_value_change(self.page.guarded(lambda e, n=name: self._prescribe(n, e.value)))
+
+    def _prescribe(self, name: str, on: bool) -> None:
+        self.choice.prescribed = [n for n in self.choice.prescribed if n != name] + ([name] if on else [])
+        self._check()
+
     def _held_out(self) -> None:
         with field("Trials held out", "Not fitted, but forecast: the honest test of the result."):
             if self.choice.every_third:
@@ -177,6 +193,7 @@ class CandidatesView:
             if not choice.written:
                 self._show_formulas(library)
             choice.known_terms(library, data.driven)
+            choice.prescribed_names(data.coordinates)
             fitted, held_out = split_trials(data, choice.held_out, choice.every_third)
             text = (
                 f"{counted(len(library), 'candidate')}, {len(library.dissipation) or 'none'} for friction; "

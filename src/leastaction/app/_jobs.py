@@ -66,6 +66,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         task.fitted,
         task.library,
         task.known,
+        prescribed=task.prescribed,
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
