@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.resources import as_file, files
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -16,6 +18,7 @@ from leastaction._model import ModelTerm
 from leastaction._prepare import prepare
 from leastaction._spline import uniform_grid
 from leastaction.cli import program
+from leastaction.cli._demo import DEMOS
 
 NAMES = ("x", "theta")
 KNOWN = {"theta_dot**2": 0.5}
@@ -138,6 +141,22 @@ def test_a_force_on_the_other_coordinate_sets_the_scale():
     assert set(lagrangian) == set(terms)
     for name, value in terms.items():
         assert abs(lagrangian[name].coefficient - value) < 4.0 * lagrangian[name].standard_error
+
+
+def test_either_equation_of_the_measured_double_pendulum_gives_the_published_law():
+    demo = DEMOS["double"]
+    with as_file(files("leastaction") / "data" / demo.file) as path:
+        data = la.io.read_csv(path, coordinates=list(demo.coordinates), trial="trial")
+    fitted = data.select([name for k, name in enumerate(data.names) if k % 3 != 2])
+    library = la.Library(demo.candidates, demo.coordinates, angles=demo.coordinates)
+    scale = {"theta2_dot**2": demo.published["theta2_dot**2"]}
+    result = la.discover(fitted, library, scale, demo.dissipation, prescribed=["theta1"])
+    assert result.fit.status == "ok", result.fit.warnings
+    lagrangian, _ = found(result)
+    assert set(lagrangian) == {"theta1_dot*theta2_dot*cos(theta1-theta2)", "cos(theta2)"}
+    for name, term in lagrangian.items():
+        assert term.coefficient == pytest.approx(demo.published[name], rel=0.005)
+        assert term.standard_error < 0.001 * abs(term.coefficient)
 
 
 def test_a_missing_coupling_is_doubted(data):
