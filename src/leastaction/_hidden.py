@@ -17,16 +17,14 @@ from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import score_candidates
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import silent
+from leastaction._refinement import BETTER, RELEVANT, silent
 from leastaction._selection import Refiner, Selection
 from leastaction._subsets import QuadraticModel
 
 __all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
-_BETTER = 10.0  # the same, beyond the price of every term
-_UNUSUAL = 20.0  # so much better must friction be that is not viscous
-_RELEVANT = 0.05  # share of the equation error's variance, as in the selection
+_UNUSUAL = 20.0  # instead of BETTER, where friction is not viscous
 _MOST_RELEASED = 3
 _HALF = 0.15  # of a sample
 
@@ -64,7 +62,7 @@ def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int,
     """
 
     def value(chosen: tuple[int, ...]) -> float:
-        price = sum(_BETTER if _viscous(tested[k]) else _UNUSUAL for k in chosen)
+        price = sum(BETTER if _viscous(tested[k]) else _UNUSUAL for k in chosen)
         return _gain(model, base, *chosen) - price
 
     chosen: tuple[int, ...] = ()
@@ -161,7 +159,7 @@ def _beside(
     chosen = len(structure.members)
     here = np.concatenate([structure.estimates, np.zeros(len(candidates) - chosen)])
     model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-    threshold = _DECISIVE + _RELEVANT * float(structure.fit.weights.slack.sum())
+    threshold = _DECISIVE + RELEVANT * float(structure.fit.weights.slack.sum())
     return model, tuple(range(chosen)), threshold
 
 
@@ -186,7 +184,7 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
         members = tuple(sorted((*structure.members, int(k))))
         found = other.refine(released.fit(members, structure.start))
         gain = 2.0 * (other.value(found) - before)
-        if not gain > _BETTER:
+        if not gain > BETTER:
             continue
         value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
         fewer = len(structure.members) + 1 - len(found.members)

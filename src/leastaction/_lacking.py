@@ -16,15 +16,13 @@ from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import equations_hold, silent
+from leastaction._refinement import BETTER, RELEVANT, equations_hold, silent
 from leastaction._selection import Refiner, Selection
 
 __all__ = ["common_terms", "lacking_terms", "say_lacking"]
 
-_BETTER = 10.0  # −2 log likelihood, beyond the price of every term
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
 _ROUNDS = 3  # a term that is lacking is found in the first
-_RELEVANT = 0.05  # share of the equation error's variance, as in the selection
 
 
 def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
@@ -49,7 +47,7 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     found = refiner.refine(here, _ROUNDS)
     gain = 2.0 * (refiner.value(found) - refiner.value(here))
     new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
-    threshold = _BETTER + _RELEVANT * float(structure.fit.weights.slack.sum())
+    threshold = BETTER + RELEVANT * float(structure.fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.members) <= len(structure.members)
     lawful = fewer or (not hold and equations_hold(wider, found))

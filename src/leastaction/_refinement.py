@@ -9,11 +9,14 @@ import numpy as np
 from leastaction._fit.evidence import SLACK_LEFT
 from leastaction._fit.workspace import StructureFit, Workspace
 
-__all__ = ["EXPLAINED", "Progress", "equations_hold", "refine_knots", "silent"]
+__all__ = ["BETTER", "EXPLAINED", "RELEVANT", "Progress", "equations_hold", "refine_knots", "silent"]
 
 Progress = Callable[[str, dict], None]
 
 EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
+# what warnings propose has to explain the motion so much better: −2 log likelihood beyond the price of every
+# term, and a share of the equation error's variance, as in the selection
+BETTER, RELEVANT = 10.0, 0.05
 _FINER = 1.4  # between one grid and the next
 _CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured: docs/method.md)
 _MOST_MOVED = 0.1  # standard errors
