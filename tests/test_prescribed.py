@@ -276,6 +276,15 @@ def test_misuse_is_named(data, given, message):
         la.discover(data, [*KNOWN, *CRANE], KNOWN, **given)
 
 
+def test_estimator_passes_it_on(data):
+    pytest.importorskip("sklearn")
+    estimator = la.SparseLagrangian(
+        [*KNOWN, *CRANE], KNOWN, ["theta_dot**2"], coordinates=NAMES, prescribed=["x"]
+    )
+    assert estimator.fit(data[:2]).model_.prescribed == ("x",)
+    assert estimator.score(data[2:]) > 0.9
+
+
 def test_the_papers_method_leaves_the_equation_out_too(data):
     options = {"iterations": 200, "check_every": 100, "threshold_from": 200}
     result = la.discover(data, [*KNOWN, *CRANE], KNOWN, method="adam", prescribed=["x"], options=options)

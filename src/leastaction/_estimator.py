@@ -45,7 +45,7 @@ class SparseLagrangian(BaseEstimator):
     ----------
     library : Library or sequence of str, optional
         Candidates of L; by default those of `Library.mechanical` for the coordinates and angles.
-    known, dissipation, method, angles, degree, relevance, seed, options
+    known, dissipation, method, angles, prescribed, degree, relevance, seed, options
         As for `discover`.
     coordinates : sequence of str, optional
         Names of the columns of the arrays given to `fit`; by default those of the library, or
@@ -101,6 +101,7 @@ class SparseLagrangian(BaseEstimator):
         coordinates: Sequence[str] | None = None,
         method: str = "gauss-newton",
         angles: Sequence[str] | None = None,
+        prescribed: Sequence[str] = (),
         degree: int | None = None,
         relevance: float = 0.05,
         seed: int = 0,
@@ -113,6 +114,7 @@ class SparseLagrangian(BaseEstimator):
         self.coordinates = coordinates
         self.method = method
         self.angles = angles
+        self.prescribed = prescribed
         self.degree = degree
         self.relevance = relevance
         self.seed = seed
@@ -159,6 +161,7 @@ class SparseLagrangian(BaseEstimator):
             self.dissipation,
             method=self.method,
             angles=self.angles,
+            prescribed=self.prescribed,
             degree=self.degree,
             relevance=self.relevance,
             seed=self.seed,
