@@ -19,6 +19,8 @@ from leastaction._trajectory import Trajectories
 
 __all__ = ["ForecastResult", "ForecastTrace", "forecast"]
 
+Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
+
 # A coordinate needs this many samples in the window for the initial state to be more than a guess.
 _LEAST_SAMPLES = 4
 
@@ -298,9 +300,6 @@ def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start
                 (data.names[k], f"{reason} for a window of {window:g} s and a horizon of {horizon:g} s")
             )
     return starts, skipped
-
-
-Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
 
 
 def _smoothed(data: Trajectories, starts: list[Start]) -> tuple[dict[int, Curve], np.ndarray]:
