@@ -42,6 +42,14 @@ def session_of_page():
     return session
 
 
+async def open_candidates(user, example: str):
+    """From the first page to the candidates of an example; returns the session."""
+    user.find(marker=f"example-{example}").click()
+    await user.should_see("What was measured", retries=100)
+    user.find(marker="continue").click()
+    return session_of_page()
+
+
 async def until(condition, seconds: float = 60.0) -> None:
     for _ in range(round(seconds / 0.05)):
         if condition():
@@ -52,9 +60,7 @@ async def until(condition, seconds: float = 60.0) -> None:
 
 def test_from_an_example_to_a_result():
     async def script(user) -> None:
-        user.find(marker="example-single").click()
-        await user.should_see("What was measured", retries=100)
-        user.find(marker="continue").click()
+        await open_candidates(user, "single")
         await user.should_see("8 candidates, 2 for friction; 3 trials fitted, 1 held out", retries=50)
         user.find(marker="discover").click()
         await user.should_see("Searching", retries=50)
@@ -73,10 +79,7 @@ def test_from_an_example_to_a_result():
 
 def test_faults_are_lines_in_the_page():
     async def script(user) -> None:
-        user.find(marker="example-single").click()
-        await user.should_see("What was measured", retries=100)
-        session = session_of_page()
-        user.find(marker="continue").click()
+        session = await open_candidates(user, "single")
         await user.should_see("8 expressions, all readable", retries=50)
         user.find(marker="text").clear().type("theta_dot**2\ncos(nothing)")
         await user.should_see("line 2: cannot read 'cos(nothing)'", retries=50)
@@ -94,10 +97,7 @@ def test_faults_are_lines_in_the_page():
 
 def test_a_coordinate_may_be_moved_by_something_unmeasured():
     async def script(user) -> None:
-        user.find(marker="example-double").click()
-        await user.should_see("What was measured", retries=100)
-        session = session_of_page()
-        user.find(marker="continue").click()
+        session = await open_candidates(user, "double")
         await user.should_see("Moved by something that was not measured", retries=50)
         first, second = session.data.coordinates
         user.find(marker=f"prescribed-{first}").click()
@@ -111,9 +111,7 @@ def test_a_coordinate_may_be_moved_by_something_unmeasured():
 
 def test_cancelling_keeps_the_page():
     async def script(user) -> None:
-        user.find(marker="example-double").click()
-        await user.should_see("What was measured", retries=100)
-        user.find(marker="continue").click()
+        await open_candidates(user, "double")
         await user.should_see("What may the Lagrangian be made of?", retries=50)
         user.find(marker="discover").click()
         await user.should_see("Searching", retries=50)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import sympy as sp
@@ -179,14 +180,7 @@ class Mechanics:
 
     @cached_property
     def _equations_function(self) -> Callable[..., list]:
-        entries = [self.mass[i][j] for i, j in self._entries]
-        return self.compile([*entries, *self.right], self.parameters)
-
-    @cached_property
-    def _entries(self) -> list[tuple[int, int]]:
-        """Places of the mass matrix that are computed: all, or the upper ones where it is symmetric."""
-        n = self.n_dof
-        return [(i, j) for i in range(n) for j in range(0 if self.prescribed else i, n)]
+        return self.compile([*(entry for row in self.mass for entry in row), *self.right], self.parameters)
 
     @cached_property
     def _energy_function(self) -> Callable[..., list]:
@@ -214,10 +208,8 @@ class Mechanics:
         with np.errstate(all="ignore"):
             values = iter(self._equations_function(*self._columns(q, qdot), *parameters))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
-        for i, j in self._entries:
+        for i, j in product(range(n), repeat=2):
             mass[..., i, j] = next(values)
-            if not self.prescribed:
-                mass[..., j, i] = mass[..., i, j]
         for i in range(n):
             right[..., i] = next(values)
         return mass, right

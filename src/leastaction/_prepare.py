@@ -190,7 +190,7 @@ def prepare(
 
 def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int, ...]:
     """Places of the prescribed coordinates."""
-    names = [names] if isinstance(names, str) else list(names)
+    names = list(names)
     for name in names:
         if name not in coordinates:
             raise InputError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from nicegui import html, ui
@@ -116,20 +117,24 @@ class CandidatesView:
 
     def _friction(self) -> None:
         with field("Friction", "Tick what could be there; what the data do not show is left out."):
-            with html.div().classes("checks"):
-                for words, text in friction_choices(self.data.coordinates):
-                    box = ui.checkbox(words, value=text in self.choice.friction).props("dense")
-                    box.mark(f"friction-{text}")
-                    box.on_value_change(self.page.guarded(lambda e, t=text: self._tick(t, e.value)))
+            self._boxes("friction", friction_choices(self.data.coordinates))
             with ui.expansion("Other friction terms", value=bool(self.choice.more_friction)).classes(
                 "formulas"
             ):
                 say("Rayleigh functions ψ, one a line; the force is −∂ψ/∂q̇.", "help")
                 self._area(self.choice.more_friction, "more_friction", "Other friction terms", rows=2)
 
-    def _tick(self, text: str, on: bool) -> None:
-        self.choice.friction = [t for t in self.choice.friction if t != text] + ([text] if on else [])
-        self._check()
+    def _boxes(self, name: str, options: Iterable[tuple[str, str]]) -> None:
+        """A box for everything that may be in a list of the choice: its words, and what is listed."""
+        with html.div().classes("checks"):
+            for words, item in options:
+                box = ui.checkbox(words, value=item in getattr(self.choice, name)).props("dense")
+                box.mark(f"{name}-{item}")
+                box.on_value_change(self.page.guarded(lambda e, i=item: self._tick(name, i, e.value)))
+
+    def _tick(self, name: str, item: str, on: bool) -> None:
+        others = [i for i in getattr(self.choice, name) if i != item]
+        self._set(**{name: others + ([item] if on else [])})
 
     def _known(self) -> None:
         if self.data.driven:
@@ -147,15 +152,8 @@ class CandidatesView:
         words = (
             "By a motor, a hand or the ground: its own equation is not used then, only those of the others."
         )
-        with field("Moved by something that was not measured", words), html.div().classes("checks"):
-            for name, shown in shown_names(self.data.coordinates).items():
-                box = ui.checkbox(shown, value=name in self.choice.prescribed).props("dense")
-                box.mark(f"prescribed-{name}")
-                box.on_value_change(self.page.guarded(lambda e, n=name: self._prescribe(n, e.value)))
-
-    def _prescribe(self, name: str, on: bool) -> None:
-        self.choice.prescribed = [n for n in self.choice.prescribed if n != name] + ([name] if on else [])
-        self._check()
+        with field("Moved by something that was not measured", words):
+            self._boxes("prescribed", [(text, c) for c, text in shown_names(self.data.coordinates).items()])
 
     def _held_out(self) -> None:
         with field("Trials held out", "Not fitted, but forecast: the honest test of the result."):
