@@ -131,25 +131,51 @@ def test_a_driven_system_needs_none():
     assert task.held_out is not None
 
 
-def test_what_something_unmeasured_moves_is_told_to_the_discovery(monkeypatch):
-    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
-    choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"])
-    task = choice.task(data, ["theta"])
-    assert task.prescribed == ("x",)
-    assert task.restricted(["cos(theta)"], []).prescribed == ("x",)
+def given_to_discover(task, monkeypatch):
     given = {}
 
-    def discover(*args, **options):
-        given.update(options)
+    def discover(trajectories, library, known, **options):
+        given.update(options, trajectories=trajectories)
         raise InputError("enough")
 
     monkeypatch.setattr(la, "discover", discover)
     with pytest.raises(InputError, match="enough"):
         _jobs.search(lambda stage, details: None, task)
-    assert given["prescribed"] == ("x",)
-    choice.prescribed = ["theta", "x"]
+    return given
+
+
+def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"], offsets=["theta"], delay=0.1)
+    task = choice.task(data, ["theta"])
+    assert task.restricted(["cos(theta)"], []).forces == task.forces
+    given = given_to_discover(task, monkeypatch)
+    assert (given["prescribed"], given["force_offset"]) == (("x",), ("theta",))
+    assert given["trajectories"] is task.fitted  # nothing to shift
+    choice.prescribed = ["theta"]
+    with pytest.raises(InputError, match="one of the two is enough"):
+        choice.task(data, ["theta"])
+    choice.prescribed, choice.offsets = ["theta", "x"], []
     with pytest.raises(InputError, match="no equation is left"):
         choice.task(data, ["theta"])
+
+
+def test_forces_are_shifted_to_when_they_act(monkeypatch):
+    data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
+    choice = Choice(held_out=1, delay=0.05)
+    given = given_to_discover(choice.task(data, ["theta"]), monkeypatch)
+    kept = given["trajectories"][0]
+    assert np.allclose(kept.forces, data[0].forces[:-5])
+    assert np.allclose(kept.q, data[0].q[5:])
+    choice.delay = -1.5
+    with pytest.raises(InputError, match="-1500 ms leaves too little of a trial of 2 s"):
+        choice.task(data, ["theta"])
+
+
+def test_terms_linear_in_the_velocities_can_be_offered():
+    plain, turning = (Choice(gyroscopic=on).library(["x", "y"], []) for on in (False, True))
+    assert "x*y_dot" in [term.text for term in turning]
+    assert {term.text for term in plain} < {term.text for term in turning}
 
 
 def test_a_known_term_that_is_no_candidate_is_refused():

@@ -7,6 +7,7 @@ import warnings
 
 import pytest
 
+import app_helpers
 from leastaction import InputError
 
 with warnings.catch_warnings():
@@ -102,9 +103,32 @@ def test_a_coordinate_may_be_moved_by_something_unmeasured():
         first, second = session.data.coordinates
         user.find(marker=f"prescribed-{first}").click()
         await until(lambda: session.choice.prescribed)
-        assert session.choice.task(session.data, session.angles).prescribed == (first,)
+        assert session.choice.task(session.data, session.angles).forces.prescribed == (first,)
         user.find(marker=f"prescribed-{second}").click()
         await user.should_see("no equation is left", retries=50)
+
+    simulate(script)
+
+
+def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        session.open_upload("run.csv", app_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
+        user.find(marker="step-candidates").click()
+        await user.should_see("Unknown constant force", retries=50)
+        user.find(marker="offsets-theta").click()
+        await until(lambda: session.choice.offsets == ["theta"])
+        user.find(marker="delay").clear().type("20")
+        await until(lambda: session.choice.delay == pytest.approx(0.02))
+        user.find(marker="delay").clear().type("20000")
+        await user.should_see("a delay of 20000 ms leaves too little", retries=50)
+        session.open_example("double")
+        session.choice.written = False
+        user.find(marker="step-data").click()
+        user.find(marker="step-candidates").click()
+        await user.should_see("also terms linear in the velocities", retries=50)
+        user.find(marker="gyroscopic").click()
+        await until(lambda: session.choice.gyroscopic)
 
     simulate(script)
 

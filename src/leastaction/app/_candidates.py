@@ -32,8 +32,13 @@ class Choice:
         One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
     friction : list of str
         The ready-made friction candidates that are ticked.
-    prescribed : list of str
-        Coordinates that are ticked as moved by forces nobody measured.
+    gyroscopic : bool
+        Whether generated candidates include terms linear in the velocities.
+    delay : float
+        Seconds by which the known forces act later than recorded.
+    offsets, prescribed : list of str
+        Coordinates that are ticked: a constant force that nobody knows acts on them; forces that nobody
+        measured move them.
     held_out : int
         How many trials are not fitted but forecast.
     every_third : bool
@@ -42,10 +47,13 @@ class Choice:
 
     written: bool = False
     size: str = "standard"
+    gyroscopic: bool = False
     text: str = ""
     friction: list[str] = field(default_factory=list)
     more_friction: str = ""
     known: str = ""
+    delay: float = 0.0
+    offsets: list[str] = field(default_factory=list)
     prescribed: list[str] = field(default_factory=list)
     held_out: int = 0
     every_third: bool = False
@@ -73,7 +81,7 @@ class Choice:
                 raise InputError(bad[0])
             library = la.Library(lines(self.text), coordinates, angles=angles)
         else:
-            library = la.Library.mechanical(coordinates, angles, size=self.size)
+            library = la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
         friction = self.friction_terms(coordinates)
         return library.with_dissipation(friction) if friction else library
 
@@ -109,25 +117,44 @@ class Choice:
             )
         return known
 
-    def prescribed_names(self, coordinates: Sequence[str]) -> tuple[str, ...]:
-        """Coordinates whose equations are left out.
+    def forces(self, data: Trajectories) -> Forces:
+        """What is said of forces.
 
         Raises
         ------
         InputError
-            If none would be left.
+            If the delay leaves too little of a trial, a coordinate is ticked twice or no equation is left.
         """
-        names = tuple(name for name in coordinates if name in self.prescribed)
-        if len(names) == len(coordinates):
+        offsets = tuple(name for name in data.coordinates if name in self.offsets)
+        prescribed = tuple(name for name in data.coordinates if name in self.prescribed)
+        both = [shown_names(offsets)[name] for name in offsets if name in prescribed]
+        if both:
+            raise InputError(
+                f"{both[0]} is ticked twice: under an unknown constant force, and as moved by anything; one "
+                "of the two is enough"
+            )
+        if len(prescribed) == len(data.coordinates):
             raise InputError("no equation is left: something that was not measured may not move everything")
-        return names
+        delay = self.delay if data.driven else 0.0
+        shortest = min(run.duration for run in data)
+        if abs(delay) >= 0.5 * shortest:
+            raise InputError(f"a delay of {1e3 * delay:g} ms leaves too little of a trial of {shortest:g} s")
+        return Forces(delay, offsets, prescribed)
 
     def task(self, data: Trajectories, angles: Iterable[str]) -> Task:
         """Everything that a discovery needs."""
         library = self.library(data.coordinates, angles)
         fitted, held_out = split_trials(data, self.held_out, self.every_third)
-        known, prescribed = self.known_terms(library, data.driven), self.prescribed_names(data.coordinates)
-        return Task(fitted, held_out, library, known, prescribed)
+        return Task(fitted, held_out, library, self.known_terms(library, data.driven), self.forces(data))
+
+
+@dataclass(frozen=True)
+class Forces:
+    """What is said of forces: of the known ones, and of those that nobody knows."""
+
+    delay: float = 0.0
+    offsets: tuple[str, ...] = ()
+    prescribed: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +165,18 @@ class Task:
     held_out: Trajectories | None
     library: Library
     known: dict[str, float]
-    prescribed: tuple[str, ...] = ()
+    forces: Forces = Forces()
     relevance: float = 0.05
+
+    def shifted(self) -> Task:
+        """The same with the known forces at the times at which they act."""
+        from leastaction._delay import shift_forces
+
+        if not self.forces.delay:
+            return self
+        parts = (self.fitted, self.held_out)
+        fitted, held_out = (part and shift_forces(part, self.forces.delay) for part in parts)
+        return replace(self, fitted=fitted, held_out=held_out, forces=replace(self.forces, delay=0.0))
 
     def restricted(self, expressions: Sequence[str], dissipation: Sequence[str]) -> Task:
         """The same with only these free candidates, beside the known terms, and none refused as irrelevant.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 from nicegui import html, ui
@@ -49,8 +49,7 @@ class CandidatesView:
             with panel("stack"):
                 self._friction()
                 self._known()
-                if len(self.data.coordinates) > 1:
-                    self._prescribed()
+                self._forces()
                 if len(self.data) > 1:
                     self._held_out()
         with html.div().classes("run") as self.bar:
@@ -86,16 +85,26 @@ class CandidatesView:
     def _sizes(self) -> None:
         import leastaction as la
 
+        names, angles, gyroscopic = self.data.coordinates, self.page.session.angles, self.choice.gyroscopic
         options = {}
         for size in SIZES:
-            count = la.Library.mechanical_size(self.data.coordinates, self.page.session.angles, size=size)
+            count = la.Library.mechanical_size(names, angles, size=size, gyroscopic=gyroscopic)
             options[size] = f"{size}: {counted(count, 'candidate')}"
         say("From the kinds of your coordinates: products of velocities, and potentials.", "help")
         radio = ui.radio(options, value=self.choice.size).classes("sizes").mark("size")
         radio.on_value_change(self.page.guarded(lambda e: self._set(size=e.value)))
         self.size_words = say("", "help")
+        if len(names) > 1:
+            box = ui.checkbox("also terms linear in the velocities", value=gyroscopic).props("dense")
+            box.mark("gyroscopic").on_value_change(self.page.guarded(lambda e: self._set_gyroscopic(e.value)))
+            say("For spinning rotors, rotating frames and charges in magnetic fields.", "help")
         with ui.expansion("The candidates as formulas").classes("formulas"):
             self.formulas = html.div().classes("terms")
+
+    def _set_gyroscopic(self, gyroscopic: bool) -> None:
+        self.choice.gyroscopic = gyroscopic
+        self._show_source()
+        self._check()
 
     def _written(self) -> None:
         say(
@@ -148,23 +157,39 @@ class CandidatesView:
         with field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
 
-    def _prescribed(self) -> None:
-        words = (
-            "By a motor, a hand or the ground: its own equation is not used then, only those of the others."
-        )
-        with field("Moved by something that was not measured", words):
-            self._boxes("prescribed", [(text, c) for c, text in shown_names(self.data.coordinates).items()])
+    def _forces(self) -> None:
+        names = [(text, c) for c, text in shown_names(self.data.coordinates).items()]
+        if self.data.driven:
+            words = (
+                "How much later they act than recorded; half a sampling interval if a controller holds them "
+                "between samples."
+            )
+            with field("Delay of the forces", words):
+                self._number(
+                    "delay", 1e3 * self.choice.delay, "Milliseconds", lambda ms: 1e-3 * ms, suffix="ms"
+                )
+        with field("Unknown constant force", "A sensor with a bias, a load on one side; it is estimated."):
+            self._boxes("offsets", names)
+        if len(names) > 1:
+            words = "By a motor, a hand or the ground: only the equations of the others are used."
+            with field("Moved by something that was not measured", words):
+                self._boxes("prescribed", names)
+
+    def _number(
+        self, name: str, value: float, label: str, convert: Callable[[float], float], **limits
+    ) -> None:
+        number = ui.number(value=value, **limits)
+        number.props(f'outlined dense aria-label="{label}"').classes("number").mark(name)
+        number.on_value_change(self.page.guarded(lambda e: self._set(**{name: convert(e.value or 0)})))
 
     def _held_out(self) -> None:
         with field("Trials held out", "Not fitted, but forecast: the honest test of the result."):
             if self.choice.every_third:
                 say("Every third trial, as in the published comparison.")
                 return
-            number = ui.number(value=self.choice.held_out, min=0, max=len(self.data) - 1, step=1, format="%d")
-            number.props('outlined dense aria-label="Number of trials held out"').classes("number").mark(
-                "held-out"
-            )
-            number.on_value_change(self.page.guarded(lambda e: self._set(held_out=int(e.value or 0))))
+            most = len(self.data) - 1
+            label = "Number of trials held out"
+            self._number("held_out", self.choice.held_out, label, int, min=0, max=most, step=1, format="%d")
 
     def _set(self, **values) -> None:
         for name, value in values.items():
@@ -174,7 +199,12 @@ class CandidatesView:
     def _generated(self) -> Library:
         import leastaction as la
 
-        return la.Library.mechanical(self.data.coordinates, self.page.session.angles, size=self.choice.size)
+        return la.Library.mechanical(
+            self.data.coordinates,
+            self.page.session.angles,
+            size=self.choice.size,
+            gyroscopic=self.choice.gyroscopic,
+        )
 
     def _check(self) -> None:
         """Say what is chosen, or what is wrong with it."""
@@ -191,7 +221,7 @@ class CandidatesView:
             if not choice.written:
                 self._show_formulas(library)
             choice.known_terms(library, data.driven)
-            choice.prescribed_names(data.coordinates)
+            choice.forces(data)
             fitted, held_out = split_trials(data, choice.held_out, choice.every_third)
             text = (
                 f"{counted(len(library), 'candidate')}, {len(library.dissipation) or 'none'} for friction; "

@@ -62,11 +62,13 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
     """Discover a model and forecast with it."""
     import leastaction as la
 
+    task = task.shifted()
     model = la.discover(
         task.fitted,
         task.library,
         task.known,
-        prescribed=task.prescribed,
+        force_offset=task.forces.offsets,
+        prescribed=task.forces.prescribed,
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
