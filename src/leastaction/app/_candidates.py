@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from leastaction._errors import InputError
-from leastaction.cli._options import known_coefficients
+from leastaction.cli._options import check_known, known_coefficients
 
 if TYPE_CHECKING:
     from leastaction import Library, Trajectories
@@ -102,14 +102,7 @@ class Choice:
             If a line cannot be read, its term is no candidate, or the scale is missing.
         """
         known = known_coefficients(lines(self.known))
-        for expression in known:
-            try:
-                library.index(expression)
-            except InputError as error:
-                try:
-                    library.index(expression, "dissipation")
-                except InputError:
-                    raise error from None
+        check_known(known, library)
         if not known and not driven:
             raise InputError(
                 "no force acts and no coefficient is known: then L = 0 solves every equation; give one "

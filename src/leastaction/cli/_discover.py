@@ -14,6 +14,7 @@ from leastaction._names import quoted
 from leastaction.cli._options import (
     DataOptions,
     blame,
+    check_known,
     data_options,
     expression_list,
     force_offsets,
@@ -142,7 +143,8 @@ def discover(
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)
     candidates = _library(library, gyroscopic, options, dissipation)
-    _check_known(candidates, given)
+    with blame("--known"):
+        check_known(given, candidates)
     if not given and not fitted.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
@@ -210,18 +212,6 @@ def _library(source: str, gyroscopic: bool, options: DataOptions, dissipation: s
         return library
     with blame("--dissipation"):
         return library.with_dissipation(expression_list(dissipation))
-
-
-def _check_known(library: Library, known: dict[str, float]) -> None:
-    """Refuse a known term that is not in the library, and name the option."""
-    for expression in known:
-        try:
-            library.index(expression)
-        except InputError as error:
-            try:
-                library.index(expression, "dissipation")
-            except InputError:
-                raise InputError(f"--known: {error}") from None
 
 
 def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectories, Trajectories | None]:

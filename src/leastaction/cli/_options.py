@@ -18,12 +18,13 @@ from leastaction._names import quoted
 from leastaction.cli._show import warn
 
 if TYPE_CHECKING:
-    from leastaction import Trajectories
+    from leastaction import Library, Trajectories
 
 __all__ = [
     "DataOptions",
     "assignments",
     "blame",
+    "check_known",
     "column_map",
     "data_options",
     "expression_list",
@@ -125,6 +126,18 @@ def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
     """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
     pairs = _pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
     return {expression: number(value) for expression, value in pairs}
+
+
+def check_known(known: Iterable[str], library: Library) -> None:
+    """Refuse known terms that are candidates neither of L nor of friction."""
+    for expression in known:
+        try:
+            library.index(expression)
+        except InputError as error:
+            try:
+                library.index(expression, "dissipation")
+            except InputError:
+                raise error from None
 
 
 def force_offsets(text: str) -> dict[str, float]:
