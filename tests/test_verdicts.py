@@ -127,6 +127,16 @@ def test_drag_is_named(offered):
     assert "the forces seem" not in text
 
 
+def test_a_constant_force_is_named():
+    def pushed(q, v, f):
+        return 0.4 - 9.81 * np.sin(q)
+
+    data = measured(pushed, ["theta"], 0.03)
+    text = doubts(data, ["theta_dot**2", "cos(theta)"], known={"theta_dot**2": 0.5})
+    assert "seems to lack theta: with it, 2 free terms" in text
+    assert "theta by itself is a constant force on it (force_offset)" in text
+
+
 def in_a_magnetic_field(q, v, f):
     """L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
     return np.array([1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]])

@@ -39,7 +39,8 @@ def search_afresh(workspace: Workspace) -> list[str]:
         return []
     new = [m for m in found.members if m >= len(workspace.columns)]
     terms = [wider.columns.terms[m].text for m in new if wider.columns.terms[m].kind == "lagrangian"]
-    out = [say_lacking(terms, f"{len(found.members)} free terms explain the motion")] if terms else []
+    what = f"{len(found.members)} free terms explain the motion"
+    out = [say_lacking(terms, what, workspace.columns.coordinates)] if terms else []
     return out + [
         say_friction(wider.columns.terms[m], f"coefficient about {found.coefficients[m]:.2g}")
         for m in new

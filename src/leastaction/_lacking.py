@@ -6,7 +6,7 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -55,13 +55,15 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
         return []
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
     free = f"{len(found.members)} free terms instead of {len(structure.members)}"
-    return [say_lacking(new, f"{free} explain the motion better{by}")]
+    return [say_lacking(new, f"{free} explain the motion better{by}", columns.coordinates)]
 
 
-def say_lacking(new: list[str], what: str) -> str:
+def say_lacking(new: list[str], what: str, coordinates: Sequence[str]) -> str:
     """The warning that names candidates to add, and what is so with them."""
     it = "it" if len(new) == 1 else "them"
-    return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates"
+    pushed = [text for text in new if text in coordinates]
+    means = f"; in L, {pushed[0]} by itself is a constant force on it (force_offset)" if pushed else ""
+    return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates{means}"
 
 
 class _Best(Refiner):
