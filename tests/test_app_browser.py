@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import socket
 import subprocess
@@ -11,6 +12,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from urllib.parse import urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
@@ -287,6 +289,18 @@ def test_the_server_answers_to_this_computer_only(address):
     for host in {host for host in others if not host.startswith("127.")}:
         with pytest.raises(OSError, match=r"."):
             socket.create_connection((host, port), timeout=2).close()
+
+
+def test_a_browser_that_leaves_before_its_answer_is_no_fault(address):
+    # what the server logs is looked at when it ends
+    place = urlsplit(address)
+    with urlopen(address) as answer:
+        (script, *_) = re.findall(r'src="(/[^"]+)"', answer.read().decode())
+    for _ in range(50):
+        with socket.create_connection((place.hostname, place.port)) as connection:
+            connection.sendall(f"GET {script} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n".encode())
+    with urlopen(address) as answer:
+        assert answer.status == 200
 
 
 def test_a_port_in_use_is_one_line(address):

@@ -176,8 +176,11 @@ class DataView:
 
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
+        self.plots.clear()  # and the way on to the candidates: these are other data now
         self._tell("Reading…")
         await aside(self.session.read)
+        if self.table.is_deleted:
+            return
         self.message.clear()
         self.page.mark_steps()
         self._show_table()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 from typing import Any
 
@@ -92,8 +93,15 @@ class Guard:
         await self.application(scope, limited, guarded)
 
 
+def _worth_telling(record: logging.LogRecord) -> bool:
+    """Whether a record of the web server is more than a browser that left before its answer."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not (isinstance(error, RuntimeError) and str(error) == "No response returned.")
+
+
 def install() -> None:
     """Put the guards before NiceGUI, and end all work with it."""
+    logging.getLogger("uvicorn.error").addFilter(_worth_telling)
     app.add_middleware(Guard)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     app.on_shutdown(close_sessions)
