@@ -20,6 +20,7 @@ Chosen in its favour, where the paper tunes by hand for each system:
 * The step is 1/L, L the largest Lipschitz constant of the batches (there 1e-6 … 5e-3).
 * The momentum runs on through the epochs of a stage (there it starts anew with each), from zero
   coefficients.  Without this, nearly collinear columns need many times as many epochs.
+* A last descent that diverges, as momentum may by batches, is run again with a quarter of the step.
 * A last stage with the gradient of all data leads on to the least-squares values of the terms found,
   without the scatter of the batches.
 * Of `PENALTIES` and `THRESHOLDS` (there 0.1) that pair is taken whose terms are worth their number on
@@ -61,6 +62,7 @@ STAGES = (
 WORTH_ONE, WORTH_ALL = 0.15, 0.05  # see above
 EXACT = 1e-6  # relative mean squared residual that counts as none
 RECORDS = 5  # a stage
+SHARES_OF_STEP = (1.0, 0.25, 0.0625)  # the next where the last descent diverged
 
 # one (n_times, 3, n_dof) array of q, q̇, q̈ and the forces or None, for each trajectory
 States = list[tuple[np.ndarray, np.ndarray | None]]
@@ -118,7 +120,9 @@ def _normal(equations: Equations, batches: list[np.ndarray]) -> tuple[np.ndarray
     return hessians, slopes, 1.0 / float(np.linalg.eigvalsh(hessians)[:, -1].max())
 
 
-def _descend(equations: Equations, settings: np.ndarray, rng: np.random.Generator, record=None) -> np.ndarray:
+def _descend(
+    equations: Equations, settings: np.ndarray, rng: np.random.Generator, share_of_step=1.0, record=None
+) -> np.ndarray:
     """Run all stages for pairs of penalty and threshold, (n, 2), side by side; returns (n_terms, n)."""
     penalties, thresholds = settings.T
     shuffled = rng.permutation(len(equations.columns))
@@ -130,6 +134,7 @@ def _descend(equations: Equations, settings: np.ndarray, rng: np.random.Generato
     epoch = 0
     for factor, least, share, by_batches in STAGES:
         hessians, slopes, step = small if by_batches else whole
+        step *= share_of_step
         shrink = step * factor * penalties
         previous, i = x, 0
         for _ in range(EPOCHS):
@@ -188,9 +193,12 @@ def solve_from(problem: Problem, states: States, started: float) -> Answer:
     def record(x: np.ndarray) -> None:
         history.append((time.perf_counter() - started, named(x)))
 
-    x = _descend(equations, np.array([pair]), np.random.default_rng([seed, 2]), record)[:, 0]
+    for share in SHARES_OF_STEP:
+        x = _descend(equations, np.array([pair]), np.random.default_rng([seed, 2]), share, record)[:, 0]
+        misfit = float(equations.misfit(x[:, None])[0])
+        if misfit <= 1.0:  # no worse than without any term
+            break
     coefficients = named(x)
-    misfit = float(equations.misfit(x[:, None])[0])
     return Answer(
         coefficients=coefficients,
         acceleration=acceleration_of(problem.library, {**problem.known, **coefficients}),
@@ -203,6 +211,7 @@ def solve_from(problem: Problem, states: States, started: float) -> Answer:
             "stages": [list(stage) for stage in STAGES],
             "epochs_per_stage": EPOCHS,
             "batch": BATCH,
+            "share_of_step": share,
             "relative_misfit": misfit,
         },
         history=history,
