@@ -220,3 +220,18 @@ def test_free_runs_tell_a_right_model_from_a_wrong_one():
     right = forecast_error(workspace, found, 1.0)
     found.coefficients[:] *= np.where(np.isnan(prepared.known), 0.5, 1.0)
     assert forecast_error(workspace, found, 1.0) > 3.0 * right
+
+
+@pytest.mark.parametrize(
+    ("candidates", "known", "named", "not_named"),
+    [
+        (["cos(theta1)", "cos(theta2)"], {"theta1_dot**2": 2.0}, "may be wrong", "seems to lack"),
+        (["cos(theta1)"], {"theta1_dot**2": 1.0}, "seems to lack cos(theta2)", "may be wrong"),
+    ],
+)
+def test_the_likelier_of_a_wrong_coefficient_and_a_missing_term_is_named(candidates, known, named, not_named):
+    data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=15.0, seed=2)
+    kinetic = [t.text for t in systems.compact_library("double_pendulum") if "_dot" in t.text]
+    text = doubts(data, [*kinetic, *candidates], known=known)
+    assert named in text
+    assert not_named not in text

@@ -17,7 +17,7 @@ from leastaction._fit.forces import WithPushes
 from leastaction._fit.gauss_newton import score_candidates
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import BETTER, RELEVANT, silent
+from leastaction._refinement import BETTER, RELEVANT, Cause, equations_hold, silent
 from leastaction._selection import Refiner, Selection
 from leastaction._subsets import QuadraticModel
 
@@ -168,7 +168,7 @@ def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
     return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost
 
 
-def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
+def wrong_known(workspace: Workspace, selection: Selection) -> list[Cause]:
     """Known coefficients without which the motion is explained better, or by fewer terms.
 
     Where no force acts and one coefficient is known there is nothing to test: it sets the scale.
@@ -190,10 +190,12 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[str]:
         fewer = len(structure.members) + 1 - len(found.members)
         scaled = workspace.forces is not None and value / workspace.known[k] > 0.0
         units = f", or the forces are {value / workspace.known[k]:.3g} times too large" if scaled else ""
-        out.append(
+        words = (
             f"the known coefficient of {text} may be wrong: set free it becomes {value:.3g} instead of "
             f"{workspace.known[k]:.3g}, and "
             + (f"{fewer} terms fewer" if fewer > 1 else "the other terms")
             + f" explain the motion better{units}"
         )
+        # a term that is dropped when it is set free makes way for others that imitate what lacks
+        out.append(Cause(words, gain, k in found.members and equations_hold(released, found)))
     return out

@@ -16,7 +16,7 @@ from leastaction._euler_lagrange import EulerLagrange
 from leastaction._fit.evidence import Start
 from leastaction._fit.workspace import StructureFit, Workspace
 from leastaction._library import Library, Term
-from leastaction._refinement import BETTER, RELEVANT, equations_hold, silent
+from leastaction._refinement import BETTER, RELEVANT, Cause, equations_hold, silent
 from leastaction._selection import Refiner, Selection
 
 __all__ = ["common_terms", "lacking_terms", "say_lacking"]
@@ -25,8 +25,8 @@ _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, t
 _ROUNDS = 3  # a term that is lacking is found in the first
 
 
-def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
-    """Say which common terms would explain the motion better than the candidates do."""
+def lacking_terms(workspace: Workspace, selection: Selection) -> list[Cause]:
+    """Common terms that would explain the motion better than the candidates do."""
     if not selection.structure.fit.converged:
         return []
     hold = equations_hold(workspace, selection.structure)
@@ -36,7 +36,7 @@ def lacking_terms(workspace: Workspace, selection: Selection) -> list[str]:
     return found
 
 
-def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size: str) -> list[str]:
+def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size: str) -> list[Cause]:
     columns = workspace.columns
     common = common_terms(columns, size)
     if not common:
@@ -50,12 +50,13 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     threshold = BETTER + RELEVANT * float(structure.fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.members) <= len(structure.members)
-    lawful = fewer or (not hold and equations_hold(wider, found))
-    if not (new and lawful and found.fit.converged and gain > threshold):
+    holds = equations_hold(wider, found)
+    if not (new and (fewer or (holds and not hold)) and found.fit.converged and gain > threshold):
         return []
     by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
     free = f"{len(found.members)} free terms instead of {len(structure.members)}"
-    return [say_lacking(new, f"{free} explain the motion better{by}", columns.coordinates)]
+    words = say_lacking(new, f"{free} explain the motion better{by}", columns.coordinates)
+    return [Cause(words, gain, holds)]
 
 
 def say_lacking(new: list[str], what: str, coordinates: Sequence[str]) -> str:

@@ -113,12 +113,15 @@ def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray
     structure = selection.structure
     usable = structure.fit.converged and np.isfinite(structure.evidence)
     known = wrong_known(workspace, selection) if usable else []
-    found = search_afresh(workspace) if off and not known else []
+    found = search_afresh(workspace) if off and not any(cause.holds for cause in known) else []
     if found or not usable:
-        return found
-    for find in (lacking_terms, hidden_friction, late_forces):
+        return found + [cause.words for cause in known]
+    # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
+    lacking = lacking_terms(workspace, selection)
+    likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
+    found += [cause.words for cause in likelier]
+    for find in (hidden_friction, late_forces):
         found += find(workspace, selection)
-    found += known
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
         found = doubts_about_forces(workspace, structure)
     return found
