@@ -60,7 +60,9 @@ def search_coarse(
     horizon = _horizon(knots_per_second)
     first, second = (forecast_error(w, s.structure, horizon) for w, s in ((fine, found), (coarse, other)))
     progress("coarse", {"forecast_error": second, "before": first})
-    return (coarse, other) if second < _CLEARLY * first else (fine, found)
+    # where its equations hold the first search went astray, and no machine need vibrate
+    better = second < (first if equations_hold(coarse, other.structure) else _CLEARLY * first)
+    return (coarse, other) if better else (fine, found)
 
 
 def _horizon(knots_per_second: float) -> float:
