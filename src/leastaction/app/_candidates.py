@@ -81,9 +81,15 @@ class Choice:
                 raise InputError(bad[0])
             library = la.Library(lines(self.text), coordinates, angles=angles)
         else:
-            library = la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
+            library = self.generated(coordinates, angles)
         friction = self.friction_terms(coordinates)
         return library.with_dissipation(friction) if friction else library
+
+    def generated(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
+        """Candidates of L of the size that is chosen."""
+        import leastaction as la
+
+        return la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
 
     def friction_terms(self, coordinates: Sequence[str]) -> list[str]:
         """Ticked and written friction candidates."""

@@ -69,7 +69,8 @@ class CandidatesView:
 
     def _set_written(self, written: bool) -> None:
         if written and not self.choice.text.strip():
-            self.choice.text = "\n".join(term.text for term in self._generated())
+            generated = self.choice.generated(self.data.coordinates, self.page.session.angles)
+            self.choice.text = "\n".join(term.text for term in generated)
         self.choice.written = written
         self._show_source()
         self._check()
@@ -195,16 +196,6 @@ class CandidatesView:
         for name, value in values.items():
             setattr(self.choice, name, value)
         self._check()
-
-    def _generated(self) -> Library:
-        import leastaction as la
-
-        return la.Library.mechanical(
-            self.data.coordinates,
-            self.page.session.angles,
-            size=self.choice.size,
-            gyroscopic=self.choice.gyroscopic,
-        )
 
     def _check(self) -> None:
         """Say what is chosen, or what is wrong with it."""
