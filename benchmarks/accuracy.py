@@ -18,8 +18,8 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from leastaction._metrics import cramer_rao_bound
 from leastaction.io import write_text
+from leastaction.metrics import cramer_rao_bound
 
 
 @click.command()

@@ -19,12 +19,12 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from leastaction._euler_lagrange import EulerLagrange
-from leastaction._fit.adam import AdamProblem
-from leastaction._fit.gauss_newton import fit_joint
-from leastaction._fit.problem import Physics, Weights
-from leastaction._fit.workspace import Workspace
-from leastaction._smoothing import smooth
+from leastaction.curve.smoothing import smooth
+from leastaction.estimation.adam import AdamProblem
+from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.workspace import Workspace
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from reproduction.methods.adam import discover, settings_for
 from reproduction.problem import Case, Problem, pose
 

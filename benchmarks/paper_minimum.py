@@ -19,12 +19,12 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from leastaction._euler_lagrange import EulerLagrange, Points
-from leastaction._fit.gauss_newton import JointFit, fit_joint
-from leastaction._fit.problem import Physics, Weights
-from leastaction._fit.workspace import Workspace
-from leastaction._prepare import prepare
-from leastaction._smoothing import smooth
+from leastaction.curve.smoothing import smooth
+from leastaction.estimation.gauss_newton import JointFit, fit_joint
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.workspace import Workspace
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.selection.prepare import prepare
 from reproduction.problem import Case, Problem, pose
 
 RESULTS = Path(__file__).parent / "results" / "paper_minimum"

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import leastaction as la
-from leastaction._model import ModelTerm
+from leastaction.model.model import ModelTerm
 
 
 @dataclass(frozen=True)

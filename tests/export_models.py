@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 
 from leastaction import systems
-from leastaction._model import LagrangianModel, ModelTerm
+from leastaction.model.model import LagrangianModel, ModelTerm
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 

@@ -10,12 +10,12 @@ import pytest
 from scipy.interpolate import make_lsq_spline
 
 from leastaction import systems
-from leastaction._euler_lagrange import EulerLagrange
-from leastaction._library import Term
-from leastaction._library._term import make_term
-from leastaction._simulate import simulate
-from leastaction._spline import SplineGrid, SplineSpace
-from leastaction._trajectory import Trajectories, Trajectory
+from leastaction.curve.bspline import SplineGrid, SplineSpace
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.library import Term
+from leastaction.library.term import make_term
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.simulation.integrate import simulate
 
 Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
 

@@ -13,9 +13,9 @@ from leastaction import (
     Trajectories,
     Trajectory,
 )
-from leastaction._diagnostics import Diagnostics, PathPoint
-from leastaction._model_parts import FitSummary, ModelTerm
-from leastaction._spline import SplineGrid, uniform_space
+from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.model.diagnostics import Diagnostics, PathPoint
+from leastaction.model.term import FitSummary, ModelTerm
 
 _VOID = {"meta", "br", "img", "link", "input", "hr"}
 

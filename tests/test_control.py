@@ -6,8 +6,8 @@ import pytest
 import leastaction as la
 from export_models import MODELS, states
 from helpers import finite_difference
-from leastaction._errors import InputError
-from leastaction._model import LagrangianModel, ModelTerm
+from leastaction.errors import InputError
+from leastaction.model.model import LagrangianModel, ModelTerm
 
 control = pytest.importorskip("control")
 

@@ -5,8 +5,8 @@ import pytest
 
 import leastaction as la
 from leastaction import DataError, InputError
-from leastaction._delay import estimate, shift_forces
-from leastaction._model import LagrangianModel, ModelTerm
+from leastaction.delay import estimate, shift_forces
+from leastaction.model.model import LagrangianModel, ModelTerm
 
 PENDULUM = ["theta_dot**2", "cos(theta)", "sin(theta)", "theta_dot**4"]
 

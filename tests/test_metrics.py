@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leastaction import _metrics, systems
-from leastaction._errors import DataError, InputError
-from leastaction._metrics import (
+from leastaction import metrics as _metrics
+from leastaction import systems
+from leastaction.errors import DataError, InputError
+from leastaction.metrics import (
     cramer_rao_bound,
     exact_support,
     forecast_horizon,

@@ -6,7 +6,7 @@ import pytest
 
 import leastaction as la
 from leastaction import InputError
-from leastaction._model import LagrangianModel, ModelTerm
+from leastaction.model.model import LagrangianModel, ModelTerm
 
 CART = la.Library(
     ["x_dot**2", "theta_dot**2", "x_dot*theta_dot*cos(theta)", "x**2", "x", "cos(theta)"], ["x", "theta"]

@@ -7,8 +7,8 @@ import sys
 import pytest
 
 from leastaction import InputError, LagrangianModel
-from leastaction._errors import MissingPackageError
-from leastaction._model import ModelTerm
+from leastaction.errors import MissingPackageError
+from leastaction.model.model import ModelTerm
 
 BLOCKED = ("matplotlib", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
 
@@ -51,7 +51,7 @@ assert {term.expression for term in model.terms} == {"theta_dot**2", "cos(theta)
 assert "cos(theta)" in str(model) and "cos(theta)" in model._repr_html_()
 
 # The figures of the app need no more than those of the report.
-from leastaction.app._figures import data_figure
+from leastaction.app.figures import data_figure
 drawn = data_figure(la.read_csv(run, coordinates=["theta"], trial="trial")[0], None, 0, "θ", "rad")
 assert drawn.count("<svg") == 2
 assert tried == [], tried

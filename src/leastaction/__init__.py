@@ -11,61 +11,52 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from leastaction import _delay as delay  # noqa: F401
-    from leastaction import _metrics as metrics
-    from leastaction import _units as units  # noqa: F401
     from leastaction import casadi as casadi
     from leastaction import control as control
-    from leastaction import io, systems
-    from leastaction._discover import discover
-    from leastaction._errors import DataError, InputError
-    from leastaction._estimator import SparseLagrangian as SparseLagrangian
-    from leastaction._euler_lagrange import euler_lagrange
-    from leastaction._export._write import export
-    from leastaction._fit.adam_options import AdamOptions
-    from leastaction._library import Library
-    from leastaction._model import LagrangianModel, load
-    from leastaction._report import write_report
-    from leastaction._simulate import SimulationResult
-    from leastaction._smooth_motion import smooth
-    from leastaction._trajectory import Trajectories, Trajectory
+    from leastaction import delay as delay
+    from leastaction import io, metrics, systems
+    from leastaction import units as units
+    from leastaction.api import discover
+    from leastaction.curve.motion import smooth
+    from leastaction.data.trajectories import Trajectories, Trajectory
+    from leastaction.errors import DataError, InputError
+    from leastaction.estimation.adam_options import AdamOptions
+    from leastaction.exporters.write import export
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
+    from leastaction.library import Library
+    from leastaction.mechanics.euler_lagrange import euler_lagrange
+    from leastaction.model.model import LagrangianModel, load
+    from leastaction.report import write_report
+    from leastaction.simulation.integrate import SimulationResult
+    from leastaction.sklearn import SparseLagrangian as SparseLagrangian
 
 _HOMES = {
-    "AdamOptions": "_fit.adam_options",
-    "DataError": "_errors",
-    "InputError": "_errors",
-    "LagrangianModel": "_model",
-    "Library": "_library",
-    "SimulationResult": "_simulate",
-    "SparseLagrangian": "_estimator",
-    "Trajectories": "_trajectory",
-    "Trajectory": "_trajectory",
-    "discover": "_discover",
-    "euler_lagrange": "_euler_lagrange",
-    "export": "_export._write",
+    "AdamOptions": "estimation.adam_options",
+    "DataError": "errors",
+    "InputError": "errors",
+    "LagrangianModel": "model.model",
+    "Library": "library",
+    "SimulationResult": "simulation.integrate",
+    "SparseLagrangian": "sklearn",
+    "Trajectories": "data.trajectories",
+    "Trajectory": "data.trajectories",
+    "discover": "api",
+    "euler_lagrange": "mechanics.euler_lagrange",
+    "export": "exporters.write",
     "from_frame": "io",
-    "load": "_model",
+    "load": "model.model",
     "read": "io",
     "read_csv": "io",
     "read_mat": "io",
     "read_npz": "io",
     "read_parquet": "io",
-    "smooth": "_smooth_motion",
+    "smooth": "curve.motion",
     "write_csv": "io",
-    "write_report": "_report",
+    "write_report": "report",
 }
 
 # Modules for particular needs are reached by their name, but are not in the list below.
-_MODULES = {
-    "casadi": "casadi",
-    "control": "control",
-    "delay": "_delay",
-    "io": "io",
-    "metrics": "_metrics",
-    "systems": "systems",
-    "units": "_units",
-}
+_MODULES = frozenset({"casadi", "control", "delay", "io", "metrics", "systems", "units"})
 
 __all__ = [
     "AdamOptions",
@@ -97,7 +88,7 @@ __all__ = [
 
 def __getattr__(name: str):
     if name in _MODULES:
-        return import_module(f"leastaction.{_MODULES[name]}")
+        return import_module(f"leastaction.{name}")
     if name in _HOMES:
         return getattr(import_module(f"leastaction.{_HOMES[name]}"), name)
     raise AttributeError(f"module 'leastaction' has no attribute {name!r}")

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import sympy as sp
 
-from leastaction._errors import InputError
-from leastaction._export._casadi import CasadiPrinter
-from leastaction._export._shared import equations
-from leastaction._model import LagrangianModel
+from leastaction.errors import InputError
+from leastaction.exporters.casadi import CasadiPrinter
+from leastaction.exporters.shared import equations
+from leastaction.model.model import LagrangianModel
 
 if TYPE_CHECKING:
     import casadi
@@ -58,7 +58,7 @@ def functions(model: LagrangianModel) -> CasadiFunctions:
 
     Examples
     --------
-    >>> from leastaction._model import LagrangianModel, ModelTerm
+    >>> from leastaction.model.model import LagrangianModel, ModelTerm
     >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
     >>> functions(spring).acceleration([1.0], [0.0], [3.0])
     DM(-1)

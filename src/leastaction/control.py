@@ -12,10 +12,10 @@ import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike
 
-from leastaction._errors import InputError
-from leastaction._model import LagrangianModel
-from leastaction._model_checks import checked_start
-from leastaction._names import quoted
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+from leastaction.model.checks import checked_start
+from leastaction.model.model import LagrangianModel
 
 if TYPE_CHECKING:
     import control
@@ -49,7 +49,7 @@ def state_space(
 
     Examples
     --------
-    >>> from leastaction._model import LagrangianModel, ModelTerm
+    >>> from leastaction.model.model import LagrangianModel, ModelTerm
     >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
     >>> system = state_space(spring)
     >>> system.input_labels, system.output_labels
@@ -106,7 +106,7 @@ def linearize(
 
     Examples
     --------
-    >>> from leastaction._model import LagrangianModel, ModelTerm
+    >>> from leastaction.model.model import LagrangianModel, ModelTerm
     >>> pendulum = LagrangianModel("theta", [ModelTerm("theta_dot**2", 0.5), ModelTerm("cos(theta)", 9.81)])
     >>> linearize(pendulum, [np.pi]).A.round(9).tolist()
     [[0.0, 1.0], [9.81, 0.0]]

@@ -19,15 +19,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from leastaction._files._arrays import read_mat_table, read_npz_table
-from leastaction._files._atomic import check_path, write_bytes, write_text
-from leastaction._files._csv import read_csv_table
-from leastaction._files._dispatch import StrPath, combined_trajectories
-from leastaction._files._frames import frame_table, read_parquet_table
-from leastaction._files._joint_states import read_mcap
-from leastaction._files._layout import Coordinates, Forces, Layout, to_trajectories
-from leastaction._files._write_csv import csv_bytes
-from leastaction._trajectory import Trajectories, Trajectory
+from leastaction.data.formats.arrays import read_mat_table, read_npz_table
+from leastaction.data.formats.atomic import check_path, write_bytes, write_text
+from leastaction.data.formats.csv import read_csv_table
+from leastaction.data.formats.dispatch import StrPath, combined_trajectories
+from leastaction.data.formats.frames import frame_table, read_parquet_table
+from leastaction.data.formats.joint_states import read_mcap
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, to_trajectories
+from leastaction.data.formats.write_csv import csv_bytes
+from leastaction.data.trajectories import Trajectories, Trajectory
 
 __all__ = [
     "from_frame",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from leastaction._errors import InputError
+from leastaction.errors import InputError
 
 __all__ = ["run"]
 
@@ -33,7 +33,7 @@ def run(port: int | None = None, show: bool = True, announce: Callable[[str], No
         import nicegui  # noqa: F401
     except ImportError:
         raise InputError("the app needs NiceGUI; install it with: pip install 'leastaction[app]'") from None
-    from leastaction.app._server import HOST, free_port, serve
+    from leastaction.app.server import HOST, free_port, serve
 
     chosen = free_port(port)
     if announce is not None:

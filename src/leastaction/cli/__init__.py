@@ -8,6 +8,6 @@ any model, or a motion cannot be followed to the end; 2 wrong use or bad input; 
 
 from __future__ import annotations
 
-from leastaction.cli._program import main, program
+from leastaction.cli.program import main, program
 
 __all__ = ["main", "program"]

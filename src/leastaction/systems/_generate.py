@@ -15,13 +15,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import BPoly
 
-from leastaction._errors import InputError
-from leastaction._simulate import rk4
-from leastaction._trajectory import Trajectories, Trajectory
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import InputError
+from leastaction.simulation.integrate import rk4
 from leastaction.systems._registry import is_default, resolve
 from leastaction.systems._system import Forces, MechanicalSystem
 
-# Largest RK4 step and largest interval between kept states, in seconds (see tests/test_systems.py).
+# Largest RK4 step and largest interval between kept states, in seconds (see tests/systems/).
 _STEP = 0.00125
 _INTERVAL = 0.01
 _CANDIDATES = 6

@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import sympy as sp
 
-from leastaction._errors import InputError
-from leastaction._library import Library
+from leastaction.errors import InputError
+from leastaction.library import Library
 from leastaction.systems._registry import further_names, resolve
 from leastaction.systems._system import MechanicalSystem
 from leastaction.systems._variational import euler_lagrange
@@ -222,7 +222,7 @@ def truth_for(system: str | MechanicalSystem, library: Library, kind: str = "lag
     Examples
     --------
     >>> from leastaction import systems
-    >>> from leastaction._library import Library
+    >>> from leastaction.library import Library
     >>> library = Library(["theta", "sin(theta/2)**2", "theta_dot**2"], ["theta"])
     >>> systems.truth_for("single_pendulum", library)
     {1: -19.62, 2: 0.5}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from leastaction._errors import InputError
+from leastaction.errors import InputError
 from leastaction.systems import _arms, _chains, _magnetic, _pendulums, _potentials, _springs
 from leastaction.systems._system import MechanicalSystem
 

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
-from leastaction._errors import InputError
-from leastaction._library import parse_expression
-from leastaction._simulate import SimulationResult, simulate
+from leastaction.errors import InputError
+from leastaction.library import parse_expression
+from leastaction.simulation.integrate import SimulationResult, simulate
 
 Forces = Callable[[np.ndarray], np.ndarray]
 
@@ -176,7 +176,7 @@ class MechanicalSystem:
         return np.broadcast_to(values, q.shape[:-1]).copy()
 
     def simulate(self, q0, qdot0, t, forces=None, **options) -> SimulationResult:
-        """Integrate one motion with `leastaction._simulate.simulate` (DOP853)."""
+        """Integrate one motion with `leastaction.simulation.integrate.simulate` (DOP853)."""
         options.setdefault("mass_matrix", self.mass_matrix)
         return simulate(self.acceleration, q0, qdot0, t, forces, **options)
 

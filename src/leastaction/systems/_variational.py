@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import sympy as sp
 
-from leastaction._errors import InputError
+from leastaction.errors import InputError
 from leastaction.systems._system import MechanicalSystem
 
 # Largest RK4 step for the variational equations, in seconds.

@@ -1,0 +1,283 @@
+"""What the candidates page asks for, checked while it is typed, and the task that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from leastaction.cli.options import check_known, known_coefficients
+from leastaction.errors import InputError
+
+if TYPE_CHECKING:
+    from leastaction import Library, Trajectories
+
+__all__ = ["SIZES", "Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
+
+SIZES = ("compact", "standard", "large")
+_MOST_LINES = 1500
+
+
+@dataclass
+class Choice:
+    """The state of the page.
+
+    Attributes
+    ----------
+    written : bool
+        Whether the candidates are those of `text` instead of generated ones of `size`.
+    text, known, more_friction : str
+        One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
+    friction : list of str
+        The ready-made friction candidates that are ticked.
+    gyroscopic : bool
+        Whether generated candidates include terms linear in the velocities.
+    delay : float
+        Seconds by which the known forces act later than recorded.
+    offsets, prescribed : list of str
+        Coordinates that are ticked: a constant force that nobody knows acts on them; forces that nobody
+        measured move them.
+    held_out : int
+        How many trials are not fitted but forecast.
+    every_third : bool
+        Hold out every third trial instead, as the demonstration does.
+    """
+
+    written: bool = False
+    size: str = "standard"
+    gyroscopic: bool = False
+    text: str = ""
+    friction: list[str] = field(default_factory=list)
+    more_friction: str = ""
+    known: str = ""
+    delay: float = 0.0
+    offsets: list[str] = field(default_factory=list)
+    prescribed: list[str] = field(default_factory=list)
+    held_out: int = 0
+    every_third: bool = False
+
+    @classmethod
+    def default(cls, data: Trajectories) -> Choice:
+        """Begin with generated candidates, a scale where no force gives one, some trials held out."""
+        known = "" if data.driven else f"{data.coordinates[0]}_dot**2 = 1"
+        return cls(known=known, held_out=len(data) // 3 or int(len(data) == 2))
+
+    def library(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
+        """The candidates.
+
+        Raises
+        ------
+        InputError
+            Naming the line at fault.
+        """
+        import leastaction as la
+
+        angles = list(angles)
+        if self.written:
+            bad = faults(self.text, coordinates)
+            if bad:
+                raise InputError(bad[0])
+            library = la.Library(lines(self.text), coordinates, angles=angles)
+        else:
+            library = self.generated(coordinates, angles)
+        friction = self.friction_terms(coordinates)
+        return library.with_dissipation(friction) if friction else library
+
+    def generated(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
+        """Candidates of L of the size that is chosen."""
+        import leastaction as la
+
+        return la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
+
+    def friction_terms(self, coordinates: Sequence[str]) -> list[str]:
+        """Ticked and written friction candidates."""
+        bad = faults(self.more_friction, coordinates)
+        if bad:
+            raise InputError(f"friction, {bad[0]}")
+        offered = {text for _, text in friction_choices(coordinates)}
+        return [text for text in self.friction if text in offered] + lines(self.more_friction)
+
+    def known_terms(self, library: Library, driven: bool) -> dict[str, float]:
+        """Known coefficients, each of a candidate.
+
+        Raises
+        ------
+        InputError
+            If a line cannot be read, its term is no candidate, or the scale is missing.
+        """
+        known = known_coefficients(lines(self.known))
+        check_known(known, library)
+        if not known and not driven:
+            raise InputError(
+                "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
+                f"coefficient, for example {library[0].text} = 1, which sets the scale of L"
+            )
+        return known
+
+    def forces(self, data: Trajectories) -> Forces:
+        """What is said of forces.
+
+        Raises
+        ------
+        InputError
+            If the delay leaves too little of a trial, a coordinate is ticked twice or no equation is left.
+        """
+        offsets = tuple(name for name in data.coordinates if name in self.offsets)
+        prescribed = tuple(name for name in data.coordinates if name in self.prescribed)
+        both = [shown_names(offsets)[name] for name in offsets if name in prescribed]
+        if both:
+            raise InputError(
+                f"{both[0]} is ticked twice: under an unknown constant force, and as moved by anything; one "
+                "of the two is enough"
+            )
+        if len(prescribed) == len(data.coordinates):
+            raise InputError("no equation is left: something that was not measured may not move everything")
+        delay = self.delay if data.driven else 0.0
+        shortest = min(run.duration for run in data)
+        if abs(delay) >= 0.5 * shortest:
+            raise InputError(f"a delay of {1e3 * delay:g} ms leaves too little of a trial of {shortest:g} s")
+        return Forces(delay, offsets, prescribed)
+
+    def task(self, data: Trajectories, angles: Iterable[str]) -> Task:
+        """Everything that a discovery needs."""
+        library = self.library(data.coordinates, angles)
+        fitted, held_out = split_trials(data, self.held_out, self.every_third)
+        return Task(fitted, held_out, library, self.known_terms(library, data.driven), self.forces(data))
+
+
+@dataclass(frozen=True)
+class Forces:
+    """What is said of forces: of the known ones, and of those that nobody knows."""
+
+    delay: float = 0.0
+    offsets: tuple[str, ...] = ()
+    prescribed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A discovery that can be sent to another process."""
+
+    fitted: Trajectories
+    held_out: Trajectories | None
+    library: Library
+    known: dict[str, float]
+    forces: Forces = Forces()
+    relevance: float = 0.05
+
+    def shifted(self) -> Task:
+        """The same with the known forces at the times at which they act."""
+        from leastaction.delay import shift_forces
+
+        if not self.forces.delay:
+            return self
+        parts = (self.fitted, self.held_out)
+        fitted, held_out = (part and shift_forces(part, self.forces.delay) for part in parts)
+        return replace(self, fitted=fitted, held_out=held_out, forces=replace(self.forces, delay=0.0))
+
+    def restricted(self, expressions: Sequence[str], dissipation: Sequence[str]) -> Task:
+        """The same with only these free candidates, beside the known terms, and none refused as irrelevant.
+
+        `dissipation` are the friction candidates as the model writes them, with |u| made smooth.
+        """
+        friction = [text for text in expressions if text in dissipation]
+        terms = [text for text in expressions if text not in friction]
+        # A path does not say of which function a term is: one that is a candidate of both stays one of both.
+        terms += [text for text in friction if any(text == term.text for term in self.library)]
+        known = {True: [], False: []}
+        for text in self.known:
+            known[self._is_friction(text)].append(text)
+        terms, friction = known[False] + terms, known[True] + friction
+        library = self.library.replace(terms=dict.fromkeys(terms), dissipation=dict.fromkeys(friction))
+        return replace(self, library=library, relevance=0.0)
+
+    def _is_friction(self, text: str) -> bool:
+        try:
+            self.library.index(text)
+        except InputError:
+            return True
+        return False
+
+
+def lines(text: str) -> list[str]:
+    """The lines that say something: ``#`` starts a comment."""
+    kept = (line.partition("#")[0].strip() for line in text.splitlines())
+    return [line for line in kept if line]
+
+
+def faults(text: str, coordinates: Sequence[str]) -> list[str]:
+    r"""Say for every line that is no expression what is wrong with it, in the parser's words.
+
+    Examples
+    --------
+    >>> faults("x_dot**2\n\nsin(y)  # no such coordinate", ["x"])
+    ["line 3: cannot read 'sin(y)' at column 5: unknown name 'y'; ..."]
+    """
+    everything = text.splitlines()
+    if len(everything) > _MOST_LINES:
+        return [f"there are {len(everything)} lines; give at most {_MOST_LINES} candidates"]
+    found = []
+    for number, line in enumerate(everything, start=1):
+        line = line.partition("#")[0].strip()
+        fault = _fault(line, tuple(coordinates)) if line else None
+        if fault:
+            found.append(f"line {number}: {fault}")
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _fault(line: str, coordinates: tuple[str, ...]) -> str | None:
+    import leastaction as la
+
+    try:
+        la.Library([line], coordinates)
+    except InputError as error:
+        return str(error)
+    return None
+
+
+def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
+    """Ready-made friction candidates: what it is in words, and ψ.
+
+    Examples
+    --------
+    >>> friction_choices(["theta1"])
+    [('viscous, θ₁', 'theta1_dot**2/2'), ('dry, θ₁', 'abs(theta1_dot)')]
+    """
+    shown = shown_names(coordinates)
+    found = [(f"viscous, {shown[c]}", f"{c}_dot**2/2") for c in coordinates]
+    found += [(f"dry, {shown[c]}", f"abs({c}_dot)") for c in coordinates]
+    for a, b in pairwise(coordinates):
+        found.append((f"viscous, {shown[a]} to {shown[b]}", f"({b}_dot-{a}_dot)**2/2"))
+        found.append((f"dry, {shown[a]} to {shown[b]}", f"abs({b}_dot-{a}_dot)"))
+    return found
+
+
+def shown_names(coordinates: Sequence[str]) -> dict[str, str]:
+    """Coordinates as people write them.
+
+    Examples
+    --------
+    >>> shown_names(["theta1"])
+    {'theta1': 'θ₁'}
+    """
+    from leastaction.report.mathml import Notation
+
+    notation = Notation(coordinates)
+    return {c: notation.text(c) for c in coordinates}
+
+
+def split_trials(
+    data: Trajectories, held_out: int, every_third: bool = False
+) -> tuple[Trajectories, Trajectories | None]:
+    """Trials to fit, and trials to forecast: the last ones, or every third."""
+    if every_third and len(data) >= 3:
+        names = list(data.names[2::3])
+    else:
+        count = min(max(int(held_out), 0), len(data) - 1)
+        names = list(data.names[len(data) - count :]) if count else []
+    if not names:
+        return data, None
+    return data.select([name for name in data.names if name not in names]), data.select(names)

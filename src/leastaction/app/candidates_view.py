@@ -1,0 +1,260 @@
+"""Second step: what the Lagrangian may be made of, friction, what is known, what is held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from nicegui import html, ui
+
+from leastaction.app.candidates import SIZES, faults, friction_choices, lines, shown_names, split_trials
+from leastaction.app.parts import action, fault, field, math, panel, say, title
+from leastaction.cli.text import counted
+from leastaction.errors import InputError
+
+if TYPE_CHECKING:
+    from leastaction import Library
+    from leastaction.app.page import Page
+
+__all__ = ["show"]
+
+_MOST_FAULTS = 4
+_WORDS = {
+    "compact": "what most pendulums and carts need",
+    "standard": "also sines of sums and differences, higher powers",
+    "large": "also inverse powers, logarithms and gyroscopic terms; for coordinates that stay positive",
+}
+
+
+def show(page: Page) -> None:
+    """Fill the view."""
+    if page.session.data is None:
+        fault("There are no data yet; open a file or an example first.")
+        return
+    CandidatesView(page).build()
+
+
+class CandidatesView:
+    """Elements of the view that change; every change is checked at once."""
+
+    def __init__(self, page: Page) -> None:
+        assert page.session.data is not None
+        self.page, self.choice, self.data = page, page.session.choice, page.session.data
+
+    def build(self) -> None:
+        title("What may the Lagrangian be made of?", "h1")
+        with html.div().classes("halves"):
+            with panel():
+                self._candidates()
+            with panel("stack"):
+                self._friction()
+                self._known()
+                self._forces()
+                if len(self.data) > 1:
+                    self._held_out()
+        with html.div().classes("run") as self.bar:
+            self.summary = html.div().classes("summary").props("aria-live=polite")
+            self.button = action("Find the Lagrangian", self.page.guarded(self._start), "main", "discover")
+        self._check()
+
+    def _candidates(self) -> None:
+        title("Candidates")
+        toggle = ui.toggle({False: "Generated", True: "Written by hand"}, value=self.choice.written)
+        toggle.props("no-caps unelevated spread toggle-text-color=on-accent").classes("toggle").mark(
+            "written"
+        )
+        toggle.on_value_change(self.page.guarded(lambda e: self._set_written(e.value)))
+        self.source = html.div().classes("stack")
+        self._show_source()
+
+    def _set_written(self, written: bool) -> None:
+        if written and not self.choice.text.strip():
+            generated = self.choice.generated(self.data.coordinates, self.page.session.angles)
+            self.choice.text = "\n".join(term.text for term in generated)
+        self.choice.written = written
+        self._show_source()
+        self._check()
+
+    def _show_source(self) -> None:
+        self.source.clear()
+        with self.source:
+            if self.choice.written:
+                self._written()
+            else:
+                self._sizes()
+
+    def _sizes(self) -> None:
+        import leastaction as la
+
+        names, angles, gyroscopic = self.data.coordinates, self.page.session.angles, self.choice.gyroscopic
+        options = {}
+        for size in SIZES:
+            count = la.Library.mechanical_size(names, angles, size=size, gyroscopic=gyroscopic)
+            options[size] = f"{size}: {counted(count, 'candidate')}"
+        say("From the kinds of your coordinates: products of velocities, and potentials.", "help")
+        radio = ui.radio(options, value=self.choice.size).classes("sizes").mark("size")
+        radio.on_value_change(self.page.guarded(lambda e: self._set(size=e.value)))
+        self.size_words = say("", "help")
+        if len(names) > 1:
+            box = ui.checkbox("also terms linear in the velocities", value=gyroscopic).props("dense")
+            box.mark("gyroscopic").on_value_change(self.page.guarded(lambda e: self._set_gyroscopic(e.value)))
+            say("For spinning rotors, rotating frames and charges in magnetic fields.", "help")
+        with ui.expansion("The candidates as formulas").classes("formulas"):
+            self.formulas = html.div().classes("terms")
+
+    def _set_gyroscopic(self, gyroscopic: bool) -> None:
+        self.choice.gyroscopic = gyroscopic
+        self._show_source()
+        self._check()
+
+    def _written(self) -> None:
+        say(
+            "One expression a line; # starts a comment. You may use + − * / **, sin cos tan exp log sqrt "
+            f"abs, pi, the coordinates and their velocities, such as {self.data.coordinates[0]}_dot.",
+            "help",
+        )
+        area = self._area(self.choice.text, "text", "Candidates, one expression a line", rows=14)
+        area.mark("text")
+        self.text_faults = html.div().classes("faults").props("aria-live=polite")
+
+    def _area(self, value: str, name: str, label: str, rows: int) -> ui.textarea:
+        area = ui.textarea(value=value)
+        area.props(
+            f'outlined debounce=300 rows={rows} spellcheck=false autocapitalize=off aria-label="{label}"'
+        )
+        area.classes("code").on_value_change(self.page.guarded(lambda e: self._set(**{name: e.value or ""})))
+        return area
+
+    def _friction(self) -> None:
+        with field("Friction", "Tick what could be there; what the data do not show is left out."):
+            self._boxes("friction", friction_choices(self.data.coordinates))
+            with ui.expansion("Other friction terms", value=bool(self.choice.more_friction)).classes(
+                "formulas"
+            ):
+                say("Rayleigh functions ψ, one a line; the force is −∂ψ/∂q̇.", "help")
+                self._area(self.choice.more_friction, "more_friction", "Other friction terms", rows=2)
+
+    def _boxes(self, name: str, options: Iterable[tuple[str, str]]) -> None:
+        """A box for everything that may be in a list of the choice: its words, and what is listed."""
+        with html.div().classes("checks"):
+            for words, item in options:
+                box = ui.checkbox(words, value=item in getattr(self.choice, name)).props("dense")
+                box.mark(f"{name}-{item}")
+                box.on_value_change(self.page.guarded(lambda e, i=item: self._tick(name, i, e.value)))
+
+    def _tick(self, name: str, item: str, on: bool) -> None:
+        others = [i for i in getattr(self.choice, name) if i != item]
+        self._set(**{name: others + ([item] if on else [])})
+
+    def _known(self) -> None:
+        if self.data.driven:
+            first = self.data.coordinates[0]
+            words = f"Optional: known forces set the scale. One a line, as in {first}_dot**2 = 0.5."
+        else:
+            words = (
+                "Without known forces L and 2 L have the same motions, so one coefficient must be given. One "
+                "a line; the others come out in its units."
+            )
+        with field("Known coefficients", words):
+            self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
+
+    def _forces(self) -> None:
+        names = [(text, c) for c, text in shown_names(self.data.coordinates).items()]
+        if self.data.driven:
+            words = (
+                "How much later they act than recorded; half a sampling interval if a controller holds them "
+                "between samples."
+            )
+            with field("Delay of the forces", words):
+                self._number(
+                    "delay", 1e3 * self.choice.delay, "Milliseconds", lambda ms: 1e-3 * ms, suffix="ms"
+                )
+        with field("Unknown constant force", "A sensor with a bias, a load on one side; it is estimated."):
+            self._boxes("offsets", names)
+        if len(names) > 1:
+            words = "By a motor, a hand or the ground: only the equations of the others are used."
+            with field("Moved by something that was not measured", words):
+                self._boxes("prescribed", names)
+
+    def _number(
+        self, name: str, value: float, label: str, convert: Callable[[float], float], **limits
+    ) -> None:
+        number = ui.number(value=value, **limits)
+        number.props(f'outlined dense aria-label="{label}"').classes("number").mark(name)
+        number.on_value_change(self.page.guarded(lambda e: self._set(**{name: convert(e.value or 0)})))
+
+    def _held_out(self) -> None:
+        with field("Trials held out", "Not fitted, but forecast: the honest test of the result."):
+            if self.choice.every_third:
+                say("Every third trial, as in the published comparison.")
+                return
+            most = len(self.data) - 1
+            label = "Number of trials held out"
+            self._number("held_out", self.choice.held_out, label, int, min=0, max=most, step=1, format="%d")
+
+    def _set(self, **values) -> None:
+        for name, value in values.items():
+            setattr(self.choice, name, value)
+        self._check()
+
+    def _check(self) -> None:
+        """Say what is chosen, or what is wrong with it."""
+        choice, data = self.choice, self.data
+        bad: list[str] = []
+        if choice.written:
+            bad = faults(choice.text, data.coordinates)
+            self._show_faults(bad)
+        else:
+            self.size_words.text = f"{choice.size.capitalize()}: {_WORDS[choice.size]}."
+        text, problem = "", _problem(bad)
+        try:
+            library = choice.library(data.coordinates, self.page.session.angles)
+            if not choice.written:
+                self._show_formulas(library)
+            choice.known_terms(library, data.driven)
+            choice.forces(data)
+            fitted, held_out = split_trials(data, choice.held_out, choice.every_third)
+            text = (
+                f"{counted(len(library), 'candidate')}, {len(library.dissipation) or 'none'} for friction; "
+                f"{counted(len(fitted), 'trial')} fitted"
+                + (f", {len(held_out)} held out" if held_out is not None else "")
+            )
+        except InputError as error:
+            problem = problem or self.page.words(error)
+        self.summary.clear()
+        with self.summary:
+            if problem:
+                fault(problem)
+            else:
+                say(text)
+        self.button.set_enabled(not problem)
+
+    def _show_faults(self, found: list[str]) -> None:
+        self.text_faults.clear()
+        with self.text_faults:
+            for text in found[:_MOST_FAULTS]:
+                fault(text)
+            if len(found) > _MOST_FAULTS:
+                say(f"and {len(found) - _MOST_FAULTS} more", "help")
+            if not found:
+                say(f"{counted(len(lines(self.choice.text)), 'expression')}, all readable", "fine")
+
+    def _show_formulas(self, library: Library) -> None:
+        from leastaction.report.mathml import Notation
+
+        notation = Notation(library.coordinates)
+        self.formulas.clear()
+        with self.formulas:
+            for term in library:
+                math(notation.term(term.text), "term")
+
+    def _start(self) -> None:
+        self.page.session.discover()
+        self.page.show("result")
+
+
+def _problem(bad: list[str]) -> str:
+    """The lines at fault are named beside the text; here it is enough to say that there are some."""
+    return (
+        f"{counted(len(bad), 'line')} among the candidates cannot be read; see below the text" if bad else ""
+    )

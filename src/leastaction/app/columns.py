@@ -1,0 +1,237 @@
+"""What the columns of an uploaded table may mean: guesses, and the call of the reader."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leastaction.data.formats.csv import peek_csv
+from leastaction.errors import InputError
+from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
+
+if TYPE_CHECKING:
+    from leastaction import Trajectories
+
+__all__ = [
+    "ANGLE",
+    "COORDINATE",
+    "DEGREES",
+    "FORCE",
+    "TIME",
+    "TRIAL",
+    "UNUSED",
+    "Columns",
+    "guess_roles",
+    "peek",
+    "read",
+]
+
+UNUSED, TIME, TRIAL = "not used", "time (s)", "trial"
+COORDINATE, ANGLE, DEGREES = "coordinate", "angle (rad)", "angle (degrees)"
+FORCE = "force on "
+"""A role is one of these, or `FORCE` and the name of a coordinate."""
+
+_MOVING = (COORDINATE, ANGLE, DEGREES)
+_TIMES = {"t", "time", "times", "timestamp", "seconds", "sec", "zeit", "time_s", "t_s", "time_sec", "temps"}
+_TRIALS = {"trial", "run", "id", "experiment", "episode", "segment", "recording", "trajectory", "versuch"}
+_IGNORED = {"", "index", "frame", "row", "sample", "n", "unnamed_0"}
+_ANGLES = ("theta", "phi", "psi", "alpha", "beta", "gamma", "angle", "winkel", "θ", "φ", "ψ", "α", "β", "ϕ")
+_FORCES = ("tau", "torque", "force", "moment", "u", "f", "input", "τ")
+_RATES = ("_dot", "dot", "_vel", "_velocity", "_rate", "_acc", "_ddot", "_speed")
+_RATE_STARTS = ("omega", "vel", "acc", "dtheta", "dphi", "dx", "dy", "dq", "ω")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Header and first rows of a table, as text."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def sample(self, column: str, count: int = 3) -> str:
+        """The first values of a column, for people."""
+        place = self.header.index(column)
+        return ", ".join((row[place] or "–")[:12] for row in self.rows[:count])
+
+    def numbers(self, column: str) -> np.ndarray | None:
+        """The first values as numbers (NaN: none); None if most are something else.
+
+        A single cell at fault does not make a column of numbers one of text: the reader will name it.
+        """
+        place = self.header.index(column)
+        cells = [row[place] for row in self.rows if row[place]]
+        values = np.array([_number(cell) for cell in cells])
+        return values if np.isfinite(values).sum() > len(cells) / 2 else None
+
+
+def peek(path: Path) -> Columns:
+    """Read the header and the first rows of a CSV file."""
+    header, rows = peek_csv(path)
+    twice = [name for name in header if header.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: two columns are called {twice[0]!r}; give each its own name")
+    return Columns(header, tuple(rows))
+
+
+def guess_roles(columns: Columns) -> dict[str, str]:
+    """Return column -> role, by name and by the first values.
+
+    Examples
+    --------
+    >>> rows = (("a", "0.0", "0.5", "1.0"), ("a", "0.1", "0.6", "1.0"))
+    >>> list(guess_roles(Columns(("trial", "t", "theta", "tau"), rows)).values())
+    ['trial', 'time (s)', 'angle (rad)', 'force on theta']
+    """
+    roles: dict[str, str] = dict.fromkeys(columns.header, UNUSED)
+    time = _guess_time(columns)
+    forces = []
+    for column in columns.header:
+        word = _word(column)
+        if column == time:
+            roles[column] = TIME
+        elif word in _TRIALS and TRIAL not in roles.values():
+            roles[column] = TRIAL
+        elif columns.numbers(column) is None or word in _IGNORED or _is_rate(word):
+            continue
+        elif _is_force(word):
+            forces.append(column)
+        elif word.startswith(_ANGLES):
+            roles[column] = DEGREES if "deg" in word else ANGLE
+        else:
+            roles[column] = COORDINATE
+    moving = [column for column in columns.header if roles[column] in _MOVING]
+    names = coordinate_names(moving)
+    for place, column in enumerate(forces):
+        target = _driven(column, moving, place)
+        if target is not None and FORCE + names[target] not in roles.values():
+            roles[column] = FORCE + names[target]
+    return roles
+
+
+def coordinate_names(columns: Sequence[str]) -> dict[str, str]:
+    """Return column -> name of the coordinate: the column itself if that is a name, else what is left of it.
+
+    Examples
+    --------
+    >>> coordinate_names(["theta1", "Angle 2 [deg]", "x", "x (m)"])
+    {'theta1': 'theta1', 'Angle 2 [deg]': 'Angle_2', 'x': 'x', 'x (m)': 'x_2'}
+    """
+    names: dict[str, str] = {}
+    for column in columns:
+        text = re.sub(r"[\[(].*?[\])]", "", unicodedata.normalize("NFKC", column))
+        name = re.sub(r"\W+", "_", text).strip("_")[:40].removesuffix("_dot") or "q"
+        name = name if name[0].isalpha() else f"q_{name}"
+        name = f"{name}_" if name in FUNCTION_NAMES or name in ("pi", "t", "E", "I") else name
+        try:
+            (name,) = check_coordinate_names([name])
+        except InputError:
+            name = "q"
+        free, number = name, 2
+        while free in names.values():
+            free, number = f"{name}_{number}", number + 1
+        names[column] = free
+    return names
+
+
+def moving_columns(roles: Mapping[str, str]) -> list[str]:
+    """Columns that are coordinates of any kind, in the order of the file."""
+    return [column for column, role in roles.items() if role in _MOVING]
+
+
+def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
+    """Read the table as the roles say; angles are converted to radians and unwrapped.
+
+    Raises
+    ------
+    InputError, DataError
+        As the readers of leastaction do; also if a role is missing or given twice.
+    """
+    import leastaction as la
+
+    moving = moving_columns(roles)
+    names = coordinate_names(moving)
+    if not moving:
+        raise InputError("no column is a coordinate yet; say which columns are the positions or angles")
+    time = _only(roles, TIME)
+    if time is None:
+        raise InputError("no column is the time yet; say which column holds the seconds")
+    forces = {}
+    for column, role in roles.items():
+        if role.startswith(FORCE):
+            target = role.removeprefix(FORCE)
+            if target not in names.values():
+                raise InputError(f"{column!r} is the force on {target!r}, which is no coordinate any more")
+            if target in forces:
+                raise InputError(f"two columns are the force on {target!r}; choose one")
+            forces[target] = column
+    data = la.read_csv(
+        path,
+        {names[column]: column for column in moving},
+        time=time,
+        forces=forces or None,
+        trial=_only(roles, TRIAL),
+    )
+    degrees = [roles[column] == DEGREES for column in moving]
+    if any(degrees):
+        factor = np.where(degrees, np.pi / 180.0, 1.0)
+        data = la.Trajectories(run.changed(q=run.q * factor) for run in data)
+    angles = [names[column] for column in moving if roles[column] != COORDINATE]
+    return data.unwrap(angles) if angles else data
+
+
+def _only(roles: Mapping[str, str], role: str) -> str | None:
+    found = [column for column, given in roles.items() if given == role]
+    if len(found) > 1:
+        raise InputError(f"{found[0]!r} and {found[1]!r} are both marked as {role}; choose one")
+    return found[0] if found else None
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return float("nan")
+
+
+def _word(column: str) -> str:
+    return re.sub(r"\W+", "_", unicodedata.normalize("NFKC", column).strip().lower()).strip("_")
+
+
+def _guess_time(columns: Columns) -> str | None:
+    named = [c for c in columns.header if _word(c) in _TIMES]
+    named += [c for c in columns.header if _word(c).startswith(("time", "t_")) and c not in named]
+    rising = [c for c in columns.header if _rises(columns.numbers(c)) and _word(c) not in _IGNORED]
+    return next(iter([*named, *rising[:1]]), None)
+
+
+def _rises(values: np.ndarray | None) -> bool:
+    return values is not None and values.size > 2 and bool((np.diff(values) > 0).all())
+
+
+def _is_rate(word: str) -> bool:
+    return word.endswith(_RATES) or word.startswith(_RATE_STARTS)
+
+
+def _is_force(word: str) -> bool:
+    return word.endswith("_force") or re.sub(r"[\d_].*$", "", word) in _FORCES
+
+
+def _driven(column: str, moving: Sequence[str], place: int) -> str | None:
+    """The coordinate that a force column probably belongs to: by name, by number, by place."""
+    word = _word(column)
+    by_name = [
+        c for c in moving if len(_word(c)) > 0 and re.search(rf"(^|_){re.escape(_word(c))}(_|$)", word)
+    ]
+    if by_name:
+        return by_name[0]
+    number = re.search(r"\d+", word)
+    if number:
+        same = [c for c in moving if re.findall(r"\d+", _word(c))[:1] == [number[0]]]
+        return same[0] if same else None
+    return moving[place] if place < len(moving) else None

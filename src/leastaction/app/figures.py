@@ -1,0 +1,85 @@
+"""Figures of the pages: inline SVG in the colours of the style sheet, for wide and for narrow windows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+from typing import TYPE_CHECKING
+
+from markupsafe import Markup
+
+from leastaction.report.axes import Axes
+from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
+from leastaction.report.series import legible_samples, thin_line, thin_points
+
+if TYPE_CHECKING:
+    from leastaction import Trajectory
+    from leastaction.app.jobs import Motion
+    from leastaction.app.path import Walk
+    from leastaction.curve.motion import SmoothMotion
+
+__all__ = ["data_figure", "forecast_figure", "walk_figure"]
+
+_numbers = count()
+
+
+def _both(
+    draw: Callable[[tuple[float, float]], Axes],
+    wide: tuple[float, float],
+    narrow: tuple[float, float],
+    title: str,
+    alt: str,
+) -> Markup:
+    """The same figure in two shapes, of which the style sheet shows one: text keeps its size."""
+    parts = []
+    for name, size in (("wide", wide), ("narrow", narrow)):
+        svg = draw(size).svg(f"figure{next(_numbers)}", title, alt)
+        parts.append(f'<div class="{name}">{svg}</div>')
+    return Markup("".join(parts))
+
+
+def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str, unit: str) -> Markup:
+    """Samples of a coordinate as dots, with the smoothing spline as a line once it is there."""
+
+    def draw(size: tuple[float, float]) -> Axes:
+        axes = Axes(size)
+        if smooth is None:
+            axes.dots(*thin_points(run.t, run.q[:, i]), "measured", 2.8)
+        else:
+            t, q, quiet = legible_samples(run.t, run.q[:, i], float(smooth.noise_std[i]))
+            axes.dots(t, q, "measured", 4.2 if quiet else 2.8, above=quiet)
+            axes.line(*thin_line(smooth.t, smooth.q[:, i], 1400), "fit", 1.4)
+        axes.label("t", name, "s", unit)
+        return axes
+
+    line = ", the smoothing spline as a line" if smooth is not None else ""
+    return _both(draw, (1080, 190), (350, 200), f"{name} over time", f"samples as dots{line}")
+
+
+def forecast_figure(motion: Motion, i: int, noise_std: float, name: str, unit: str) -> Markup:
+    """Measured samples of a coordinate and the free run of the model."""
+
+    def draw(size: tuple[float, float]) -> Axes:
+        axes = Axes(size)
+        draw_forecast(axes, motion.t, motion.measured[:, i], motion.forecast[:, i], noise_std)
+        axes.label("t", name, "s", unit)
+        return axes
+
+    alt = "measured samples as dots, the forecast as a line"
+    return _both(draw, (560, 210), (350, 200), f"forecast of {name}", alt)
+
+
+def walk_figure(walk: Walk, place: int) -> Markup:
+    """What each size costs: the criterion and the misfit, the chosen structure, and where one stands."""
+
+    def draw(size: tuple[float, float]) -> Axes:
+        axes = path_axes(size)
+        axes.column(walk.points[place].n_terms, 14.0)
+        draw_path(axes, walk.points)
+        axes.label("number of free terms", "worse than chosen by")
+        return axes
+
+    alt = (
+        "Criterion and misfit of the best structure of each size; the chosen one and the one shown are marked"
+    )
+    return _both(draw, (560, 260), (350, 240), "Number of terms against misfit", alt)

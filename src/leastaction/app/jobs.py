@@ -1,0 +1,111 @@
+"""What runs in the process of the worker: a discovery, and forecasts of its model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leastaction.app.candidates import Task
+from leastaction.errors import DataError, InputError
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel, Trajectories
+    from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["Found", "Motion", "search"]
+
+_LONGEST = 20.0  # seconds of a forecast that is shown
+_SHARE = 0.6  # of a trial
+_FRAMES = 1500
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One long forecast beside the measurement.
+
+    Attributes
+    ----------
+    trial : str
+    held_out : bool
+        Whether the trial took no part in the fit.
+    t, measured, forecast : arrays, shapes (n_times,), (n_times, n_dof), (n_times, n_dof)
+        NaN where nothing was measured, and where the forecast has diverged.
+    valid_time : float
+        Seconds until the forecast is off by more than the tolerance.
+    note : str
+        Why there is no forecast to the end; empty if there is.
+    """
+
+    trial: str
+    held_out: bool
+    t: np.ndarray
+    measured: np.ndarray
+    forecast: np.ndarray
+    valid_time: float
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A model and what the page shows of it."""
+
+    model: LagrangianModel
+    validation: ForecastResult | None
+    motion: Motion | None
+    motion_fault: str = ""
+
+
+def search(progress: Callable[[str, dict], None], task: Task) -> Found:
+    """Discover a model and forecast with it."""
+    import leastaction as la
+
+    task = task.shifted()
+    model = la.discover(
+        task.fitted,
+        task.library,
+        task.known,
+        force_offset=task.forces.offsets,
+        prescribed=task.forces.prescribed,
+        relevance=task.relevance,
+        progress=lambda s, d: progress(s, _plain(d)),
+    )
+    progress("forecast", {})
+    validation = None
+    if task.held_out is not None:
+        try:
+            validation = model.validate(task.held_out)
+        except (InputError, DataError):
+            validation = None  # trials too short for one: the model is no worse for that
+    try:
+        motion, fault = _motion(model, task), ""
+    except (InputError, DataError) as error:
+        motion, fault = None, str(error)
+    return Found(model, validation, motion, fault)
+
+
+def _motion(model: LagrangianModel, task: Task) -> Motion:
+    data: Trajectories = task.fitted if task.held_out is None else task.held_out
+    longest = max(run.duration for run in data)
+    place = next(k for k, run in enumerate(data) if run.duration > 0.99 * longest)
+    run = data.select(place)
+    result = model.validate(run, horizon=min(_SHARE * run.duration, _LONGEST))
+    trace = result.traces[0]
+    step = -(-trace.t.size // _FRAMES)
+    keep = slice(None, None, step)
+    return Motion(
+        data.names[place],
+        task.held_out is not None,
+        trace.t[keep],
+        trace.measured[keep],
+        trace.forecast[keep],
+        trace.valid_time,
+        trace.reason,
+    )
+
+
+def _plain(details: dict) -> dict:
+    """Numbers only: what else a stage may report need not travel."""
+    return {k: float(v) for k, v in details.items() if isinstance(v, (int, float, np.number))}

@@ -1,0 +1,275 @@
+"""Third step: the discovery while it runs, and what it found."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from nicegui import html, ui
+
+from leastaction.app.figures import forecast_figure
+from leastaction.app.motion import frames, is_pendulum
+from leastaction.app.parts import action, aside, drawn, fault, math, panel, say, title
+from leastaction.app.session import in_words
+from leastaction.app.stick import Stick
+from leastaction.app.walk_view import WalkPanel
+from leastaction.report.mathml import Notation
+from leastaction.report.tables import coefficient_groups
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel
+    from leastaction.app.jobs import Found
+    from leastaction.app.page import Page
+
+__all__ = ["show"]
+
+_STAGES = {
+    "": "Starting",
+    "prepare": "Preparing the data and the candidates",
+    "search": "Searching for structures on the weak form",
+    "select": "Choosing terms",
+    "knots": "Refining the spline",
+    "coarse": "Comparing with a coarser spline",
+    "confirm": "Confirming on the whole recording",
+    "drift": "Following drifting forces",
+    "verify": "Verifying",
+    "forecast": "Forecasting",
+}
+_MOST_DRAWN = 4
+
+
+def show(page: Page) -> None:
+    """Fill the view."""
+    session = page.session
+    session.collect()
+    if session.found:
+        ResultView(page).build()
+    elif session.job is not None and session.job.state == "running":
+        Running(page).build()
+    else:
+        _ended(page)
+
+
+def stage_words(stage: str, details: dict) -> str:
+    """What is being done, in words.
+
+    Examples
+    --------
+    >>> stage_words("select", {"terms": 5.0, "evidence": 12.0})
+    'Choosing terms: 5 so far'
+    """
+    text = _STAGES.get(stage, stage)
+    if "terms" in details:
+        text += f": {int(details['terms'])} so far"
+    elif "knots_per_second" in details:
+        text += f": {details['knots_per_second']:.0f} knots per second"
+    return text
+
+
+class Running:
+    """Stage, terms and seconds of a discovery, and the button that ends it."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+
+    def build(self) -> None:
+        title("Searching", "h1")
+        with panel("running"):
+            ui.linear_progress(show_value=False).props("indeterminate rounded").classes("bar")
+            with html.div().classes("now").props("role=status"):
+                self.stage = say("", "stage")
+                self.seconds = say("", "seconds")
+            self.past = html.ol().classes("past")
+            action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")
+        self._count = 0
+        self.timer = ui.timer(0.2, self.page.guarded(self._follow))
+
+    def _follow(self) -> None:
+        job = self.page.session.job
+        if job is None or job.state != "running":
+            self.timer.deactivate()
+            self.page.show("result")
+            return
+        self.stage.text = stage_words(job.stage, job.details)
+        self.seconds.text = f"{job.seconds:.0f} s"
+        stages = list(job.stages)
+        for (name, began), (_, ended) in pairwise(stages[self._count :]):
+            with self.past:
+                say(f"{_STAGES.get(name, name)}: {ended - began:.1f} s", "", "li")
+            self._count += 1
+
+    def _cancel(self) -> None:
+        self.timer.deactivate()
+        self.page.session.stop()
+        self.page.show("result")
+
+
+def _ended(page: Page) -> None:
+    """A discovery that gave nothing: cancelled, failed, or never begun."""
+    job = page.session.job
+    with panel():
+        if job is not None and job.state == "failed":
+            title("No model", "h1")
+            fault(in_words(job.message, page.session.folder))
+        elif job is not None and job.state == "cancelled":
+            title("Cancelled", "h1")
+            say(f"Stopped after {job.seconds:.0f} s. Data and candidates are as they were.")
+        else:
+            title("Nothing found yet", "h1")
+            say("Choose the candidates and start the search.")
+        with html.div().classes("next"):
+            back = page.guarded(lambda _=None: page.show("candidates"))
+            action("Back to the candidates", back, "main", "back")
+
+
+class ResultView:
+    """The model that is shown; it follows the place on the trade-off curve."""
+
+    def __init__(self, page: Page) -> None:
+        self.page, self.session = page, page.session
+
+    def build(self) -> None:
+        self.model = html.div().classes("stack follows")
+        with html.div().classes("halves uneven"):
+            self.table = panel("follows")
+            WalkPanel(self.page, self.refresh).build()
+        self.motion = html.div().classes("stack follows")
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Show the model of the present place."""
+        found = self.session.current
+        for box in (self.model, self.table, self.motion):
+            box.clear()
+        notation = Notation(found.model.coordinates)
+        with self.model:
+            self._formula(found.model, notation)
+        with self.table:
+            _coefficients(found.model, notation)
+        with self.motion:
+            self._forecast(found, notation)
+
+    def _formula(self, model: LagrangianModel, notation: Notation) -> None:
+        with html.div().classes("heading"):
+            with html.div():
+                say(self.session.title, "help")
+                title("The Lagrangian", "h1")
+            with html.div().classes("downloads"):
+                action("report.html", self.page.guarded(self._report), "plain", "report").props(
+                    "icon=download"
+                )
+                action("model.json", self.page.guarded(self._model), "plain", "model").props("icon=download")
+        _status(model)
+        with panel("equations"):
+            for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
+                if not terms:
+                    continue
+                with html.p().classes("formula"):
+                    say(f"{name} =", "name", "span")
+                    for k, term in enumerate(terms):
+                        note = "known" if term.known else ""
+                        math(
+                            notation.addend(
+                                term.expression, term.coefficient, term.standard_error, note, k == 0
+                            )
+                        )
+            if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
+                say("The root is dry friction, |velocity|, made smooth near rest.", "help")
+
+    def _forecast(self, found: Found, notation: Notation) -> None:
+        motion, model = found.motion, found.model
+        with panel():
+            title("Forecast")
+            if motion is None:
+                fault(f"There is no forecast: {in_words(found.motion_fault)}")
+                return
+            kind = "a trial that took no part in the fit" if motion.held_out else "a trial of the fit"
+            length = motion.t[-1] - motion.t[0]
+            holds = f"agrees for {motion.valid_time:.3g} s"
+            if motion.valid_time > 0.99 * length:
+                holds = "agrees to the end"
+            elif motion.valid_time <= 0:
+                holds = "is off from the start"
+            say(
+                f"The model runs freely for {length:.3g} s through {motion.trial or 'the data'}, {kind}; "
+                f"it {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
+            )
+            with html.p().classes("keys"):
+                say("measured", "key dots", "span")
+                say("forecast", "key line forecast", "span")
+            turning = is_pendulum(model.coordinates, self.session.angles)
+            with html.div().classes("halves" if turning else "stack"):
+                if turning:
+                    with html.div():
+                        data = frames(motion, model)
+                        Stick(data)
+                        say(_stick_words(model, data["down"]), "help")
+                self.figures = html.div().classes("figures" if turning else "figures side")
+        ui.timer(
+            0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
+        )
+
+    async def _draw(self, box: ui.element, found: Found, notation: Notation) -> None:
+        model, motion = found.model, found.motion
+        assert motion is not None
+        for i, name in enumerate(model.coordinates[:_MOST_DRAWN]):
+            unit = "rad" if name in self.session.angles else ""
+            noise = float(model.noise_std[i])
+            figure = await aside(forecast_figure, motion, i, noise, notation.text(name), unit)
+            if box.is_deleted:
+                return
+            with box:
+                drawn(figure, "figure")
+
+    async def _report(self) -> None:
+        text = await aside(self.session.write_report)
+        ui.download.content(text.encode(), "report.html", "text/html")
+
+    async def _model(self) -> None:
+        text = await aside(self.session.write_model)
+        ui.download.content(text.encode(), "model.json", "application/json")
+
+
+def _status(model: LagrangianModel) -> None:
+    if model.fit.status == "ok":
+        with html.p().classes("status ok"):
+            say("ok", "badge", "span")
+            say("None of the checks has failed: the equations hold along the data.", "", "span")
+        return
+    with html.div().classes("status doubtful"):
+        with html.p():
+            say("doubtful", "badge", "span")
+            say("Do not trust this model yet:", "", "span")
+        with html.ul():
+            for text in model.fit.warnings:
+                say(in_words(text), "", "li")
+
+
+def _coefficients(model: LagrangianModel, notation: Notation) -> None:
+    title("Coefficients")
+    with html.div().classes("scroll"), html.table():
+        with html.thead(), html.tr():
+            for text, side in (("term", ""), ("coefficient", "n"), ("95 % interval", "n"), ("z", "n")):
+                say(text, side, "th")
+        with html.tbody():
+            groups = coefficient_groups(model, notation)
+            for symbol, row in [(group["symbol"], row) for group in groups for row in group["rows"]]:
+                with html.tr().classes("known" if row["known"] else ""):
+                    with html.td():
+                        math(row["term"])
+                        if symbol == "ψ":
+                            say("friction", "tag", "span")
+                    error = f" ± {row['error']}" if row["error"] else " (known)" if row["known"] else ""
+                    say(row["value"] + error, "n", "td")
+                    say(row["interval"], "n", "td")
+                    say(row["z"], "n", "td")
+    say("z is the coefficient over its standard error; above 4 a term is hardly chance.", "help")
+
+
+def _stick_words(model: LagrangianModel, down: bool) -> str:
+    parts = []
+    if model.n_dof == 2:
+        parts.append("Both links are drawn equally long: the data do not tell their lengths.")
+    if not down:
+        parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
+    return " ".join(parts)

@@ -1,0 +1,190 @@
+"""A process beside the server that computes, reports, and can be stopped at any moment.
+
+A discovery holds Python for seconds in one SciPy call, so a thread could neither be stopped nor leave the
+page alive. The process is kept for the next job, because importing SymPy and SciPy takes as long as a small
+discovery; only a cancelled one is replaced.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from leastaction.errors import DataError, InputError
+
+__all__ = ["Job", "Worker"]
+
+
+class Job:
+    """One piece of work and how far it is.
+
+    Attributes
+    ----------
+    state : {"running", "done", "failed", "cancelled"}
+    stage, details : str, dict
+        As the function last reported them.
+    stages : list of (str, float)
+        Stages so far with the time at which each began, in seconds from the start.
+    result : object
+        What the function returned, once done.
+    message : str
+        Why it failed: one line.
+    """
+
+    def __init__(self) -> None:
+        self.state = "running"
+        self.stage, self.details = "", {}
+        self.stages: list[tuple[str, float]] = []
+        self.result: Any = None
+        self.message = ""
+        self._began, self._ended = time.monotonic(), 0.0
+
+    @property
+    def seconds(self) -> float:
+        """How long it has run, or ran."""
+        return (self._ended or time.monotonic()) - self._began
+
+    def _report(self, stage: str, details: dict) -> None:
+        if stage != self.stage:
+            self.stages.append((stage, self.seconds))
+        self.stage, self.details = stage, details
+
+    def _end(self, state: str, result: Any = None, message: str = "") -> None:
+        if self.state == "running":
+            self.result, self.message, self._ended = result, message, time.monotonic()
+            self.state = state  # last: whoever sees it may read the rest
+
+
+class Worker:
+    """Runs one job at a time in a process of its own."""
+
+    def __init__(self) -> None:
+        self.job: Job | None = None
+        self._process: Any = None
+        self._pipe: Connection | None = None
+        self._lock = threading.Lock()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is running."""
+        return self.job is not None and self.job.state == "running"
+
+    def warm_up(self) -> None:
+        """Start the process, so that the first job does not wait for its imports."""
+        with self._lock:
+            self._ready()
+
+    def start(self, function: Callable[..., Any], *arguments: Any) -> Job:
+        """Run ``function(progress, *arguments)``; a job that still runs is cancelled first.
+
+        The function is one of a module (the process imports it), arguments and result can be pickled.
+        """
+        self.cancel()
+        with self._lock:
+            pipe = self._ready()
+            job = self.job = Job()
+            # Large arguments fill the pipe until the process has imported everything: not in our thread.
+            threading.Thread(target=self._follow, args=(job, pipe, function, arguments), daemon=True).start()
+        return job
+
+    def cancel(self) -> None:
+        """Stop the job that runs, if there is one; at once, whatever it is doing."""
+        with self._lock:
+            if self.busy:
+                assert self.job is not None
+                self.job._end("cancelled")
+                self._stop()
+
+    def close(self) -> None:
+        """Stop the process."""
+        self.cancel()
+        with self._lock:
+            self._stop()
+
+    def _ready(self) -> Connection:
+        if self._process is None or not self._process.is_alive():
+            # "spawn": a forked copy of a server with threads may hang.
+            context = multiprocessing.get_context("spawn")
+            self._pipe, theirs = context.Pipe()
+            self._process = context.Process(
+                target=_serve, args=(theirs,), daemon=True, name="leastaction-worker"
+            )
+            self._process.start()
+            theirs.close()
+        assert self._pipe is not None
+        return self._pipe
+
+    def _stop(self) -> None:
+        process, self._process = self._process, None
+        if process is not None:
+            process.kill()
+            process.join()
+
+    def _follow(self, job: Job, pipe: Connection, function: Callable[..., Any], arguments: tuple) -> None:
+        try:
+            pipe.send((function, arguments))
+            while job.state == "running":
+                kind, *rest = pipe.recv()
+                if kind == "progress":
+                    job._report(*rest)
+                elif kind == "done":
+                    job._end("done", result=rest[0])
+                else:
+                    job._end("failed", message=rest[0])
+        except (EOFError, OSError):
+            job._end("failed", message="the computation stopped unexpectedly, perhaps for want of memory")
+        except Exception as error:
+            # Pickling may fail in many ways; whatever it is, the page has to say so.
+            job._end("failed", message=explain(error))
+
+
+def _serve(pipe: Connection) -> None:
+    """Loop of the process: until the other end of the pipe has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
+    warnings.simplefilter("ignore")  # what a user can act on is in the model's own warnings
+    import leastaction.api
+    import leastaction.simulation.forecast  # noqa: F401
+
+    while True:
+        try:
+            function, arguments = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            result = function(lambda stage, details: pipe.send(("progress", stage, details)), *arguments)
+            pipe.send(("done", result))
+        except (BrokenPipeError, ConnectionError):
+            return
+        except Exception as error:
+            pipe.send(("failed", explain(error)))
+
+
+def explain(error: BaseException) -> str:
+    """Say in one line what went wrong.
+
+    Examples
+    --------
+    >>> explain(InputError("the file is empty"))
+    'the file is empty'
+    >>> explain(ZeroDivisionError("division by zero"))
+    'no model could be computed (ZeroDivisionError: division by zero); try other candidates'
+    """
+    if isinstance(error, (InputError, DataError)):
+        text = str(error)
+    elif isinstance(error, MemoryError):
+        text = "not enough memory for so many samples and candidates; use fewer of either"
+    elif isinstance(error, OSError):
+        text = f"{error.strerror or error}; check the disk and the rights to it"
+    elif isinstance(error, (ArithmeticError, np.linalg.LinAlgError)):
+        text = f"no model could be computed ({type(error).__name__}: {error}); try other candidates"
+    else:
+        text = f"a fault of leastaction itself: {type(error).__name__}: {error}; please report this"
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())

@@ -1,0 +1,248 @@
+"""``leastaction discover``: from data files to a model and its report."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from leastaction.cli.options import (
+    DataOptions,
+    blame,
+    check_known,
+    data_options,
+    expression_list,
+    force_offsets,
+    known_coefficients,
+    method_options,
+    name_list,
+)
+from leastaction.cli.output import check_folder, write_together
+from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn
+from leastaction.cli.text import counted, shown
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel, Library, Trajectories
+    from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["OUTPUTS", "command_line", "discover", "write_outputs"]
+
+OUTPUTS = ("model.json", "report.html")
+
+_EPILOG = """\b
+Example:
+  leastaction discover run.csv --coordinates theta1,theta2 --angles theta1,theta2 \\
+    --known "cos(theta1)=9.81" --dissipation "theta1_dot**2/2" --hold-out 1 --output found
+"""
+
+
+@click.command(epilog=_EPILOG)
+@data_options(coordinates_required=True)
+@click.option(
+    "--library",
+    default="auto",
+    show_default=True,
+    metavar="FILE|auto",
+    help="Candidates for L: a text file with one expression a line, # starts a comment; "
+    "auto: what mechanical systems are usually made of.",
+)
+@click.option(
+    "--gyroscopic",
+    is_flag=True,
+    help="With --library auto: also candidates linear in the velocities (spinning rotors, rotating frames, "
+    "charges in magnetic fields).",
+)
+@click.option(
+    "--known",
+    multiple=True,
+    metavar="EXPR=VALUE",
+    help="A coefficient that is known; may be given several times. Without known forces, one is needed.",
+)
+@click.option(
+    "--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'."
+)
+@click.option(
+    "--force-offset",
+    metavar="A,B|A=SECONDS",
+    help="Coordinates on which an unknown force may act, the bias of an actuator or sensor: constant, or "
+    "changing within so many seconds.",
+)
+@click.option(
+    "--prescribed",
+    metavar="A,B",
+    help="Coordinates that are measured but moved by forces nobody measured, such as a trolley under its "
+    "drive: their equations are not used.",
+)
+@click.option(
+    "--keep-outliers",
+    is_flag=True,
+    help="Fit samples that are far off the motion, too; otherwise they are left out and counted.",
+)
+@click.option(
+    "--method",
+    default="gauss-newton",
+    show_default=True,
+    metavar="NAME",
+    help="How to fit: gauss-newton, or adam, the paper's own method, for comparison.",
+)
+@click.option(
+    "--option",
+    "settings",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="A setting of --method adam, e.g. threshold=0.05; may be given several times.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the simulated noise that the search weighs supports with.",
+)
+@click.option(
+    "--hold-out",
+    metavar="N|NAMES",
+    help="The last N trials, or trials by name (a,b; with a comma behind a single name that is a number), "
+    "are not fitted but forecast in the report.",
+)
+@click.option("--output", required=True, metavar="DIR", help="Directory for model.json and report.html.")
+@click.pass_context
+def discover(
+    ctx: click.Context,
+    data: Callable[..., DataOptions],
+    library: str,
+    gyroscopic: bool,
+    known: tuple[str, ...],
+    dissipation: str | None,
+    force_offset: str | None,
+    prescribed: str | None,
+    keep_outliers: bool,
+    method: str,
+    settings: tuple[str, ...],
+    seed: int,
+    hold_out: str | None,
+    output: str,
+) -> None:
+    """Find the Lagrangian behind measured coordinates.
+
+    DATA are CSV, Parquet, NPZ or MAT files, or ROS 2 bags. Writes DIR/model.json and DIR/report.html
+    and prints the table of terms. A model that does not hold is written too, marked as doubtful.
+    """
+    folder = check_folder(output, OUTPUTS)
+    with blame("--option"):
+        chosen = method_options(settings)
+    options = data()
+    with blame("--force-offset"):
+        offsets = force_offsets(force_offset) if force_offset else ()
+    with blame("--known"):
+        given = known_coefficients(known)
+    fitted, held_out = _split(options.read(), hold_out)
+    candidates = _library(library, gyroscopic, options, dissipation)
+    with blame("--known"):
+        check_known(given, candidates)
+    if not given and not fitted.driven:
+        raise InputError(
+            "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
+            f'coefficient, which sets the units of L, e.g. --known "{candidates[0].text}=1", or --forces'
+        )
+    import leastaction
+
+    with live_progress("prepare") as progress:
+        model = leastaction.discover(
+            fitted,
+            candidates,
+            known=given,
+            force_offset=offsets,
+            prescribed=name_list(prescribed) if prescribed else (),
+            robust=not keep_outliers,
+            method=method,
+            seed=seed,
+            options=chosen,
+            progress=progress,
+        )
+        progress("forecast", {})
+        forecast = _forecast(model, held_out)
+        progress("report", {})
+        write_outputs(folder, model, forecast, command_line(ctx))
+    show_model(model)
+    if forecast is not None:
+        say()
+        show_forecast(forecast)
+    say()
+    for name in OUTPUTS:
+        say(f"{name.partition('.')[0]}: {shown(folder / name)}")
+
+
+def write_outputs(
+    folder: Path, model: LagrangianModel, forecast: ForecastResult | None, command: str
+) -> None:
+    """Write model.json and report.html, both or none."""
+    from leastaction import write_report
+
+    write_together(
+        folder,
+        {
+            "model.json": model.save,
+            "report.html": lambda path: write_report(model, path, validation=forecast, command=command),
+        },
+    )
+
+
+def command_line(ctx: click.Context) -> str:
+    """Return the command as it could be typed again."""
+    return shlex.join(["leastaction", *(ctx.find_root().obj or [])])
+
+
+def _library(source: str, gyroscopic: bool, options: DataOptions, dissipation: str | None) -> Library:
+    from leastaction import Library
+
+    if gyroscopic and source != "auto":
+        raise InputError("--gyroscopic goes with --library auto; write the terms into the file, e.g. x*y_dot")
+    with blame("--library"):
+        if source == "auto":
+            library = Library.mechanical(options.names, options.angles, gyroscopic=gyroscopic)
+        else:
+            library = Library.from_file(source, options.names, angles=options.angles)
+    if dissipation is None:
+        return library
+    with blame("--dissipation"):
+        return library.with_dissipation(expression_list(dissipation))
+
+
+def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectories, Trajectories | None]:
+    """Trials to fit, and trials to forecast."""
+    if hold_out is None:
+        return trajectories, None
+    with blame("--hold-out"):
+        text = hold_out.strip()
+        if text.isascii() and text.isdigit():
+            count = int(text[:9])
+            last = trajectories.names[len(trajectories) - count :] if 0 < count < len(trajectories) else ()
+            if not last:
+                raise InputError(
+                    f"{quoted(text)} of {counted(len(trajectories), 'trial')}; hold out at least 1 and leave "
+                    "at least 1 to fit"
+                )
+            held = trajectories.select(last)
+        else:
+            held = trajectories.select([name.strip() for name in text.removesuffix(",").split(",")])
+        rest = [name for name in trajectories.names if name not in held.names]
+        if not rest:
+            raise InputError("all trials are held out; leave at least 1 to fit")
+        return trajectories.select(rest), held
+
+
+def _forecast(model: LagrangianModel, held_out: Trajectories | None) -> ForecastResult | None:
+    if held_out is None:
+        return None
+    try:
+        return model.validate(held_out)
+    except InputError as error:
+        # The model is found by now: no reason to lose it.
+        warn(f"no forecast of the trials held out: {error}")
+        return None

@@ -1,0 +1,64 @@
+"""What becomes of errors: one line on stderr and an exit code, never a traceback."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+
+import click
+
+from leastaction.cli.text import in_options, one_line
+from leastaction.errors import DataError, InputError
+
+__all__ = ["Interrupted", "give_up"]
+
+_NUMERICAL = ("LinAlgError", "FloatingPointError", "OverflowError", "ZeroDivisionError")
+
+
+class Interrupted(Exception):
+    """The user, or the reader of the output, has had enough."""
+
+    def __init__(self, code: int = 130) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def give_up(error: Exception) -> int:
+    """Tell the user what went wrong, and return the exit code.
+
+    With LEASTACTION_DEBUG=1 in the environment the traceback is shown as well.
+    """
+    if isinstance(error, Interrupted) and error.code != 130:
+        # Nobody reads on; without this Python complains when it flushes stdout at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return error.code
+    code, message = _explain(error)
+    if os.environ.get("LEASTACTION_DEBUG", "0") not in ("", "0"):
+        click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
+    click.secho(f"error: {one_line(message)}" if code != 130 else message, err=True, fg="red")
+    return code
+
+
+def _explain(error: Exception) -> tuple[int, str]:
+    name = type(error).__name__
+    if isinstance(error, (Interrupted, click.Abort)):
+        return 130, "interrupted: nothing was written"
+    if isinstance(error, click.UsageError):
+        where = error.ctx.command_path if error.ctx else "leastaction"
+        return 2, f"{error.format_message()} (see '{where} --help')"
+    if isinstance(error, click.ClickException):
+        return 2, error.format_message()
+    if isinstance(error, InputError):
+        return 2, in_options(str(error))
+    if isinstance(error, DataError):
+        return 1, in_options(str(error))
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename is not None else ""
+        return 2, f"{where}{error.strerror or error}; check the path and the rights to it"
+    if isinstance(error, MemoryError):
+        return 1, "not enough memory for so many samples and candidates; use fewer of either"
+    if name in _NUMERICAL:
+        return 1, f"no model could be computed from these data ({name}: {error}); try other candidates"
+    report = "please report this, with the command and LEASTACTION_DEBUG=1 for the traceback"
+    return 70, f"a fault of leastaction itself: {name}: {error}; {report}"

@@ -1,0 +1,135 @@
+"""``leastaction generate``: recordings of systems whose Lagrangian is known."""
+
+from __future__ import annotations
+
+import shlex
+from typing import TYPE_CHECKING
+
+import click
+
+from leastaction.cli.options import blame, number
+from leastaction.cli.output import check_file
+from leastaction.cli.show import say
+from leastaction.cli.text import counted, shown
+from leastaction.errors import InputError
+
+if TYPE_CHECKING:
+    from leastaction.systems import MechanicalSystem
+
+__all__ = ["FURTHER", "SYSTEMS", "generate"]
+
+# As leastaction.systems.names(), which would take a second to import for --help.
+SYSTEMS = (
+    "single_pendulum",
+    "double_pendulum",
+    "spherical_pendulum",
+    "chaotic_pendulum",
+    "cart_spring_pendulum",
+    "spherical_spring_pendulum",
+    "magnetic_pendulum",
+)
+# As leastaction.systems.further_names().
+FURTHER = (
+    "triple_pendulum",
+    "robot_arm",
+    "rotary_pendulum",
+    "elastic_pendulum_cart",
+    "spring_chain",
+    "toda_chain",
+    "double_well",
+    "henon_heiles",
+    "kepler_orbit",
+    "morse_molecule",
+)
+
+_MAX_SAMPLES = 5_000_000
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction generate double_pendulum --noise 0.05 --trials 3 -o double.csv
+"""
+)
+@click.argument("system", metavar="SYSTEM")
+@click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Level of the noise.")
+@click.option(
+    "--noise-convention",
+    type=click.Choice(["relative", "absolute"]),
+    default="relative",
+    show_default=True,
+    help="LEVEL times the standard deviation of each coordinate, or in its unit.",
+)
+@click.option("--trials", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Trajectories.")
+@click.option("--duration", default="20", show_default=True, metavar="SECONDS", help="Of each trajectory.")
+@click.option("--rate", default="100", show_default=True, metavar="HZ", help="Samples a second.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same data."
+)
+@click.option(
+    "--missing", default="0", show_default=True, metavar="FRACTION", help="Samples left out at random."
+)
+@click.option("--irregular", is_flag=True, help="Sample at irregular times.")
+@click.option("-o", "--output", required=True, metavar="FILE", help="CSV file to write.")
+def generate(
+    system: str,
+    noise: str,
+    noise_convention: str,
+    trials: int,
+    duration: str,
+    rate: str,
+    seed: int,
+    missing: str,
+    irregular: bool,
+    output: str,
+) -> None:
+    """Make noisy recordings of a system whose Lagrangian is known.
+
+    SYSTEM is one of single_pendulum, double_pendulum, spherical_pendulum (driven), chaotic_pendulum,
+    cart_spring_pendulum, spherical_spring_pendulum and magnetic_pendulum (free); or one of the further
+    systems triple_pendulum, robot_arm, rotary_pendulum, double_well (driven), elastic_pendulum_cart,
+    spring_chain, toda_chain, henon_heiles, kepler_orbit and morse_molecule (free).
+    """
+    file = check_file(output)
+    values = {}
+    texts = {"--noise": noise, "--duration": duration, "--rate": rate, "--missing": missing}
+    for option, text in texts.items():
+        with blame(option):
+            values[option] = number(text)
+    if abs(trials * values["--duration"] * values["--rate"]) > _MAX_SAMPLES:
+        raise InputError(
+            f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less"
+        )
+    from leastaction import systems
+    from leastaction.io import write_csv
+
+    source = systems.get(system)
+    data = systems.generate(
+        source,
+        noise=values["--noise"],
+        noise_convention=noise_convention,
+        trials=trials,
+        duration=values["--duration"],
+        rate=values["--rate"],
+        seed=seed,
+        missing=values["--missing"],
+        irregular=irregular,
+    )
+    write_csv(file, data)
+    trials_made = counted(len(data), "trial")
+    say(f"{trials_made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")
+    say(f"next: {_next_command(source, output)}")
+
+
+def _next_command(system: MechanicalSystem, path: str) -> str:
+    names = ",".join(system.coordinates)
+    words = ["leastaction", "discover", path, "--coordinates", names]
+    if system.forcing is not None:
+        words += ["--forces", ",".join(f"{name}_force" for name in system.coordinates)]
+    if system.angles:
+        words += ["--angles", ",".join(system.angles)]
+    for expression, value in system.known.items():
+        words += ["--known", f"{expression}={value:.12g}"]
+    if system.dissipation:
+        words += ["--dissipation", ", ".join(system.dissipation)]
+    return shown(shlex.join([*words, "--output", "found"]))

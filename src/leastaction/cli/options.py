@@ -1,0 +1,353 @@
+"""Reads the values of options: lists, columns, numbers, and expressions with a value."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial, wraps
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from leastaction.cli.show import warn
+from leastaction.errors import DataWarning, InputError
+from leastaction.identifiers import quoted
+
+if TYPE_CHECKING:
+    from leastaction import Library, Trajectories
+
+__all__ = [
+    "DataOptions",
+    "assignments",
+    "blame",
+    "check_known",
+    "column_map",
+    "data_options",
+    "expression_list",
+    "force_offsets",
+    "known_coefficients",
+    "method_options",
+    "name_list",
+    "number",
+]
+
+_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
+
+
+@contextmanager
+def blame(option: str) -> Iterator[None]:
+    """Begin the text of an InputError with the option at fault."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{option}: {error}") from None
+
+
+def number(text: str) -> float:
+    """Return a finite number; only plain decimal notation counts.
+
+    Raises
+    ------
+    InputError
+    """
+    text = text.strip()
+    value = float(text) if len(text) <= 100 and _NUMBER.fullmatch(text) else math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{quoted(text)} is not a finite number; write it as 9.81 or 1e-3")
+    return value
+
+
+def name_list(text: str) -> list[str]:
+    """Return the parts of ``a,b``, of which none may be empty or occur twice."""
+    names = [part.strip() for part in text.split(",")]
+    for name in names:
+        if not name:
+            raise InputError(f"{quoted(text)} has an empty name; separate names by single commas, e.g. a,b")
+        if names.count(name) > 1:
+            raise InputError(f"{quoted(name)} is given twice")
+    return names
+
+
+def expression_list(text: str) -> list[str]:
+    """Return the expressions of ``"EXPR, EXPR"``: no expression has a comma in it."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(parts):
+        raise InputError(f"{quoted(text)} has an empty expression; separate expressions by single commas")
+    return parts
+
+
+def column_map(text: str) -> dict[str, str] | list[str]:
+    """Return ``a=column,b=other`` as a dictionary, ``a,b`` as a list whose parts may be empty."""
+    parts = [part.strip() for part in text.split(",")]
+    marked = ["=" in part for part in parts]
+    if not any(marked):
+        return parts
+    if not all(marked):
+        raise InputError(f"{quoted(text)} mixes 'name=column' with names alone; write all in one way")
+    out: dict[str, str] = {}
+    for part in parts:
+        name, column = (side.strip() for side in part.split("=", 1))
+        if not name or not column:
+            raise InputError(f"{quoted(part)} is incomplete; write name=column")
+        if name in out:
+            raise InputError(f"{quoted(name)} is given twice")
+        out[name] = column
+    return out
+
+
+def _pairs(texts: Iterable[str], form: str, *, last: bool = False) -> Iterator[tuple[str, str]]:
+    """Split texts at their first ``=`` (or last one) into two sides, neither empty, no left side twice."""
+    seen: set[str] = set()
+    for text in texts:
+        parts = text.rpartition("=") if last else text.partition("=")
+        name, equals, value = (side.strip() for side in parts)
+        if not name or not equals or not value:
+            raise InputError(f"{quoted(text)} is not of the form {form}")
+        if name in seen:
+            raise InputError(f"{quoted(name)} is given twice")
+        seen.add(name)
+        yield name, value
+
+
+def assignments(text: str) -> dict[str, float]:
+    """Return the numbers of ``"theta=1, theta_dot=0"``."""
+    out: dict[str, float] = {}
+    for name, value in _pairs((part.strip() for part in text.split(",")), "name=number, e.g. theta=1"):
+        with blame(name):
+            out[name] = number(value)
+    return out
+
+
+def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
+    """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
+    pairs = _pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
+    return {expression: number(value) for expression, value in pairs}
+
+
+def check_known(known: Iterable[str], library: Library) -> None:
+    """Refuse known terms that are candidates neither of L nor of friction."""
+    for expression in known:
+        try:
+            library.index(expression)
+        except InputError as error:
+            try:
+                library.index(expression, "dissipation")
+            except InputError:
+                raise error from None
+
+
+def force_offsets(text: str) -> dict[str, float]:
+    """Return ``"A,B=SECONDS"`` as coordinate -> seconds in which its force may change, infinite if constant.
+
+    >>> force_offsets("x, theta=5")
+    {'x': inf, 'theta': 5.0}
+    """
+    from leastaction.identifiers import check_coordinate_names
+
+    parts = [part.partition("=") for part in name_list(text)]
+    names = check_coordinate_names([name.strip() for name, _, _ in parts])
+    seconds = [number(value) if sign else math.inf for _, sign, value in parts]
+    return dict(zip(names, seconds, strict=True))
+
+
+def method_options(texts: Iterable[str]) -> dict[str, object] | None:
+    """Return ``NAME=VALUE`` texts as name -> number, truth value or text; None without any."""
+    out: dict[str, object] = {}
+    for name, value in _pairs(texts, "NAME=VALUE, e.g. threshold=0.05"):
+        if value.lower() in ("true", "false"):
+            out[name] = value.lower() == "true"
+        else:
+            out[name] = number(value) if _NUMBER.fullmatch(value) else value
+    return out or None
+
+
+@dataclass(frozen=True)
+class DataOptions:
+    """Where the data are: files, and which columns mean what."""
+
+    paths: tuple[str, ...]
+    coordinates: dict[str, str]
+    time: str
+    trial: str | None
+    forces: dict[str, str]
+    angles: tuple[str, ...]
+    velocities: dict[str, str] = field(default_factory=dict)
+    accelerations: dict[str, str] = field(default_factory=dict)
+    force_delay: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        data: Sequence[str],
+        coordinates: str | None,
+        time: str,
+        trial: str | None,
+        forces: str | None,
+        angles: str | None,
+        default: Sequence[str] = (),
+        velocity: Sequence[str] = (),
+        acceleration: Sequence[str] = (),
+        force_delay: str | None = None,
+    ) -> DataOptions:
+        """Check the texts of the options; `default` are the coordinates where none are given."""
+        from leastaction.identifiers import check_coordinate_names
+
+        with blame("--coordinates"):
+            columns = _by_name(coordinates) if coordinates is not None else {c: c for c in default}
+            names = check_coordinate_names(columns)
+        columns = dict(zip(names, columns.values(), strict=True))
+        with blame("--angles"):
+            turning = check_coordinate_names(name_list(angles)) if angles else ()
+            _check_are_coordinates(turning, names)
+        with blame("--forces"):
+            driving = _force_columns(forces, names) if forces else {}
+        rates = []
+        for option, texts in (("--velocity", velocity), ("--acceleration", acceleration)):
+            with blame(option):
+                rates.append(dict(_pairs(texts, "NAME=COLUMN, e.g. theta=gyro")))
+                _check_are_coordinates(rates[-1], names)
+        with blame("--force-delay"):
+            delay = 0.0 if force_delay is None else number(force_delay)
+            if delay and not driving:
+                raise InputError("there are no forces to shift; name their columns with --forces")
+        return cls(tuple(data), columns, time, trial, driving, turning, rates[0], rates[1], delay)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return tuple(self.coordinates)
+
+    def in_order_of(self, names: Sequence[str]) -> DataOptions:
+        """Return the same with the coordinates in another order."""
+        if sorted(names) != sorted(self.names):
+            raise InputError(
+                f"--coordinates: the model has {', '.join(names)}, not {', '.join(self.names)}; if the "
+                "columns have other names, write name=column"
+            )
+        ordered = {name: self.coordinates[name] for name in names}
+        return replace(self, coordinates=ordered)
+
+    def read(self) -> Trajectories:
+        """Read the files, and pass on what was done to the data."""
+        from leastaction.io import read
+
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("always", DataWarning)
+            data = read(
+                self.paths,
+                self.coordinates,
+                self.time,
+                self.forces or None,
+                self.trial,
+                self.angles,
+                self.velocities or None,
+                self.accelerations or None,
+            )
+        for item in caught:
+            warn(str(item.message))
+        if not self.force_delay:
+            return data
+        from leastaction.delay import shift_forces
+
+        with blame("--force-delay"):
+            return shift_forces(data, self.force_delay)
+
+
+def _by_name(text: str) -> dict[str, str]:
+    """Return coordinate -> column; a coordinate without ``=column`` has the name of its column."""
+    parts = [tuple(side.strip() for side in part.split("=", 1)) for part in text.split(",")]
+    names = name_list(",".join(part[0] for part in parts))
+    for part in parts:
+        if not part[-1]:
+            raise InputError(f"the column of {quoted(part[0])} is missing; write name=column")
+    return {name: part[-1] for name, part in zip(names, parts, strict=True)}
+
+
+def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:
+    given = column_map(text)
+    if isinstance(given, dict):
+        _check_are_coordinates(given, names)
+        return given
+    if len(given) > len(names):
+        raise InputError(
+            f"{len(given)} columns for {len(names)} coordinate(s) ({', '.join(names)}); give at most one each"
+        )
+    # An empty place is a coordinate that is not driven: ",tau2".
+    return {name: column for name, column in zip(names, given, strict=False) if column}
+
+
+def _check_are_coordinates(given: Iterable[str], names: Sequence[str]) -> None:
+    for name in given:
+        if name not in names:
+            raise InputError(f"{quoted(name)} is not a coordinate; the coordinates are {', '.join(names)}")
+
+
+_DATA_PARAMETERS = (
+    *("data", "coordinates", "time", "trial", "forces", "force_delay", "angles"),
+    *("velocity", "acceleration"),
+)
+
+
+def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator that adds the argument DATA and the options that say what its columns mean.
+
+    The command gets them as one parameter ``data``, a function that checks them: `DataOptions.of`, of which
+    only ``default`` may be left to give.
+    """
+    where = "" if coordinates_required else " By default those of the model."
+    decorators = (
+        click.argument("data", nargs=-1, required=True, metavar="DATA..."),
+        click.option(
+            "--coordinates",
+            required=coordinates_required,
+            metavar="A,B",
+            help=f"Columns that are the coordinates; name=column if the column has another name.{where}",
+        ),
+        click.option("--time", default="t", show_default=True, metavar="COLUMN", help="Times in seconds."),
+        click.option(
+            "--trial",
+            metavar="COLUMN",
+            help="Tells the trials apart; by default the column 'trial', if there is one.",
+        ),
+        click.option(
+            "--forces",
+            metavar="TAU1,TAU2",
+            help="Columns of the known generalised forces, for the coordinates in order; or a=tau1.",
+        ),
+        click.option(
+            "--force-delay",
+            metavar="SECONDS",
+            help="How much later the forces act than recorded; half a sampling interval if a controller "
+            "holds them between samples.",
+        ),
+        click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
+        click.option(
+            "--velocity",
+            multiple=True,
+            metavar="NAME=COLUMN",
+            help="A measured velocity, not differences, e.g. theta=gyro; may be given several times.",
+        ),
+        click.option(
+            "--acceleration",
+            multiple=True,
+            metavar="NAME=COLUMN",
+            help="A measured second derivative of a coordinate; may be given several times.",
+        ),
+    )
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_data(*args: Any, **given: Any) -> Any:
+            own = {name: given.pop(name) for name in _DATA_PARAMETERS}
+            return command(*args, data=partial(DataOptions.of, **own), **given)
+
+        for decorator in reversed(decorators):
+            with_data = decorator(with_data)
+        return with_data
+
+    return decorate

@@ -1,0 +1,188 @@
+"""What the commands print: tables, the model, a line that says what is going on."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from leastaction.cli.text import counted, in_options, one_line
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel
+    from leastaction.model.term import ModelTerm
+    from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["live_progress", "say", "show_forecast", "show_model", "show_table", "warn"]
+
+Rows = Sequence[Sequence[str]]
+
+_STAGES = {
+    "prepare": "preparing",
+    "search": "searching the weak form",
+    "select": "choosing terms",
+    "knots": "refining knots",
+    "coarse": "comparing with a coarser spline",
+    "confirm": "confirming on the whole recording",
+    "drift": "following drifting forces",
+    "descent": "descending",
+    "verify": "verifying",
+    "forecast": "forecasting",
+    "report": "writing the report",
+}
+
+_DETAILS: dict[str, Callable[[Any], str]] = {
+    "terms": lambda value: counted(int(value), "term"),
+    "evidence": "evidence {:.1f}".format,
+    "knots_per_second": "{:.0f} knots per second".format,
+}
+
+
+def say(text: str = "", **style) -> None:
+    """Print a line on stdout."""
+    click.secho(text, **style)
+
+
+def warn(text: str) -> None:
+    """Print a warning on stderr."""
+    click.secho(f"warning: {one_line(in_options(text))}", err=True, fg="yellow")
+
+
+@contextmanager
+def live_progress(stage: str) -> Iterator[Callable[[str, dict], None]]:
+    """Give a function that shows the stage and its numbers in one line of the terminal, if there is one."""
+    if not sys.stderr.isatty():
+        yield lambda stage, details: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(describe(stage, {}))
+        yield lambda stage, details: progress.update(task, description=describe(stage, details))
+
+
+def describe(stage: str, details: dict[str, Any]) -> str:
+    """Return a stage of `discover` and its numbers in words.
+
+    Examples
+    --------
+    >>> describe("select", {"terms": 5, "evidence": 1234.567})
+    'choosing terms: 5 terms, evidence 1234.6'
+    """
+    parts = [
+        _DETAILS.get(name, f"{name} {{}}".format)(value)
+        for name, value in details.items()
+        if not isinstance(value, float) or math.isfinite(value)
+    ]
+    return _STAGES.get(stage, stage) + (": " + ", ".join(parts) if parts else "")
+
+
+def show_table(rows: Rows, headings: Mapping[int, str] | None = None) -> None:
+    """Print a table whose first row is the header.
+
+    In a terminal that is wide enough for its numbers it is laid out to fit; elsewhere every row is one line
+    of plain text. `headings` maps the number of a row to a line before it.
+    """
+    if sys.stdout.isatty():
+        from rich.console import Console
+
+        console = Console(file=sys.stdout)
+        # Beside the first column, which folds, nothing may be cut: a number without its end is wrong.
+        numbers = sum(max(len(row[i]) for row in rows) + 2 for i in range(1, len(rows[0])))
+        if console.width >= numbers + 16:
+            console.print(_rich_table(rows, headings or {}))
+            return
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    for k, row in enumerate(rows):
+        if headings and k in headings:
+            say(headings[k])
+        say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _rich_table(rows: Rows, headings: Mapping[int, str]):
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
+    for i, name in enumerate(rows[0]):
+        table.add_column(Text(name), no_wrap=i > 0, overflow="fold")
+    for k, row in enumerate(rows[1:], start=1):
+        if k in headings:
+            table.add_row(Text(headings[k], style="italic"))
+        table.add_row(*(Text(cell) for cell in row))
+    return table
+
+
+def with_error(term: ModelTerm) -> str:
+    """Return a coefficient and its standard error, both to the second digit of the error."""
+    from leastaction.model.notation import rounded
+
+    value = rounded(term.coefficient, term.standard_error)
+    if term.known:
+        return f"{value} (known)"
+    if not term.standard_error > 0:
+        return value
+    return f"{value} ± {rounded(term.standard_error, term.standard_error)}"
+
+
+def show_model(model: LagrangianModel) -> None:
+    """Print Lagrangian, table, status, warnings, and what was left out before the fit."""
+    from leastaction.model.notation import plain_sum, rounded
+
+    say(f"L = {plain_sum(model.terms, model.expressions)}")
+    if model.dissipation:
+        say(f"psi = {plain_sum(model.dissipation, model.dissipation_expressions)}")
+    say()
+    rows = [("term", "coefficient", "95 % interval", "z")]
+    for term in (*model.terms, *model.dissipation):
+        ends = z = ""
+        if term.standard_error > 0:
+            ends = " … ".join(rounded(end, term.standard_error) for end in (term.lower, term.upper))
+            z = f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}"
+        rows.append((term.expression, with_error(term), ends, z))
+    show_table(rows, {len(model.terms) + 1: "friction, psi:"} if model.dissipation else None)
+    say()
+    show_fit(model)
+
+
+def show_fit(model: LagrangianModel) -> None:
+    """Print the status of the fit, its warnings, and what was done to library and data."""
+    doubtful = model.fit.status != "ok"
+    status = "DOUBTFUL" if doubtful else "ok"
+    color = "yellow" if doubtful else "green"
+    say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
+    for text in model.fit.warnings:
+        say(f"WARNING: {one_line(in_options(text))}", bold=True, fg="yellow")
+    if doubtful and not sys.stdout.isatty():
+        # Where stdout goes to a file, whoever started the command still has to see this.
+        warn(f"the fit is doubtful: {'; '.join(model.fit.warnings)}")
+    if model.diagnostics is None:
+        return
+    dropped = Counter(d.reason for d in model.diagnostics.dropped)
+    if dropped:
+        kinds = {"null": "without effect", "duplicate": "repeated", "dependent": "equal to others in effect"}
+        parts = ", ".join(f"{count} {kinds.get(reason, reason)}" for reason, count in dropped.items())
+        total = counted(sum(dropped.values()), "candidate")
+        say(f"left out before the fit: {total} ({parts}); the report names them")
+    for note in model.diagnostics.notes:
+        say(f"note: {one_line(in_options(note))}")
+
+
+def show_forecast(forecast: ForecastResult) -> None:
+    """Print the errors of forecasts."""
+    trials = counted(len(forecast.by_trial()), "trial")
+    say(
+        f"forecasts over {forecast.horizon:g} s: {counted(forecast.n_starts, 'start')} in {trials}, "
+        f"{forecast.n_diverged} diverged; within tolerance for {forecast.valid_time:.3g} s (median)"
+    )
+    show_table(forecast.format_rows())
+    for name, reason in forecast.skipped:
+        say(f"note: trial {one_line(name)} skipped, {reason}")

@@ -1,0 +1,184 @@
+"""``leastaction simulate``, ``validate`` and ``export``: what one does with a model file."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+
+import click
+
+from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
+from leastaction.cli.output import check_file
+from leastaction.cli.show import live_progress, say, show_forecast, warn
+from leastaction.cli.text import shown
+from leastaction.errors import DataError, InputError
+from leastaction.exporters.formats import FORMATS, check_format
+from leastaction.identifiers import quoted
+
+__all__ = ["export", "simulate", "validate"]
+
+_MAX_SAMPLES = 5_000_000
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction simulate found/model.json --initial "theta1=1, theta1_dot=0" --duration 10 --rate 100 -o run.csv
+"""
+)
+@click.argument("model", metavar="MODEL")
+@click.option(
+    "--initial",
+    required=True,
+    metavar="NAME=VALUE,...",
+    help="Coordinates and velocities at time 0; those not given are 0.",
+)
+@click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
+@click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
+@click.option("-o", "--output", required=True, metavar="FILE", help="CSV file: t, coordinates, velocities.")
+def simulate(model: str, initial: str, duration: str, rate: str, output: str) -> None:
+    """Simulate a model without external forces.
+
+    MODEL is a model.json of discover. If the motion cannot be followed to the end (it blows up, or the mass
+    matrix becomes singular), nothing is written; the message says when and why, and the exit code is 1.
+    """
+    import leastaction
+    from leastaction.io import write_bytes
+
+    file = check_file(output)
+    times = _sample_times(duration, rate)
+    found = leastaction.load(model)
+    with blame("--initial"):
+        q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
+    if found.fit.status != "ok":
+        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+    if found.prescribed:
+        names = ", ".join(found.prescribed)
+        warn(f"the motion of {names} was prescribed: it is uniform here; in Python, give its acceleration")
+    run = found.simulate(q0, qdot0, times)
+    if not run.complete:
+        raise DataError(
+            f"the motion stops: {run.reason}; nothing was written; with this start, "
+            f"choose a --duration below {run.stop_time:.3g}"
+        )
+    data = _csv(found.coordinates, run).encode()
+    write_bytes(file, gzip.compress(data, mtime=0) if file.suffix.lower() == ".gz" else data)
+    say(f"{len(run.t)} samples over {run.t[-1]:g} s: {shown(output)}")
+
+
+def _sample_times(duration: str, rate: str):
+    import numpy as np
+
+    values = []
+    for option, text in (("--duration", duration), ("--rate", rate)):
+        with blame(option):
+            value = number(text)
+            if value <= 0:
+                raise InputError(f"{quoted(text)} is not positive")
+            values.append(value)
+    length, frequency = values
+    if length * frequency > _MAX_SAMPLES:
+        raise InputError(f"--duration times --rate is more than {_MAX_SAMPLES} samples; choose less")
+    # A little more than the last interval, so that 0.3 s at 10 Hz are 4 samples; never beyond --duration.
+    count = int(length * frequency * (1 + 1e-12) + 1e-9) + 1
+    if count < 2:
+        raise InputError(
+            f"--duration {duration} at --rate {rate} has no second sample; choose more of either"
+        )
+    return np.arange(count) / frequency
+
+
+def _initial_state(given: dict[str, float], coordinates: tuple[str, ...]):
+    velocities = tuple(f"{name}_dot" for name in coordinates)
+    names = (*coordinates, *velocities)
+    for name in given:
+        if name not in names:
+            raise InputError(f"{quoted(name)} is not in the model; it has {', '.join(names)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        click.echo(f"note: {', '.join(missing)} not given in --initial: 0", err=True)
+    return [given.get(c, 0.0) for c in coordinates], [given.get(v, 0.0) for v in velocities]
+
+
+def _csv(coordinates: tuple[str, ...], run) -> str:
+    header = ",".join(["t", *coordinates, *(f"{name}_dot" for name in coordinates)])
+    rows = zip(run.t.tolist(), run.q.tolist(), run.qdot.tolist(), strict=True)
+    lines = (",".join(map(repr, [t, *q, *qdot])) for t, q, qdot in rows)
+    return "\n".join([header, *lines]) + "\n"
+
+
+@click.command(
+    short_help="Forecast measured trials with a model.",
+    epilog="""\b
+Example:
+  leastaction validate found/model.json other.csv --horizon 2 --json errors.json
+""",
+)
+@click.argument("model", metavar="MODEL")
+@data_options(coordinates_required=False)
+@click.option("--horizon", metavar="SECONDS", help="Length of the forecasts; by default about 1 s.")
+@click.option("--json", "json_file", metavar="FILE", help="Write the errors to a JSON file too.")
+def validate(
+    model: str,
+    data: Callable[..., DataOptions],
+    horizon: str | None,
+    json_file: str | None,
+) -> None:
+    """Forecast measured trials with a model, and print how far off it is.
+
+    MODEL is a model.json of discover. Forecasts start all along every trial, from the state that fits the
+    data just before best. The errors are given in the units of the coordinates, as they would be if the model
+    were exact, and over noise and standard deviation of the data.
+    """
+    import leastaction
+    from leastaction.io import write_text
+
+    file = None if json_file is None else check_file(json_file)
+    length = None
+    if horizon is not None:
+        with blame("--horizon"):
+            length = number(horizon)
+            if length <= 0:
+                raise InputError(f"{quoted(horizon)} is not positive")
+    found = leastaction.load(model)
+    trajectories = data(default=found.coordinates).in_order_of(found.coordinates).read()
+    with live_progress("forecast"):
+        result = found.validate(trajectories, length)
+    if found.fit.status != "ok":
+        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+    if file is not None:
+        write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    show_forecast(result)
+    if file is not None:
+        say(f"errors: {shown(file)}")
+
+
+_EXPORT_HELP = """Write a model for other programs.
+
+MODEL is a model.json of discover. What is written needs nothing of leastaction. The formats:
+
+\b
+""" + "\n".join(f"  {name:<8}{text}" for name, text in FORMATS.items())
+
+
+@click.command(
+    help=_EXPORT_HELP,
+    short_help="Write a model for other programs: C, MATLAB, FMU, ...",
+    epilog="""\b
+Example:
+  leastaction export found/model.json --format fmu3 --output pendulum.fmu
+""",
+)
+@click.argument("model", metavar="MODEL")
+@click.option("--format", "kind", required=True, metavar="FORMAT", help="One of the formats above.")
+@click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
+def export(model: str, kind: str, output: str) -> None:
+    """Write a model for other programs."""
+    import leastaction
+
+    with blame("--format"):
+        check_format(kind)
+    file = check_file(output)
+    leastaction.export(leastaction.load(model), kind, file)
+    say(f"{kind}: {shown(output)}")

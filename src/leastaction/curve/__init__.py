@@ -1,0 +1,1 @@
+"""The smooth curve through the samples: B-splines, smoothing, knots, outliers."""

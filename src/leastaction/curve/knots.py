@@ -1,0 +1,97 @@
+"""How many knots the motion asks for, and pieces of long recordings."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from leastaction.curve.bspline import uniform_grid
+from leastaction.curve.smoothing import Smooth, smooth
+from leastaction.data.trajectories import Trajectories
+
+__all__ = ["FEWEST_SAMPLES", "KNOTS_PER_RADIAN", "Knots", "excerpt", "lay_knots"]
+
+FEWEST_SAMPLES = 20
+KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
+_MOST_GRIDS = 6
+_KNOTS_SETTLED = 0.25
+_MOST_OVER_SLOWER = 3.5  # simulated motions ask for 1 to 3 times the knots of the derivative below
+_PIECES = 20  # at least so many pieces of a long recording are searched
+
+
+class Knots(NamedTuple):
+    """How fast the motion is, and the curve that was found on the way.
+
+    Attributes
+    ----------
+    per_second, coarse : float
+        Knots a second to begin with, and how few would still show the motion.
+    period : float
+        Of the fastest coordinate, in seconds.
+    smooth : Smooth
+    rates : (n_dof,) array
+        Root mean square.
+    """
+
+    per_second: float
+    coarse: float
+    period: float
+    smooth: Smooth
+    rates: np.ndarray
+
+
+def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
+    """Knots a second from the data's own time scale.
+
+    The knot spacing h follows the fastest coordinate: h · rms(d³q/dt³)/rms(d²q/dt²) = 1/4, found by
+    repeated smoothing; never finer than half a sampling interval.  It begins coarse, h · rms(dq/dt)/std(q) =
+    1/4, and stays near what rms(d²q/dt²)/rms(dq/dt) asks for: fine grids admit noise and vibration, whose
+    third derivative asks for finer grids still.
+    """
+    times = [t.t for t in trajectories]
+    values = [t.q for t in trajectories]
+    rate = 1.0 / trajectories.sampling_interval
+
+    def spread(nu: int) -> np.ndarray:
+        curves = smoothed.grid.evaluate(smoothed.control_points, times, nu)
+        return np.sqrt(
+            np.mean(
+                [np.mean((c - (c.mean(axis=0) if nu == 0 else 0.0)) ** 2, axis=0) for c in curves], axis=0
+            )
+        )
+
+    def knots_for(nu: int) -> float:
+        fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
+        return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
+
+    rates = trajectories.rates
+    smoothed = smooth(uniform_grid(times, rate / 5.0, degree), times, values, rates=rates)
+    coarse = knots = knots_for(0)
+    for _ in range(_MOST_GRIDS):
+        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
+        wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
+        if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
+            break
+        knots = wanted
+    else:
+        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
+    period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
+    return Knots(knots, coarse, period, smoothed, spread(1))
+
+
+def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
+    """Pieces spread evenly over long recordings, about ``n_samples`` in all; shorter ones come back whole."""
+    share = n_samples / trajectories.n_samples
+    if share >= 1.0:
+        return trajectories
+    most = max(FEWEST_SAMPLES, n_samples // (trajectories.n_dof * _PIECES))
+    pieces = []
+    for whole in trajectories:
+        for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
+            if np.isfinite(whole.q[rows]).sum(axis=0).min() >= FEWEST_SAMPLES:
+                pieces.append(whole.rows(rows).changed(name=""))
+    if not pieces:
+        return trajectories
+    count = min(len(pieces), max(1, round(share * len(pieces))))
+    return Trajectories([pieces[k] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)])

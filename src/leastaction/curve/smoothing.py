@@ -1,0 +1,253 @@
+"""Penalised B-spline smoothing with the penalty chosen by restricted maximum likelihood (REML).
+
+Each coordinate is modelled as a spline whose third derivative is white noise of unknown strength,
+seen through white measurement noise of unknown strength; both are estimated from the data
+(Wood 2011, J. R. Stat. Soc. B 73:3; Eilers & Marx 1996).  Banded throughout: the cost is linear in
+the number of samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.optimize import minimize_scalar
+
+from leastaction.curve.bspline import SplineGrid
+from leastaction.data.trajectories import Rate
+
+__all__ = ["Smooth", "banded_gram", "smooth"]
+
+_PENALTY_DERIVATIVE = 3
+_SMALLEST = 1e-6  # noise over range
+_LOG_STEP = 0.05
+_MOST_ROUNDS = 12
+_NEARLY_EXACT = 0.01  # noise over spread
+_SETTLED = 0.1  # relative change of the noise of a rate
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """Result of :func:`smooth`.
+
+    Attributes
+    ----------
+    grid : SplineGrid
+    control_points : (n_ctrl, n_dof) array
+    noise_std : (n_dof,) array
+        Estimated standard deviation of the measurement noise.
+    penalty : (n_dof,) array
+        Penalty κ chosen for ∫ (d³q/dt³)² dt, relative to 1/σ².
+    rate_std : (n_rates,) array
+        Estimated noise of the measured velocities and accelerations.
+    """
+
+    grid: SplineGrid
+    control_points: np.ndarray
+    noise_std: np.ndarray
+    penalty: np.ndarray
+    _designs: list[sp.csr_array]
+    _factors: list[np.ndarray]
+    rate_std: np.ndarray
+
+    def replicates(self, count: int, rng: np.random.Generator, floor: np.ndarray) -> list[np.ndarray]:
+        """Curves that the same smoothing gives for the smoothed curve measured again, with new noise.
+
+        The noise is at least ``floor``, (n_dof,).
+        """
+        noise_std = np.maximum(self.noise_std, floor)
+        out = []
+        for _ in range(count):
+            points = np.empty_like(self.control_points)
+            for i, (design, factor) in enumerate(zip(self._designs, self._factors, strict=True)):
+                clean = design @ np.ascontiguousarray(self.control_points[:, i])
+                again = clean + noise_std[i] * rng.standard_normal(clean.size)
+                points[:, i] = cho_solve_banded((factor, True), design.T @ again, check_finite=False)
+            out.append(points)
+        return out
+
+
+def _to_banded(matrix: sp.sparray, bandwidth: int) -> np.ndarray:
+    """Lower banded storage of a symmetric sparse matrix."""
+    coo = sp.coo_array(matrix)
+    row, col = coo.coords
+    below = row >= col
+    banded = np.zeros((bandwidth + 1, matrix.shape[0]))
+    np.add.at(banded, (row[below] - col[below], col[below]), coo.data[below])
+    return banded
+
+
+def banded_gram(design: sp.csr_array, bandwidth: int) -> np.ndarray:
+    """NᵀN in lower banded storage."""
+    return _to_banded(design.T @ design, bandwidth)
+
+
+def _penalty_matrix(grid: SplineGrid) -> sp.csr_array:
+    """∫ B‴ B‴ᵀ dt: exact, the integrand is a polynomial in each knot interval."""
+    nodes, weights = np.polynomial.legendre.leggauss(max(1, grid.degree - _PENALTY_DERIVATIVE + 1))
+    rows = []
+    scale = []
+    for space in grid.spaces:
+        width = np.diff(space.breakpoints)
+        x = space.breakpoints[:-1, None] + 0.5 * width[:, None] * (nodes + 1.0)
+        rows.append(space.basis(x.ravel(), _PENALTY_DERIVATIVE))
+        scale.append((0.5 * width[:, None] * weights).ravel())
+    basis = sp.csr_array(sp.block_diag(rows, format="csr"))
+    return sp.csr_array(basis.T @ (sp.diags_array(np.concatenate(scale)) @ basis))
+
+
+def smooth(
+    grid: SplineGrid,
+    times: list[np.ndarray],
+    values: list[np.ndarray],
+    penalty: np.ndarray | None = None,
+    rates: Sequence[Rate] = (),
+) -> Smooth:
+    r"""Smooth every coordinate of every trajectory; NaN samples are left out.
+
+    Parameters
+    ----------
+    grid : SplineGrid
+    times : list of (n_times,) arrays, one per trajectory
+    values : list of (n_times, n_dof) arrays
+    penalty : (n_dof,) array, optional
+        κ where it is known already; otherwise REML chooses it.
+    rates : sequence of Rate, optional
+        Measured velocities and accelerations, which the curve then follows too.
+
+    Returns
+    -------
+    Smooth
+
+    Notes
+    -----
+    With H(κ) = NᵀN + κD, n samples and M = 3 unpenalised directions a trajectory, κ minimises
+
+    .. math:: (n - M) \log \hat\sigma^2(\kappa) + \log|H(\kappa)| - (n_{ctrl} - M) \log\kappa .
+
+    A rate enters as more rows of N, scaled by the ratio of the positions' noise to its own, which is found by
+    the fixed point of :mod:`leastaction.estimation.weights`.
+    """
+    roughness = _to_banded(_penalty_matrix(grid), grid.degree)
+    design = grid.design(times)
+    stacked = np.concatenate(values)
+    n_dof = stacked.shape[1]
+    results, designs, rate_std = [], [], np.zeros(len(rates))
+    derivatives = {nu: grid.design(times, nu) for nu in {rate.derivative for rate in rates}}
+    for i in range(n_dof):
+        valid = np.isfinite(stacked[:, i])
+        rows, y = design if valid.all() else design[valid], stacked[valid, i]
+        kappa = None if penalty is None else float(penalty[i])
+        result = _smooth_one(rows, y, roughness, grid, kappa)
+        own = [k for k, rate in enumerate(rates) if rate.coordinate == i]
+        if own:
+            blocks = [(rows, y)]
+            for k in own:
+                values_k = np.concatenate(rates[k].values)
+                seen = np.isfinite(values_k)
+                blocks.append((sp.csr_array(derivatives[rates[k].derivative][seen]), values_k[seen]))
+            result, rows, rate_std[own] = _smooth_together(blocks, roughness, grid, kappa, result)
+        designs.append(rows)
+        results.append(result)
+    control, noise, chosen, factors = zip(*results, strict=True)
+    points = np.stack(control, axis=1)
+    return Smooth(grid, points, np.array(noise), np.array(chosen), designs, list(factors), rate_std)
+
+
+def _smooth_together(blocks, penalty: np.ndarray, grid: SplineGrid, kappa: float | None, result):
+    """Smooth positions and rates of one coordinate, (design, samples) each, positions first.
+
+    ``result`` is that of the positions alone. Returns what ``_smooth_one`` does, the scaled design, and the
+    noise of the rates: the more likely of what is found from noise as the positions alone have it, and from
+    rates that are nearly exact. Few positions can be interpolated, which the first would never give up.
+    """
+    alone = np.array([np.std(y - design @ result[0]) for design, y in blocks])
+    spread = np.maximum([np.std(y) for _, y in blocks], alone) + 1e-300  # a dead sensor shows nothing
+    alone[0] = result[1]
+    exact = spread * np.array([1.0] + [_NEARLY_EXACT] * (len(blocks) - 1))
+    grams = [banded_gram(design, grid.degree) for design, _ in blocks]
+    found = [
+        _settle_noise(blocks, grams, penalty, grid, kappa, start, _SMALLEST * spread)
+        for start in (alone, exact)
+    ]
+    return min(found, key=lambda f: f[0])[1:]
+
+
+def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, start, floors: np.ndarray):
+    """The fixed point from given noise; the criterion comes first, then as ``_smooth_together``."""
+    noise, sizes = np.maximum(start, floors), np.array([y.size for _, y in blocks])
+    for _ in range(_MOST_ROUNDS):
+        ratios = noise[0] / noise
+        rows = sp.csr_array(sp.vstack([c * d for c, (d, _) in zip(ratios, blocks, strict=True)], "csr"))
+        y = np.concatenate([c * y for c, (_, y) in zip(ratios, blocks, strict=True)])
+        result = coefficients, sigma, chosen, factor = _smooth_one(rows, y, penalty, grid, kappa)
+        whole = chosen * penalty + sum(c**2 * gram for c, gram in zip(ratios, grams, strict=True))
+        new = np.empty_like(noise)
+        for k, (design, samples) in enumerate(blocks):
+            used = _slope(whole, ratios[k] ** 2 * grams[k])
+            left = np.sum((samples - design @ coefficients) ** 2)
+            new[k] = max(np.sqrt(left / max(samples.size - used, 1.0)), floors[k])
+        change, noise = new / noise, new
+        if np.all(np.abs(np.log(change / change[0])) < _SETTLED):
+            break
+    n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
+    score = 2.0 * (max(y.size - n_null, 1) * np.log(sigma + 1e-300) - sizes @ np.log(ratios))
+    score += 2.0 * np.log(factor[0]).sum() - (grid.n_ctrl - n_null) * np.log(chosen)
+    return score, result, rows, sigma / ratios[1:]
+
+
+def _slope(whole: np.ndarray, part: np.ndarray) -> float:
+    """Derivative of log|H| in the logarithm of a factor of one of its parts: degrees of freedom used."""
+    both = []
+    for factor in (np.expm1(_LOG_STEP), np.expm1(-_LOG_STEP)):
+        moved = whole + factor * part
+        moved[0] *= 1.0 + 1e-13
+        both.append(2.0 * np.log(cholesky_banded(moved, lower=True, check_finite=False)[0]).sum())
+    return float(0.5 * (both[0] - both[1]) / _LOG_STEP)
+
+
+def _smooth_one(
+    design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid, kappa: float | None = None
+) -> tuple[np.ndarray, float, float, np.ndarray]:
+    gram = banded_gram(design, grid.degree)
+    moment = design.T @ y
+    n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
+    unit = gram[0].sum() / penalty[0].sum()
+    freedom = max(y.size - n_null, 1)
+
+    def solve(log_kappa: float):
+        kappa = unit * 10.0**log_kappa
+        banded = gram + kappa * penalty
+        # a gap longer than a knot interval leaves tiny pivots at small kappa
+        banded[0] *= 1.0 + 1e-13
+        factor = cholesky_banded(banded, lower=True, check_finite=False)
+        coefficients = cho_solve_banded((factor, True), moment, check_finite=False)
+        misfit = np.sum((y - design @ coefficients) ** 2)
+        rough = penalty[0] @ coefficients**2
+        for k in range(1, penalty.shape[0]):
+            rough += 2.0 * penalty[k, :-k] @ (coefficients[:-k] * coefficients[k:])
+        sigma2 = (misfit + kappa * max(rough, 0.0)) / freedom
+        logdet = 2.0 * np.log(factor[0]).sum()
+        score = freedom * np.log(sigma2 + 1e-300) + logdet - (grid.n_ctrl - n_null) * np.log(kappa)
+        return score, coefficients, sigma2, kappa, factor
+
+    def objective(log_kappa: float) -> float:
+        try:
+            return solve(log_kappa)[0]
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    if kappa is not None:
+        _, coefficients, sigma2, chosen, factor = solve(np.log10(kappa / unit))
+        return coefficients, float(np.sqrt(sigma2)), chosen, factor
+    coarse = np.linspace(-12.0, 4.0, 9)
+    scores = [objective(c) for c in coarse]
+    best = coarse[int(np.argmin(scores))]
+    found = minimize_scalar(
+        objective, bounds=(best - 2.0, best + 2.0), method="bounded", options={"xatol": 0.05}
+    )
+    _, coefficients, sigma2, chosen, factor = solve(found.x if found.fun <= min(scores) else best)
+    return coefficients, float(np.sqrt(sigma2)), chosen, factor

@@ -1,0 +1,91 @@
+"""What the estimator is given, arrays or trajectories, one or many, as `Trajectories`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.sparse import issparse
+
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+__all__ = ["gather", "one_each"]
+
+
+def gather(
+    q: Any, t: Any, forces: Any, coordinates: Sequence[str] | None, t_otherwise: Any = None
+) -> Trajectories:
+    """Decide what was given, once: everything behind this works on trajectories.
+
+    The arguments are those of `SparseLagrangian.fit`; `t_otherwise` takes the place of a `t` that is needed
+    and missing.
+
+    Raises
+    ------
+    InputError
+    """
+    runs, single = _runs(q)
+    if any(isinstance(run, Trajectory) for run in runs):
+        if not (t is None and forces is None):
+            raise InputError("a Trajectory has its own times and forces; give t and forces with arrays only")
+        return Trajectories(runs)
+    t = t_otherwise if t is None else t
+    if t is None:
+        raise InputError(
+            "t is missing; give the sampling interval in seconds, the times, or Trajectory objects, which "
+            "have their own (scikit-learn passes the t of fit on to score only if all trajectories share it)"
+        )
+    times = [t] if single else _each("t", t, len(runs))
+    pushes = [forces] if single else _each("forces", forces, len(runs))
+    return Trajectories(
+        Trajectory(_times(a, x), x, f, coordinates) for x, a, f in zip(runs, times, pushes, strict=True)
+    )
+
+
+def one_each(values: Any, shared: int = 1) -> bool:
+    """Whether there is an entry for each trajectory, rather than an array of `shared` axes for all."""
+    if isinstance(values, np.ndarray):
+        return values.ndim > shared or values.dtype == object
+    return isinstance(values, (list, tuple)) and any(v is None or np.ndim(v) > 0 for v in values)
+
+
+def _runs(q: Any) -> tuple[list[Any], bool]:
+    """One entry per trajectory, and whether it was a single array."""
+    if isinstance(q, Trajectory):
+        return [q], True
+    if not isinstance(q, (Trajectories, list, tuple)):
+        if issparse(q):
+            raise InputError(
+                "q is a sparse matrix; sparse data are not supported: expected an array of numbers"
+            )
+        q = np.asarray(q)
+        if np.iscomplexobj(q):
+            raise InputError("Complex data not supported: q must be real numbers")
+        if not (q.ndim == 3 or (q.dtype == object and q.ndim == 1)):
+            return [q], True
+    if len(q) == 0:
+        raise InputError("q is empty; expected an array of coordinates, or a sequence of them")
+    return list(q), False
+
+
+def _each(label: str, values: Any, count: int) -> list[Any]:
+    """One entry per trajectory: those given, or the same one for all."""
+    if not one_each(values, 1 if label == "t" else 2):
+        return [values] * count
+    if len(values) != count:
+        raise InputError(
+            f"{label} has {len(values)} entries for {count} trajectories; give one for each, or one array"
+        )
+    return list(values)
+
+
+def _times(t: Any, q: Any) -> Any:
+    if np.ndim(t) > 0:
+        return t
+    step = float(t) if np.asarray(t).dtype.kind in "fiu" else 0.0
+    if not 0.0 < step < np.inf:
+        raise InputError(f"t is {quoted(t)}; expected a positive sampling interval in seconds, or the times")
+    return step * np.arange(len(np.atleast_1d(q)))

@@ -1,0 +1,116 @@
+"""Data frames (pandas, polars, Arrow and others that narwhals knows) and Parquet files to a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral, Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leastaction.data.formats.atomic import read_bytes
+from leastaction.data.formats.layout import Layout, Table
+from leastaction.data.validation import FloatArray
+from leastaction.errors import InputError, MissingPackageError
+from leastaction.identifiers import quoted
+
+__all__ = ["frame_table", "read_parquet_table", "trial_name"]
+
+
+def frame_table(frame: Any, layout: Layout, source: str = "data frame") -> tuple[Layout, Table]:
+    """Take the columns of `layout` from a data frame.
+
+    Raises
+    ------
+    InputError
+        If `frame` is no data frame, lacks a column, or a column does not hold numbers.
+    """
+    import narwhals.stable.v1 as nw
+
+    if hasattr(frame, "iloc") and hasattr(frame, "columns"):
+        # pandas allows a name twice, narwhals does not: say so in our own words.
+        layout.find(list(frame.columns), source)
+    try:
+        wrapped = nw.from_native(frame)
+        table = wrapped.collect() if isinstance(wrapped, nw.LazyFrame) else wrapped
+    except Exception as error:  # whatever a foreign library makes of a foreign object
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{type(frame).__name__} is not a usable data frame: {reason}") from None
+    if not isinstance(table, nw.DataFrame):
+        raise InputError(f"{type(frame).__name__} is not a data frame; pass a pandas or polars DataFrame")
+    found = layout.find(table.columns, source)
+
+    def place(row: int) -> str:
+        return f"row {row} (counted from 0)"
+
+    numbers = {name: _numbers(table.get_column(name), name, source) for name in found.numbers}
+    trials = None
+    if found.trial is not None:
+        column = table.get_column(found.trial)
+        missing = column.is_null().to_list()
+        trials = [
+            "" if gone else trial_name(value) for value, gone in zip(column.to_list(), missing, strict=True)
+        ]
+    return found, Table(source, numbers, trials, place)
+
+
+def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
+    """Read the columns of `layout` from a Parquet file.
+
+    Raises
+    ------
+    InputError
+        If pyarrow is not installed, the file cannot be read, or as `frame_table`.
+    """
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise MissingPackageError(f"{path}: reading Parquet", "pyarrow", "parquet") from None
+    if read_bytes(path, 4) != b"PAR1":
+        raise InputError(f"{path} is not a Parquet file; check what wrote it")
+    try:
+        with parquet.ParquetFile(path) as file:
+            found = layout.find(file.schema_arrow.names, str(path))
+            wanted = [*found.numbers, *([] if found.trial is None else [found.trial])]
+            table = file.read(columns=wanted)
+    except InputError:
+        raise
+    except Exception as error:  # a damaged file can fail in many ways
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise InputError(f"{path} is a damaged Parquet file ({reason}); write it again") from None
+    return frame_table(table, found, str(path))
+
+
+def trial_name(value: object) -> str:
+    """Return the text for one entry of a trial column; 3 and 3.0 are the same trial."""
+    if isinstance(value, Real) and not isinstance(value, Integral):
+        number = float(value)
+        return str(int(number)) if number.is_integer() else "" if np.isnan(number) else repr(number)
+    return str(value).strip()
+
+
+def _numbers(column: Any, name: str, source: str) -> FloatArray:
+    import narwhals.stable.v1 as nw
+
+    if column.dtype.is_numeric():
+        return np.array(column.cast(nw.Float64).to_numpy(), dtype=np.float64)
+    return _numbers_from_objects(column.to_list(), column.is_null().to_list(), name, source)
+
+
+def _numbers_from_objects(
+    items: Sequence[Any], missing: Sequence[bool], name: str, source: str
+) -> FloatArray:
+    """Convert a column of mixed or unknown type: numbers only, neither text nor dates nor truth values."""
+    values = np.full(len(items), np.nan)
+    for row, (item, gone) in enumerate(zip(items, missing, strict=True)):
+        if gone:
+            continue
+        if isinstance(item, (bool, np.bool_)) or not isinstance(item, Real):
+            cure = "convert the column to numbers (times to seconds)"
+            raise InputError(
+                f"{source}, row {row} (counted from 0), column {quoted(name)}: "
+                f"{quoted(item)} is not a number; {cure}"
+            )
+        values[row] = float(item)
+    return values

@@ -1,0 +1,351 @@
+"""Trajectories: measured coordinates over time, checked once at the door."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from typing import overload
+
+import numpy as np
+
+from leastaction.data.trajectory import RATES, Rate, Trajectory
+from leastaction.data.validation import fill_names, listed, position_of, unwrap_in_place
+from leastaction.errors import InputError
+from leastaction.identifiers import check_coordinate_names, quoted
+
+__all__ = ["Rate", "Trajectories", "Trajectory"]
+
+
+class Trajectories(Sequence[Trajectory]):
+    """Several trajectories of one system, with the same coordinates; lengths and times may differ.
+
+    Parameters
+    ----------
+    trajectories : iterable of Trajectory
+        At least one. Names must differ; trajectories without a name are numbered in `names`.
+
+    Raises
+    ------
+    InputError
+        If there is none, one is not a Trajectory, the coordinates differ, or a name occurs twice.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> a = Trajectory(t, np.cos(t), coordinates=["theta"], name="a")
+    >>> b = Trajectory(t[:101], np.sin(t[:101]), coordinates=["theta"], name="b")
+    >>> both = Trajectories([a, b])
+    >>> both.n_trajectories, both.n_samples, both.duration, both.driven
+    (2, 302, 3.0, False)
+    >>> both.select("b")[0].n_times
+    101
+    """
+
+    def __init__(self, trajectories: Iterable[Trajectory]) -> None:
+        items = _check_items(trajectories)
+        self._items = items
+        self._wraps = tuple((0,) * items[0].n_dof for _ in items)
+        self._names = fill_names([item.name for item in items])
+
+    @classmethod
+    def coerce(cls, x: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
+        """Return `x` as Trajectories.
+
+        Parameters
+        ----------
+        x : Trajectory, Trajectories or iterable of Trajectory
+
+        Returns
+        -------
+        Trajectories
+            `x` itself if it is one already.
+
+        Raises
+        ------
+        InputError
+            If `x` is anything else.
+
+        Examples
+        --------
+        >>> Trajectories.coerce(Trajectory([0.0, 1.0], [0.1, 0.2])).n_trajectories
+        1
+        """
+        if isinstance(x, Trajectories):
+            return x
+        return cls([x] if isinstance(x, Trajectory) else x)
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @overload
+    def __getitem__(self, index: int) -> Trajectory: ...
+    @overload
+    def __getitem__(self, index: slice) -> Trajectories: ...
+    def __getitem__(self, index: int | slice) -> Trajectory | Trajectories:
+        if isinstance(index, slice):
+            return self.select(range(len(self))[index])
+        return self._items[index]
+
+    def __iter__(self) -> Iterator[Trajectory]:
+        return iter(self._items)
+
+    def __repr__(self) -> str:
+        driven = ", driven" if self.driven else ""
+        runs = f"{len(self)} {'trajectory' if len(self) == 1 else 'trajectories'}"
+        return (
+            f"<Trajectories of {', '.join(self.coordinates)}: {runs}, "
+            f"{self.n_samples} samples, {self.duration:g} s{driven}>"
+        )
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self._items[0].coordinates
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the trajectories, all different; one without a name gets its number, from 0."""
+        return self._names
+
+    @property
+    def n_dof(self) -> int:
+        """Number of coordinates."""
+        return self._items[0].n_dof
+
+    @property
+    def n_trajectories(self) -> int:
+        """Number of trajectories."""
+        return len(self._items)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of measured values: finite entries of `q`, over all coordinates and trajectories."""
+        return sum(item.n_samples for item in self._items)
+
+    @property
+    def duration(self) -> float:
+        """Sum of the durations, in seconds."""
+        return float(sum(item.duration for item in self._items))
+
+    @property
+    def sampling_interval(self) -> float:
+        """Median time between samples, in seconds."""
+        return float(np.median(np.concatenate([np.diff(item.t) for item in self._items])))
+
+    @property
+    def driven(self) -> bool:
+        """Whether any known force is not zero."""
+        return any(item.driven for item in self._items)
+
+    @property
+    def rates(self) -> tuple[Rate, ...]:
+        """What is measured beside the positions: velocities by coordinate, then accelerations."""
+        out = []
+        for derivative, field in enumerate(RATES, start=1):
+            arrays = [item.rates(field) for item in self._items]
+            for i in range(self.n_dof):
+                values = tuple(
+                    np.full(item.n_times, np.nan) if array is None else array[:, i]
+                    for item, array in zip(self._items, arrays, strict=True)
+                )
+                if any(np.isfinite(v).any() for v in values):
+                    out.append(Rate(i, derivative, values))
+        return tuple(out)
+
+    @property
+    def wraps_removed(self) -> dict[str, int]:
+        """For each coordinate, the number of jumps that `unwrap` has removed so far."""
+        totals = np.sum(self._wraps, axis=0)
+        return {name: int(total) for name, total in zip(self.coordinates, totals, strict=True)}
+
+    def unwrap(self, angles: Iterable[str] | str) -> Trajectories:
+        """Remove the jumps by multiples of 2 pi from angles that were stored wrapped.
+
+        Between successive measured (not NaN) samples of a trajectory, a jump of more than pi is taken as
+        a wrap: the multiple of 2 pi nearest to it is taken off all later samples. Doing it again changes
+        nothing. Where noise alone makes such steps (more than half a radian), an angle that spans more than
+        2 pi is taken as it is, and any other is compared with the trend of the samples before.
+
+        Parameters
+        ----------
+        angles : iterable of str, or str
+            Coordinates that are angles, in radians.
+
+        Returns
+        -------
+        Trajectories
+            New trajectories; `wraps_removed` tells how many jumps were removed.
+
+        Raises
+        ------
+        InputError
+            If a name is not one of the coordinates.
+
+        Examples
+        --------
+        >>> wrapped = Trajectories([Trajectory([0, 1, 2], [3.0, -3.0, -2.5], coordinates=["theta"])])
+        >>> unwrapped = wrapped.unwrap(["theta"])
+        >>> unwrapped[0].q[:, 0].round(3).tolist(), unwrapped.wraps_removed
+        ([3.0, 3.283, 3.783], {'theta': 1})
+        """
+        columns = self._angle_columns(angles)
+        items, wraps = [], []
+        for item, counted in zip(self._items, self._wraps, strict=True):
+            q, count = item.q.copy(), list(counted)
+            for column in columns:
+                count[column] += unwrap_in_place(q[:, column])
+            items.append(item.changed(q=q))
+            wraps.append(tuple(count))
+        return self._with(items, wraps, self._names)
+
+    def select(self, names_or_indices: str | int | Iterable[str | int]) -> Trajectories:
+        """Return some of the trajectories, in the order asked for.
+
+        Parameters
+        ----------
+        names_or_indices : str, int, or iterable of them
+            Names (see `names`) or numbers, from 0; negative numbers count from the end.
+
+        Returns
+        -------
+        Trajectories
+
+        Raises
+        ------
+        InputError
+            If there is no such trajectory, none is selected, or one is selected twice.
+
+        Examples
+        --------
+        >>> runs = Trajectories([Trajectory([0, 1], [0, k], name=f"run{k}") for k in range(3)])
+        >>> runs.select(["run2", 0]).names
+        ('run2', 'run0')
+        """
+        if isinstance(names_or_indices, (str, int, np.integer)):
+            names_or_indices = [names_or_indices]  # type: ignore[list-item]
+        chosen = [position_of(key, self._names) for key in names_or_indices]
+        if not chosen:
+            raise InputError(f"no trajectory selected; choose among {listed(self._names)}")
+        if len(set(chosen)) < len(chosen):
+            twice = next(self._names[i] for i in chosen if chosen.count(i) > 1)
+            raise InputError(f"trajectory {quoted(twice)} is selected twice; select each one once")
+        pick = (
+            [self._items[i] for i in chosen],
+            [self._wraps[i] for i in chosen],
+            [self._names[i] for i in chosen],
+        )
+        return self._with(*pick)
+
+    def with_forces(self, forces: Iterable[np.ndarray]) -> Trajectories:
+        """Return the same trajectories with other known forces, (n_times, n_dof) for each.
+
+        Examples
+        --------
+        >>> run = Trajectory([0.0, 1.0], [0.1, 0.2])
+        >>> Trajectories([run]).with_forces([np.ones((2, 1))]).driven
+        True
+        """
+        items = [item.changed(forces=f) for item, f in zip(self._items, forces, strict=True)]
+        return self._with(items, self._wraps, self._names)
+
+    def without_rates(self) -> Trajectories:
+        """Return the same trajectories with positions and forces alone.
+
+        Examples
+        --------
+        >>> run = Trajectory([0.0, 1.0], [0.1, 0.2], velocities=[0.1, 0.1])
+        >>> Trajectories([run]).without_rates()[0].velocities is None
+        True
+        """
+        items = [item.changed(**dict.fromkeys(RATES)) for item in self._items]
+        return self._with(items, self._wraps, self._names)
+
+    def digest(self) -> str:
+        """Return the SHA-256 of the data: coordinates, times, samples, forces and rates, not names of trials.
+
+        Returns
+        -------
+        str
+            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same,
+            and so are no velocities (accelerations) and only missing ones.
+
+        Examples
+        --------
+        >>> Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2])]).digest()[:12]
+        '43c279b833a9'
+        """
+        digest = hashlib.sha256("\0".join(self.coordinates).encode())
+        for item in self._items:
+            digest.update(f"|{item.n_times},{item.n_dof},{item.driven}|".encode())
+            for array in (item.t, item.q, item.forces if item.driven else None):
+                if array is not None:
+                    digest.update(_plain_bytes(array))
+            for field in RATES:
+                rates = item.rates(field)
+                if rates is not None:
+                    digest.update(f"|{field}|".encode() + _plain_bytes(rates))
+        return digest.hexdigest()
+
+    def without(self, masks: Sequence[np.ndarray]) -> Trajectories:
+        """Leave samples out.
+
+        Parameters
+        ----------
+        masks : sequence of (n_times, n_dof) bool arrays
+            One for each trajectory; true samples become NaN.
+
+        Returns
+        -------
+        Trajectories
+
+        Examples
+        --------
+        >>> data = Trajectories([Trajectory([0, 1, 2], [0.1, 9.0, 0.3], coordinates=["x"])])
+        >>> data.without([np.array([[False], [True], [False]])]).n_samples
+        2
+        """
+        items = [t.changed(q=np.where(mask, np.nan, t.q)) for t, mask in zip(self._items, masks, strict=True)]
+        return self._with(items, self._wraps, self._names)
+
+    @classmethod
+    def _with(
+        cls, items: Iterable[Trajectory], wraps: Iterable[tuple[int, ...]], names: Iterable[str]
+    ) -> Trajectories:
+        new = cls(items)
+        new._wraps, new._names = tuple(wraps), tuple(names)
+        return new
+
+    def _angle_columns(self, angles: Iterable[str] | str) -> list[int]:
+        given = (angles,) if isinstance(angles, str) else tuple(angles)
+        names = check_coordinate_names(given) if given else ()
+        for name in names:
+            if name not in self.coordinates:
+                known = f"the coordinates are {listed(self.coordinates)}"
+                raise InputError(f"angle {quoted(name)} is not a coordinate; {known}")
+        return [self.coordinates.index(name) for name in names]
+
+
+def _plain_bytes(array: np.ndarray) -> bytes:
+    """One NaN and one zero: their other bit patterns mean the same data."""
+    plain = np.where(np.isnan(array), np.nan, array + 0.0)
+    return np.ascontiguousarray(plain, dtype="<f8").tobytes()
+
+
+def _check_items(trajectories: Iterable[Trajectory]) -> tuple[Trajectory, ...]:
+    cure = "pass a Trajectory or a sequence of them, e.g. [Trajectory(t, q)]"
+    try:
+        items = tuple(trajectories)
+    except TypeError:
+        raise InputError(f"{type(trajectories).__name__} is not a sequence of trajectories; {cure}") from None
+    if not items:
+        raise InputError("there is no trajectory; at least one is needed")
+    for position, item in enumerate(items):
+        if not isinstance(item, Trajectory):
+            raise InputError(f"item {position} is of type {type(item).__name__}, not Trajectory; {cure}")
+        if item.coordinates != items[0].coordinates:
+            raise InputError(
+                f"trajectory {position} has the coordinates {listed(item.coordinates)}, but trajectory 0 has "
+                f"{listed(items[0].coordinates)}; all must have the same, in the same order"
+            )
+    return items

@@ -1,0 +1,231 @@
+"""One trajectory: measured coordinates, and their rates where measured, over time; checked at the door."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from leastaction.data.validation import (
+    FloatArray,
+    check_forces,
+    check_rates,
+    check_samples,
+    check_times,
+    real_array,
+)
+from leastaction.errors import InputError
+from leastaction.identifiers import check_coordinate_names, quoted
+
+__all__ = ["RATES", "Rate", "Trajectory"]
+
+RATES = ("velocities", "accelerations")
+"""Fields of a trajectory that hold derivatives 1, 2, ... of the coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rate:
+    """One measured channel beside the positions: a derivative of one coordinate, over all trajectories.
+
+    Attributes
+    ----------
+    coordinate : int
+        Number of the coordinate.
+    derivative : int
+        1 velocity, 2 acceleration.
+    values : tuple of (n_times,) arrays
+        One for each trajectory; NaN where it is not measured.
+    """
+
+    coordinate: int
+    derivative: int
+    values: tuple[FloatArray, ...]
+
+    def label(self, coordinates: Sequence[str]) -> str:
+        """What is measured, in words.
+
+        Examples
+        --------
+        >>> Rate(1, 2, ()).label(("x", "theta"))
+        'acceleration of theta'
+        """
+        return f"{('velocity', 'acceleration')[self.derivative - 1]} of {coordinates[self.coordinate]}"
+
+
+@dataclass(frozen=True, eq=False, init=False, repr=False)
+class Trajectory:
+    """One continuous run: coordinates, rates where measured, and known forces, at increasing times.
+
+    The arrays are float64 copies and read-only.
+
+    Parameters
+    ----------
+    t : array_like, shape (n_times,)
+        Times in seconds, finite and strictly increasing; they need not be uniform.
+    q : array_like, shape (n_times, n_dof)
+        Coordinates. NaN marks a missing sample, per coordinate. Shape (n_times,) is accepted for one
+        coordinate.
+    forces : array_like, shape (n_times, n_dof), optional
+        Known generalised external forces, finite; zero where a coordinate is not driven. None means that
+        nothing is driven.
+    coordinates : sequence of str, optional
+        Names of the coordinates, kept as a tuple; ``("q1", "q2", ...)`` by default.
+    name : str
+        Name of the trial, used in messages and files.
+    velocities, accelerations : array_like, shape (n_times, n_dof), optional
+        Measured q̇ and q̈ (tachometer, gyroscope, ...), in the coordinate's unit per second and per second
+        squared; NaN where nothing was measured, which may be whole columns. They must come from sensors of
+        their own: differences of the positions carry the noise of the positions a second time.
+
+    Raises
+    ------
+    InputError
+        If a shape, a name, a time or a value is not as described.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> t = np.linspace(0.0, 2.0, 201)
+    >>> trajectory = Trajectory(t, np.cos(t), coordinates=["theta"], name="first")
+    >>> trajectory.n_times, trajectory.n_dof, trajectory.duration
+    (201, 1, 2.0)
+    >>> Trajectory(t, np.cos(t), coordinates=["theta"], velocities=-np.sin(t))
+    <Trajectory '': theta; 201 times, 2 s, velocities>
+    """
+
+    t: FloatArray
+    q: FloatArray
+    forces: FloatArray | None
+    coordinates: tuple[str, ...]
+    name: str
+    velocities: FloatArray | None
+    accelerations: FloatArray | None
+
+    def __init__(
+        self,
+        t: ArrayLike,
+        q: ArrayLike,
+        forces: ArrayLike | None = None,
+        coordinates: Sequence[str] | None = None,
+        name: str = "",
+        *,
+        velocities: ArrayLike | None = None,
+        accelerations: ArrayLike | None = None,
+    ) -> None:
+        if not isinstance(name, str):
+            raise InputError(f"the name of a trajectory must be text, not {quoted(name)}")
+        where = f"trajectory {quoted(name)}: " if name else ""
+        times = check_times(real_array(t, f"{where}t"), where)
+        samples = check_samples(real_array(q, f"{where}q"), times.size, where)
+        driving = None
+        if forces is not None:
+            driving = check_forces(real_array(forces, f"{where}forces"), samples.shape, where)
+        n_dof = samples.shape[1]
+        names = (
+            tuple(f"q{i + 1}" for i in range(n_dof))
+            if coordinates is None
+            else check_coordinate_names(coordinates)
+        )
+        if len(names) != n_dof:
+            raise InputError(
+                f"{where}q has {n_dof} column(s), but there are {len(names)} coordinate(s) "
+                f"({', '.join(names)}); give one name for each column"
+            )
+        fields = {"t": times, "q": samples, "forces": driving}
+        for field, given in zip(RATES, (velocities, accelerations), strict=True):
+            label = f"{where}{field}"
+            fields[field] = (
+                None if given is None else check_rates(real_array(given, label), samples.shape, label)
+            )
+        for field, value in fields.items():
+            if value is not None:
+                value.flags.writeable = False
+            object.__setattr__(self, field, value)
+        object.__setattr__(self, "coordinates", names)
+        object.__setattr__(self, "name", str(name))
+
+    @property
+    def n_times(self) -> int:
+        """Number of times."""
+        return int(self.t.size)
+
+    @property
+    def n_dof(self) -> int:
+        """Number of coordinates."""
+        return int(self.q.shape[1])
+
+    @property
+    def duration(self) -> float:
+        """Last time minus first time, in seconds."""
+        return float(self.t[-1] - self.t[0])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of measured positions: finite entries of `q`, over all coordinates."""
+        return int(np.isfinite(self.q).sum())
+
+    @property
+    def driven(self) -> bool:
+        """Whether any known force is not zero."""
+        return self.forces is not None and bool(np.any(self.forces))
+
+    def rates(self, field: str) -> FloatArray | None:
+        """``velocities`` or ``accelerations`` if any is measured, otherwise None."""
+        values = getattr(self, field)
+        return values if values is not None and np.isfinite(values).any() else None
+
+    def changed(self, **fields: Any) -> Trajectory:
+        """Return this trajectory with some fields replaced, checked again.
+
+        Examples
+        --------
+        >>> Trajectory([0.0, 1.0], [0.1, 0.2]).changed(name="b").name
+        'b'
+        """
+        names = ("t", "q", "forces", "coordinates", "name", *RATES)
+        return Trajectory(**{name: getattr(self, name) for name in names} | fields)
+
+    def rows(self, chosen: Any) -> Trajectory:
+        """Return some of the samples: a slice, an array of increasing numbers, or one of truth values.
+
+        Examples
+        --------
+        >>> Trajectory([0.0, 1.0, 2.0], [0.1, 0.2, 0.3]).rows(slice(1, None)).t.tolist()
+        [1.0, 2.0]
+        """
+        arrays = {name: getattr(self, name) for name in ("t", "q", "forces", *RATES)}
+        return self.changed(**{k: None if array is None else array[chosen] for k, array in arrays.items()})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Unpickled arrays are writable; going through the constructor makes them read-only again.
+        given = (
+            self.t,
+            self.q,
+            self.forces,
+            self.coordinates,
+            self.name,
+            self.velocities,
+            self.accelerations,
+        )
+        return (_restored, given)
+
+    def __repr__(self) -> str:
+        extras = "".join(
+            f", {what}"
+            for what, there in (
+                ("driven", self.driven),
+                *((field, self.rates(field) is not None) for field in RATES),
+            )
+            if there
+        )
+        return (
+            f"<Trajectory {self.name!r}: {', '.join(self.coordinates)}; "
+            f"{self.n_times} times, {self.duration:g} s{extras}>"
+        )
+
+
+def _restored(t, q, forces, coordinates, name, velocities, accelerations) -> Trajectory:
+    return Trajectory(t, q, forces, coordinates, name, velocities=velocities, accelerations=accelerations)

@@ -1,0 +1,201 @@
+"""Was something left out that the user did not ask about?  Friction, late forces, wrong known coefficients.
+
+All are likelihood-ratio tests on the final fit, by the means of the selection: friction that is not among
+the candidates is scored beside the chosen terms, and so is what a delay of the forces would leave; a known
+coefficient is set free to see whether fewer terms then say the same.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import sympy as sp
+
+from leastaction.estimation.forces import WithPushes
+from leastaction.estimation.gauss_newton import score_candidates
+from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.library import Library, Term
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.selection.knots import BETTER, RELEVANT, Cause, equations_hold, silent
+from leastaction.selection.likelihood_search import QuadraticModel
+from leastaction.selection.select import Refiner, Selection
+
+__all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "wrong_known"]
+
+_DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
+_UNUSUAL = 20.0  # instead of BETTER, where friction is not viscous
+_MOST_RELEASED = 3
+_HALF = 0.15  # of a sample
+
+
+def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
+    """Friction that is not among the candidates and would explain much of the equation error."""
+    structure, columns = selection.structure, workspace.columns
+    tested = usual_friction(columns)
+    if not tested:
+        return []
+    candidates = columns.of([*(columns.terms[m] for m in structure.members), *tested])
+    model, base, threshold = _beside(workspace, structure, candidates)
+    found = _most_likely(model, base, dict(enumerate(tested, len(base))))
+    if _gain(model, base, *found) < threshold:
+        return []
+    out, values = [], model.solution((*base, *found))
+    for k in found:
+        term, value = candidates.terms[k], float(values[k])
+        gain = _gain(model, (*base, *(other for other in found if other != k)), k)
+        if value > 0.0:
+            out.append(say_friction(term, f"coefficient about {value:.2g}, -2 log likelihood {gain:.0f}"))
+        else:
+            out.append(
+                f"energy seems to be fed in along {_rates(term)} (friction of about {value:.2g}): check the "
+                "sign of forces and of known coefficients, and whether a driving force is missing"
+            )
+    return out
+
+
+def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int, Term]) -> tuple[int, ...]:
+    """The friction that explains most, each at its price; it may be negative where it is viscous.
+
+    Terms are added and dropped one at a time: a damper between two joints does for friction in both, until
+    both are there.
+    """
+
+    def value(chosen: tuple[int, ...]) -> float:
+        price = sum(BETTER if _viscous(tested[k]) else _UNUSUAL for k in chosen)
+        return _gain(model, base, *chosen) - price
+
+    chosen: tuple[int, ...] = ()
+    while True:
+        moves = [(*chosen, k) for k in tested if k not in chosen]
+        moves += [tuple(k for k in chosen if k != out) for out in chosen]
+        best = max(moves, key=value, default=chosen)
+        if value(best) > value(chosen):
+            chosen = best
+            continue
+        solution = model.solution((*base, *chosen))
+        wrong = [k for k in chosen if solution[k] < 0.0 and not _viscous(tested[k])]
+        if not wrong:
+            return chosen
+        tested = {k: term for k, term in tested.items() if k not in wrong}
+        chosen = tuple(k for k in chosen if k not in wrong)
+
+
+def _viscous(term: Term) -> bool:
+    return term.expr.is_polynomial() and len(term.expr.free_symbols) == 1
+
+
+def say_friction(term: Term, details: str) -> str:
+    """The warning that names a candidate for dissipation."""
+    give = f"give {term.text} as a candidate for dissipation"
+    return f"friction seems to act on {_rates(term)} ({details}): {give}"
+
+
+def _rates(term: Term) -> str:
+    return ", ".join(sorted(symbol.name for symbol in term.expr.free_symbols))
+
+
+def usual_friction(columns: EulerLagrange) -> list[Term]:
+    """Viscous and dry friction and drag on each velocity, and dampers between two, that are no candidates."""
+    rates = [f"{name}_dot" for name in columns.coordinates]
+    driven = {rates[i] for i in columns.prescribed}
+    usual = [text for v in rates if v not in driven for text in (f"{v}**2/2", f"abs({v})", f"abs({v})**3/3")]
+    usual += [f"({v}-{w})**2/2" for v, w in combinations(rates, 2) if not {v, w} <= driven]
+    library = Library([columns.terms[0].text], columns.coordinates, dissipation=usual)
+    given = {_kind(term.expr) for term in columns.terms if term.kind == "dissipation"}
+    return [term for term in library.dissipation if _kind(term.expr) not in given]
+
+
+def _kind(friction: sp.Expr) -> sp.Expr:
+    """Friction without its factor and with |v| where that was smoothed."""
+    roots = {
+        root: sp.Abs(*root.free_symbols)
+        for root in friction.atoms(sp.Pow)
+        if root.exp == sp.Rational(1, 2) and len(root.free_symbols) == 1
+    }
+    return sp.expand(friction.xreplace(roots)).primitive()[1]
+
+
+class _Late:
+    """What forces that act later leave in the equations: f(t − τ) ≈ f − τ ḟ."""
+
+    def __init__(self, rates: np.ndarray) -> None:
+        self.rates = rates
+
+    def __len__(self) -> int:
+        return 1
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
+
+
+def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
+    """Forces that act later, or earlier, than their times say."""
+    structure = selection.structure
+    if workspace.force_rates is None:
+        return []
+    chosen = workspace.columns.subset(structure.members)
+    late = WithPushes(chosen, _Late(workspace.force_rates))
+    model, base, threshold = _beside(workspace, structure, late)
+    gain = _gain(model, base, len(base))
+    if gain < threshold:
+        return []
+    delay = float(model.solution((*base, len(base)))[len(base)])
+    held = abs(delay / workspace.trajectories.sampling_interval - 0.5) < _HALF
+    when = "later" if delay > 0.0 else "earlier"
+    hint = ", half a sample (are they held from one sample to the next?)" if held else ""
+    return [
+        f"the forces seem to act about {1e3 * abs(delay):.2g} ms {when} than recorded{hint}: find the delay "
+        f"with la.delay.estimate, or give --force-delay (-2 log likelihood {gain:.0f})"
+    ]
+
+
+def _beside(
+    workspace: Workspace, structure: StructureFit, candidates: EulerLagrange
+) -> tuple[QuadraticModel, tuple[int, ...], float]:
+    """Quadratic model of the chosen terms and those behind them, places of the chosen, a decisive gain."""
+    physics, _ = workspace.physics(structure.members)
+    quadratic = score_candidates(workspace.observations, physics, structure.fit, candidates)
+    chosen = len(structure.members)
+    here = np.concatenate([structure.estimates, np.zeros(len(candidates) - chosen)])
+    model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
+    threshold = _DECISIVE + RELEVANT * float(structure.fit.weights.slack.sum())
+    return model, tuple(range(chosen)), threshold
+
+
+def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
+    """By how much further terms lower −2 log likelihood."""
+    return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost
+
+
+def wrong_known(workspace: Workspace, selection: Selection) -> list[Cause]:
+    """Known coefficients without which the motion is explained better, or by fewer terms.
+
+    Where no force acts and one coefficient is known there is nothing to test: it sets the scale.
+    """
+    known = np.flatnonzero(~np.isnan(workspace.known))
+    if not known.size or (workspace.forces is None and known.size < 2):
+        return []
+    structure = selection.structure
+    before, out = Refiner(workspace, silent).value(structure), []
+    for k in known[:_MOST_RELEASED]:
+        released = workspace.changed(np.where(np.arange(workspace.known.size) == k, np.nan, workspace.known))
+        other = Refiner(released, silent)
+        members = tuple(sorted((*structure.members, int(k))))
+        found = other.refine(released.fit(members, structure.start))
+        gain = 2.0 * (other.value(found) - before)
+        if not gain > BETTER:
+            continue
+        value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
+        fewer = len(structure.members) + 1 - len(found.members)
+        scaled = workspace.forces is not None and value / workspace.known[k] > 0.0
+        units = f", or the forces are {value / workspace.known[k]:.3g} times too large" if scaled else ""
+        words = (
+            f"the known coefficient of {text} may be wrong: set free it becomes {value:.3g} instead of "
+            f"{workspace.known[k]:.3g}, and "
+            + (f"{fewer} terms fewer" if fewer > 1 else "the other terms")
+            + f" explain the motion better{units}"
+        )
+        # a term that is dropped when it is set free makes way for others that imitate what lacks
+        out.append(Cause(words, gain, k in found.members and equations_hold(released, found)))
+    return out

@@ -1,0 +1,170 @@
+"""Is a measured velocity the derivative of its coordinate?  A wrong unit, sign or offset, in words.
+
+With a test function χ of compact support, ∫ χ dt = 1, a channel y = a q̇ + b obeys
+
+    ∫ χ y dt = a (−∫ χ̇ q dt) + b,
+
+both sides straight from the samples, without a smoothed curve (q̈ and ∫ χ̈ q dt for an acceleration). Noise on
+either side flattens a regression: the line of the left side on the right one is too flat, the line of the
+right side on the left one too steep, and the truth lies between the two (Frisch 1934, Statistical Confluence
+Analysis). A channel is doubted only where both lines do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectory import Rate
+
+__all__ = ["doubts_about_rates"]
+
+_WIDTH = 1.25  # of a test function, in periods of the coordinate
+_FINEST = 12  # samples in a test function that the sums need
+_FEWEST = 12  # test functions that a judgement needs
+_SURE = 5.0  # standard errors
+_FACTOR = 0.05  # a sensor's calibration may be off by less
+_FOLLOWS = 0.25  # squared correlation
+_CLEAR = 3.0  # signal over noise
+_HUBER = 1.5
+_ROUNDS = 20
+_NEAR = 0.03
+_UNITS = {
+    1: {
+        180.0 / np.pi: "degrees per second",
+        30.0 / np.pi: "revolutions per minute",
+        0.5 / np.pi: "revolutions per second",
+    },
+    2: {180.0 / np.pi: "degrees per second squared", 1.0 / 9.81: "multiples of g"},
+}
+_PREFIXES = {1000.0: "thousandths of the coordinate's unit", 100.0: "hundredths of the coordinate's unit"}
+
+
+def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[str]:
+    """A sentence for each channel that is not the derivative of its coordinate.
+
+    The smoothed curve tells only how fast each coordinate moves, and how noisy its positions are.
+    """
+    if not trajectories.rates:
+        return []
+    states = smooth.grid.at_quadrature(smooth.control_points)
+    _, qdot, qddot = (np.sqrt((s**2).mean(axis=(0, 1))) for s in states)
+    widths = _WIDTH * 2.0 * np.pi * qdot / np.maximum(qddot, 1e-300)
+    doubts = []
+    for rate in trajectories.rates:
+        pairs, gains = _pairs(trajectories, rate, float(widths[rate.coordinate]))
+        if len(pairs) < _FEWEST:
+            continue
+        # what the pairs would be if there were no motion, and the channel nothing but white noise
+        y = np.concatenate(rate.values)
+        spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
+        clear = np.all(pairs.std(axis=0) > _CLEAR * gains * spread)
+        constant = np.nanmax(y) == np.nanmin(y)
+        text = "is constant: leave it out" if constant else _about(rate.derivative, pairs, bool(clear))
+        if text:
+            doubts.append(f"the measured {rate.label(trajectories.coordinates)} {text}")
+    return doubts
+
+
+def _pairs(trajectories: Trajectories, rate: Rate, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """(n_test_functions, 2) array, the derivative from the positions and the channel, one test function each.
+
+    And, (2,), by how much white noise of the samples is reduced in them.
+    """
+    out, gains, sign = [], [], (-1) ** rate.derivative
+    for item, values in zip(trajectories, rate.values, strict=True):
+        positions = _Samples(item.t, item.q[:, rate.coordinate])
+        channel = _Samples(item.t, values)
+        for middle in np.arange(item.t[0] + 0.5 * width, item.t[-1] - 0.5 * width, 0.5 * width):
+            derived, one = positions.average(middle, width, rate.derivative)
+            measured, two = channel.average(middle, width, 0)
+            if np.isfinite(derived + measured):
+                out.append((sign * derived, measured))
+                gains.append((one, two))
+    return np.array(out).reshape(-1, 2), np.sqrt(np.mean(np.square(gains), axis=0)) if gains else np.ones(2)
+
+
+class _Samples:
+    """Valid samples of one column, and sums over them."""
+
+    def __init__(self, times: np.ndarray, values: np.ndarray) -> None:
+        seen = np.isfinite(values)
+        self.times, self.values = times[seen], values[seen]
+
+    def average(self, middle: float, width: float, nu: int) -> tuple[float, float]:
+        """∫ χ⁽ᵛ⁾ y dt by a sum, and its scatter for unit noise; NaN where samples are too far apart."""
+        half = 0.5 * width
+        a, b = np.searchsorted(self.times, [middle - half, middle + half])
+        t = self.times[a:b]
+        if (
+            t.size < _FINEST
+            or np.diff(t, prepend=middle - half, append=middle + half).max() > width / _FINEST
+        ):
+            return np.nan, np.nan
+        x = (t - middle) / half
+        # (1 − x²)⁴, whose integral is 256/315, and its derivatives
+        shape = (
+            (1.0 - x**2) ** 4,
+            -8.0 * x * (1.0 - x**2) ** 3,
+            (1.0 - x**2) ** 2 * (56.0 * x**2 - 8.0),
+        )[nu]
+        weights = shape * np.gradient(t) * 315.0 / 256.0 / half ** (nu + 1)
+        return float(weights @ self.values[a:b]), float(np.sqrt(weights @ weights))
+
+
+def _about(derivative: int, pairs: np.ndarray, clear: bool) -> str:
+    """What is wrong with a channel, from its pairs (derived, measured); clear if noise is small in both."""
+    derived, measured = pairs.T
+    flat, offset, error = _line(derived, measured)
+    back, _, back_error = _line(measured, derived)
+    if flat * back < _FOLLOWS:
+        text = (
+            "hardly follows the derivative of its coordinate: check the column, and that times are the same"
+        )
+        return text if clear else ""
+    steep = 1.0 / back
+    low, high = sorted([flat, steep])
+    low, high = low - _SURE * error[0], high + _SURE * back_error[0] * steep**2
+    if low > 1.0 + _FACTOR or high < 1.0 - _FACTOR:
+        factor = 0.5 * (flat + steep)
+        return (
+            f"is {factor:.3g} times the derivative of its coordinate{_unit(derivative, factor)}: convert it, "
+            "or leave it out"
+        )
+    other = offset + (flat - steep) * float(np.mean(derived))
+    least = max(_SURE * error[1], _FACTOR * float(np.std(measured)))
+    if min(abs(offset), abs(other)) > least and offset * other > 0.0:
+        return (
+            f"has an offset of {offset:.3g} from the derivative of its coordinate: subtract it, it is what "
+            "the sensor shows at rest"
+        )
+    return ""
+
+
+def _unit(derivative: int, factor: float) -> str:
+    """Which unit a factor points to, as a question."""
+    known = {1.0: "the opposite sign", **_UNITS[derivative], **_PREFIXES}
+    for value, text in known.items():
+        if abs(abs(factor) / value - 1.0) < _NEAR:
+            sign = ", with the opposite sign" if factor < 0.0 and value != 1.0 else ""
+            return f" ({text}{sign}?)"
+    return " (with the opposite sign?)" if factor < 0.0 else ""
+
+
+def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Slope and intercept of y = a x + b by Huber's weights, for spikes count little, and standard errors."""
+    columns, weight = np.stack([x, np.ones_like(x)]), np.ones_like(x)
+    solution, scatter = np.zeros(2), 0.0
+    for _ in range(_ROUNDS):
+        weighted = columns * weight
+        before = solution
+        solution = np.linalg.lstsq(weighted @ columns.T, weighted @ y, rcond=None)[0]
+        left = y - solution @ columns
+        scatter = 1.4826 * float(np.median(np.abs(left)))
+        weight = np.minimum(1.0, _HUBER * scatter / np.maximum(np.abs(left), 1e-300))
+        if np.allclose(solution, before, rtol=1e-6, atol=0.0) or scatter == 0.0:
+            break
+    gram = (columns * weight) @ columns.T
+    errors = np.sqrt(np.clip(np.diag(np.linalg.pinv(gram)), 0.0, None)) * np.std(left)
+    return float(solution[0]), float(solution[1]), errors

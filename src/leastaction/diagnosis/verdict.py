@@ -1,0 +1,309 @@
+"""Can the result be trusted?  Checks that need no truth, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.diagnosis.competing import rival_warnings
+from leastaction.diagnosis.forces import doubts_about_forces
+from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
+from leastaction.diagnosis.missing_terms import lacking_terms
+from leastaction.diagnosis.wider_search import search_afresh
+from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.mechanics.euler_lagrange import Points
+from leastaction.selection.knots import EXPLAINED
+from leastaction.selection.select import Selection
+
+__all__ = ["Verdict", "verify"]
+
+_WORTH_KNOWING = 0.001
+_NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
+_INDISTINCT = 0.3  # relative standard error
+_VISIBLE = 0.3
+_MUCH_NOISE = 0.2
+_PART_OF_IT = 0.3
+_FEW_SAMPLES = 7.0  # a period of the fastest motion
+_BAND = 12.0  # times the frequency of the fastest coordinate
+_EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
+_OF_FORCES = 4.0  # noise of forces gives 0.2 to 3 times its density, a missing term 30 and more
+_HIDDEN = 0.001  # equation error below which no cause is looked for
+_LAG_ONE = 0.1
+_TWO_TURNS = 4.0 * np.pi
+_SMALL_OFFSET = 0.05
+
+
+_ANY_CAUSE = (
+    "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign be "
+    "wrong"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
+
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    chi2_per_sample: float
+    equation_error: np.ndarray
+
+
+def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: float) -> Verdict:
+    """Run every check on a selected structure; ``period`` is that of the fastest coordinate, in seconds."""
+    structure = selection.structure
+    fit = structure.fit
+    names = workspace.trajectories.coordinates
+    floor = workspace.observations.noise_floor
+    noise = np.maximum(smooth.noise_std, floor)
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
+    chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
+    share, rms = workspace.equation_error(structure)
+    share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
+    samples_per_period = period / workspace.trajectories.sampling_interval
+    doubts: list[str] = []
+    notes: list[str] = []
+    if not fit.converged:
+        doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
+    excused = (share > EXPLAINED) & _as_forces_are(workspace, structure)
+    unexplained = [
+        i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
+    ]
+    causes = _likely_causes(workspace, selection, share, any(share[i] > EXPLAINED for i in unexplained))
+    for i in unexplained:
+        doubts.append(
+            f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
+            f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
+            + _ANY_CAUSE
+            + ("; see the likely cause below" if causes else _perhaps_unmeasured(workspace, i))
+        )
+    doubts += _unexplained_rates(workspace, chi2) + causes
+    if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
+        doubts += _looks_like_noise(workspace, noise)
+    if unexplained:
+        doubts += _perhaps_degrees(workspace, structure)
+    notes += _unexplained_little(names, share, excused, unexplained)
+    if samples_per_period < _FEW_SAMPLES:
+        doubts.append(
+            f"sampling is slow: {samples_per_period:.1f} samples a period of the fastest motion, where at "
+            f"least {_FEW_SAMPLES:g} are needed; what is faster looks slow, so sample faster"
+        )
+    doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
+    doubts += rival_warnings(workspace, selection)
+    doubts += _mass_matrix(workspace, structure)
+    doubts += _friction(workspace, selection)
+    notes += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
+    if not selection.knots_settled and fit.converged:
+        notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
+    return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+
+
+def _perhaps_unmeasured(workspace: Workspace, i: int) -> str:
+    names = workspace.trajectories.coordinates
+    if len(names) - len(workspace.columns.prescribed) < 2:
+        return ""
+    return f"; if forces that were not measured move {names[i]}, name it in prescribed"
+
+
+def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[str]:
+    """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
+    structure = selection.structure
+    usable = structure.fit.converged and np.isfinite(structure.evidence)
+    known = wrong_known(workspace, selection) if usable else []
+    found = search_afresh(workspace) if off and not any(cause.holds for cause in known) else []
+    if found or not usable:
+        return found + [cause.words for cause in known]
+    # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
+    lacking = lacking_terms(workspace, selection)
+    likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
+    found += [cause.words for cause in likelier]
+    for find in (hidden_friction, late_forces):
+        found += find(workspace, selection)
+    if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
+        found = doubts_about_forces(workspace, structure)
+    return found
+
+
+def _behind_noise(
+    workspace: Workspace, structure: StructureFit, size: np.ndarray, period: float
+) -> np.ndarray:
+    """Equation error that the fitted curve does not show, relative to the terms of each equation.
+
+    Within the noise a curve bends to wrong equations.  The weights know better: 1/w_i is the spectral density
+    of the error, which in a band about the motion amounts to this.  Not with dry friction: no spline follows
+    its kinks, and what it misses there counts as equation error, too.
+    """
+    friction = [
+        t for t in map(workspace.columns.terms.__getitem__, structure.members) if t.kind == "dissipation"
+    ]
+    if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
+        return np.zeros(size.size)
+    weights = structure.fit.weights
+    rms = np.sqrt(2.0 * _BAND / period / weights.physics)
+    return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
+
+
+def _as_forces_are(workspace: Workspace, structure: StructureFit) -> np.ndarray:
+    """(n_dof,) whether the equation error is what the scatter of the given forces accounts for.
+
+    1/w_i is the spectral density of the one; what no curve can follow shows that of the other.
+    """
+    return structure.fit.weights.physics * workspace.force_density * _OF_FORCES > 1.0
+
+
+def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]) -> list[str]:
+    """Equation errors that are no reason for doubt."""
+    notes = []
+    for i in range(len(names)):
+        if i in unexplained:
+            continue
+        if excused[i]:
+            notes.append(
+                f"the equation of {names[i]} is off by {100 * share[i]:.1f} % of its forces, no more than "
+                "the scatter of those that were given leaves: quieter forces would narrow the intervals"
+            )
+        elif share[i] > _WORTH_KNOWING:
+            notes.append(
+                f"the equation of {names[i]} leaves {100 * share[i]:.2g} % of its forces unexplained: little "
+                "on hardware; in a simulation a small term or friction is missing"
+            )
+    return notes
+
+
+def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
+    """Motion that is too fast for the sampling looks like noise to any smoother."""
+    spread = np.sqrt(np.mean([np.nanvar(q, axis=0) for q in workspace.values], axis=0))
+    return [
+        f"{100 * part:.0f} % of the spread of {name} looks like noise: if the sensor is better than that, "
+        "sampling is too slow for the motion, so sample faster"
+        for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
+        if part > _MUCH_NOISE
+    ]
+
+
+def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[str]:
+    """An angle that covers more than two turns within a recording may be in degrees."""
+    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
+    return [
+        f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
+        for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
+        if name in workspace.columns.turning and span > _TWO_TURNS
+    ]
+
+
+def _signal(workspace: Workspace, structure) -> list[str]:
+    """A curve that hardly moves fits any noise, and any equations hold along it."""
+    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
+    return [
+        f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
+        for name, size, noise in zip(
+            workspace.trajectories.coordinates, spread, structure.fit.weights.position_std, strict=True
+        )
+        if size < _VISIBLE * noise
+    ]
+
+
+def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
+    """The combination of coefficients that the data determine least, in words."""
+    structure = selection.structure
+    covariance = structure.fit.covariance
+    if not np.isfinite(covariance).all():
+        return []
+    size = np.maximum(np.abs(structure.estimates), 1e-300)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    relative = structure.standard_errors / size
+    texts = [workspace.columns.terms[m].text for m in structure.members]
+    loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
+    if not loose:
+        return []
+    # eigenvector of relative changes: the terms that move together
+    weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
+    moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > _PART_OF_IT]
+    out = f"these data hardly determine {', '.join(loose)}"
+    if len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5):
+        out += " (all coefficients can grow together: the scale of L is open)"
+    elif len(moving) > 1:
+        signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
+        parts = ", ".join(f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True))
+        out += f" (open to {100 * np.sqrt(values[-1]):.0f} %: the combination {parts})"
+    return [out + ": record larger or different motions, or fix one of the coefficients with known"]
+
+
+def _mass_matrix(workspace: Workspace, structure) -> list[str]:
+    states = workspace.grid.at_quadrature(structure.fit.control_points)
+    points = Points(*(s[:, 0] for s in states))
+    physics, index = workspace.physics(structure.members)
+    mass = physics.columns.mass_matrix(points, structure.coefficients[index])
+    if not np.isfinite(mass).all():
+        return ["the mass matrix is not finite along the data"]
+    diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
+    scale = np.where(diagonal > 0, diagonal, 1.0)
+    lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
+    bad = float(np.mean(lowest <= 1e-9))
+    if bad == 0.0:
+        return []
+    return [
+        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is "
+        "missing, or the sign of forces or of a known coefficient is wrong"
+    ]
+
+
+def _friction(workspace: Workspace, selection: Selection) -> list[str]:
+    return [
+        f"the dissipation term {workspace.columns.terms[m].text} came out negative and was left out, "
+        "since it would feed energy in: check the sign of forces and known coefficients, or a missing term"
+        for m in selection.feeding
+    ]
+
+
+def _zero_offsets(workspace: Workspace, structure) -> list[str]:
+    """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
+    notes = []
+    present = [*structure.members, *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
+    terms = {workspace.columns.terms[k].expr: float(structure.coefficients[k]) for k in present}
+    for expression, coefficient in terms.items():
+        for cosine in expression.atoms(sp.cos):
+            beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
+            if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
+                shift = 1e3 * beside / coefficient
+                notes.append(
+                    f"{expression} with its sine reads as a zero offset: {cosine.args[0]} is too "
+                    f"{'large' if shift > 0 else 'small'} by {abs(shift):.2g} mrad"
+                )
+    return notes
+
+
+def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[str]:
+    names = workspace.trajectories.coordinates
+    return [
+        f"the library cannot explain the measured {rate.label(names)}: its residual is {np.sqrt(value):.2f} "
+        "times the noise; is it a sensor of its own, at the same times as the positions?"
+        for rate, value in zip(workspace.rates, chi2[len(names) :], strict=True)
+        if value > _NOISE_RATIO**2
+    ]
+
+
+def _whiteness(workspace: Workspace, structure) -> list[str]:
+    notes = []
+    observations, names = workspace.observations, workspace.trajectories.coordinates
+    loose = [names[i] for i in workspace.columns.prescribed]  # a curve that nothing holds follows the noise
+    for name, r, least, sigma in zip(
+        (*names, *(rate.label(names) for rate in workspace.rates)),
+        observations.residuals(structure.fit.control_points),
+        observations.floors,
+        structure.fit.weights.noise_std,
+        strict=True,
+    ):
+        lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
+        visible = abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
+        if visible and name not in loose:
+            notes.append(
+                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, "
+                "encoder steps or filtered data; intervals may be too narrow or too wide"
+            )
+    return notes

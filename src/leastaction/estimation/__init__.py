@@ -1,0 +1,1 @@
+"""Curve, coefficients and weights estimated together, for one structure at a time."""

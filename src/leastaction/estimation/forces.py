@@ -1,0 +1,145 @@
+"""Known forces where the equations are compared: no faster than the curve can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.linalg import solveh_banded
+
+from leastaction.curve.bspline import SplineGrid, SplineSpace
+from leastaction.curve.smoothing import banded_gram
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+
+__all__ = ["GridForces", "Pushes", "WithPushes", "forces_on"]
+
+_SAMPLES_PER_INTERVAL = 2.5  # at least: otherwise noise could not be told from the forces
+_FEWEST = 4  # intervals; shorter records are interpolated
+
+
+@dataclass(frozen=True, eq=False)
+class GridForces:
+    """Forces as a grid sees them.
+
+    Attributes
+    ----------
+    values : (n_intervals, n_quadrature, n_dof) array
+        At the quadrature points.
+    rates : (n_intervals, n_quadrature, n_dof) array
+        Their derivatives in time.
+    density : (n_dof,) array
+        Spectral density of what is faster, in force² seconds: the error of the equations, 1/w, that forces
+        with white noise would leave. Zero where it cannot be told.
+    """
+
+    values: np.ndarray
+    rates: np.ndarray
+    density: np.ndarray
+
+
+def forces_on(
+    grid: SplineGrid, times: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+) -> GridForces | None:
+    """Return the slow part of forces, from their samples; None if nothing acts anywhere.
+
+    Each trajectory's samples are fitted by least squares with a spline on the knots of its curve: what is
+    faster (ripple, steps of a converter, noise) the curve cannot follow, so it would only count as an error
+    of the equations, and bias the scale of L upwards.
+
+    Parameters
+    ----------
+    grid : SplineGrid
+    times : sequence of (n_times,) arrays
+    forces : sequence of (n_times, n_dof) arrays
+        None where nothing acts.
+
+    Examples
+    --------
+    >>> from leastaction.curve.bspline import uniform_grid
+    >>> t = np.linspace(0.0, 10.0, 1001)
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.1, (1001, 1))
+    >>> grid = uniform_grid([t], 4.0, 5)
+    >>> found = forces_on(grid, [t], [np.sin(t)[:, None] + noise])
+    >>> bool(np.std(found.values[..., 0] - np.sin(grid.points)) < 0.03)
+    True
+    >>> found.density.round(5).tolist()  # 0.1 squared times 0.01 s
+    [0.0001]
+    """
+    n_dof = next((f.shape[1] for f in forces if f is not None), 0)
+    if not n_dof:
+        return None
+    values, rates, squares, freedom = [], [], np.zeros(n_dof), 0.0
+    for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
+        points = grid.points[grid.owner == k]
+        if samples is None:
+            values.append(np.zeros((*points.shape, n_dof)))
+            rates.append(values[-1])
+            continue
+        slow, n_parameters = _slow_part(space, t, samples)
+        values.append(slow(points))
+        rates.append(slow(points, nu=1))
+        if n_parameters < t.size:
+            squares += ((samples - slow(t)) ** 2).sum(axis=0) * (t[-1] - t[0]) / t.size
+            freedom += t.size - n_parameters
+    return GridForces(np.concatenate(values), np.concatenate(rates), squares / max(freedom, 1.0))
+
+
+def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[BSpline | CubicSpline, int]:
+    """The curve, and how many parameters it has in each coordinate."""
+    between = CubicSpline(t, samples)
+    most = int(t.size / _SAMPLES_PER_INTERVAL)
+    if most < _FEWEST:
+        return between, t.size
+    if space.n_intervals > most:
+        space = SplineSpace(space.degree, np.linspace(t[0], t[-1], most + 1))
+    even = np.linspace(t[0], t[-1], t.size)  # gaps in the record must not leave an interval empty
+    design = space.basis(even)
+    gram = banded_gram(design, space.degree)
+    control_points = solveh_banded(gram, design.T @ between(even), lower=True)
+    return BSpline(space.knots, control_points, space.degree), space.n_ctrl
+
+
+class Pushes(Protocol):
+    """Forces of known shape and unknown size."""
+
+    def __len__(self) -> int: ...
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        """(n_pushes, n_dof, n_points) what each leaves in the residual, in the sequence of `Points`."""
+        ...
+
+
+class WithPushes(EulerLagrange):
+    """Columns of a structure, then those of pushes, which depend on time, not on the state."""
+
+    def __init__(self, columns: EulerLagrange, pushes: Pushes) -> None:
+        super().__init__(columns.terms, columns.coordinates, columns.prescribed)
+        self.pushes = pushes
+
+    def __len__(self) -> int:
+        return len(self.terms) + len(self.pushes)
+
+    def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
+        own = EulerLagrange.strong(self, points, range(len(self.terms)))
+        if points.intervals is None:
+            raise ValueError("forces are known at the quadrature points only")
+        return np.concatenate([own, self.pushes.on(points.intervals, self.n_dof)])
+
+    def jacobian(self, points: Points, coefficients: np.ndarray):
+        return super().jacobian(points, coefficients[: len(self.terms)])
+
+    def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
+        return super().mass_matrix(points, coefficients[: len(self.terms)])
+
+    def mass_of(self, k: int, points: Points) -> np.ndarray:
+        if k < len(self.terms):
+            return super().mass_of(k, points)
+        return np.zeros((points.n_points, self.n_dof, self.n_dof))
+
+    def subset(self, select: Sequence[int]) -> EulerLagrange:
+        """Terms only are left out: pushes are always free."""
+        terms = [k for k in select if k < len(self.terms)]
+        return WithPushes(super().subset(terms), self.pushes)

@@ -1,0 +1,233 @@
+"""Gauss–Newton with Levenberg–Marquardt damping on the joint problem.
+
+The control points are eliminated by a banded Cholesky factorisation H = RᵀR; the coefficients solve
+the dense Schur complement
+
+    (A − Cᵀ H⁻¹ C) Δλ = −(g_λ − Cᵀ H⁻¹ g_P),
+
+whose inverse is the covariance of λ (Golub & Pereyra 2003, Inverse Problems 19:R1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from leastaction.estimation.joint import Linearisation, Observations, Physics, Weights, linearise
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates"]
+
+_LARGEST_DAMPING = 1e8
+_MOST_IDLE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """Optimum of the joint problem at given weights.
+
+    Attributes
+    ----------
+    control_points : (n_ctrl, n_dof) array
+    coefficients : (n_columns,) array
+        Known ones included.
+    covariance : (n_free, n_free) array
+    linearisation : Linearisation
+        At the optimum.
+    logdet : float
+        log |H|, for the marginal likelihood.
+    weights : Weights
+    status : str
+        "converged", "stalled", "step limit" or "not finite".
+    n_steps : int
+    """
+
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    linearisation: Linearisation
+    logdet: float
+    weights: Weights
+    status: str
+    n_steps: int
+
+    @property
+    def converged(self) -> bool:
+        return self.status in ("converged", "stalled")
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is something to go on from, converged or not."""
+        return self.status != "not finite"
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """The cost as a function of the coefficients alone, the curve eliminated: ½-gradient and matrix."""
+
+    gradient: np.ndarray
+    matrix: np.ndarray
+    curve_shift: np.ndarray
+    curve_response: np.ndarray
+    logdet: float
+
+
+def assemble(observations: Observations, linearisation: Linearisation, weights: Weights) -> np.ndarray:
+    """H in lower banded storage, its diagonal raised by a rounding error."""
+    banded = weights.physics[0] * linearisation.bands[0]
+    for weight, band in zip(weights.physics[1:], linearisation.bands[1:], strict=True):
+        banded += weight * band
+    observations.add_band(banded, weights.noise_std)
+    banded[0] *= 1.0 + 1e-14
+    return banded
+
+
+def cholesky(banded: np.ndarray) -> np.ndarray:
+    """Banded Cholesky factor, in place; raises LinAlgError when H is not positive definite."""
+    return cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
+
+
+def logdet(factor: np.ndarray) -> float:
+    """log |H| from its Cholesky factor."""
+    return 2.0 * float(np.log(factor[0]).sum())
+
+
+def condense(
+    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
+) -> Quadratic:
+    """Eliminate the control points.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When H is not positive definite.
+    """
+    banded = assemble(observations, linearisation, weights)
+    banded[0] *= 1.0 + damping
+    factor = cholesky(banded)
+    curve_gradient, gradient = linearisation.gradients(weights)
+    border = np.tensordot(weights.physics, linearisation.borders, 1)
+    corner = np.tensordot(weights.physics, linearisation.corners, 1)
+    corner += linearisation.mean(weights.volume) * linearisation.volume_corner
+    right = np.column_stack([curve_gradient, border])
+    solved = cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False)
+    shift, response = solved[:, 0], solved[:, 1:]
+    matrix = corner - border.T @ response
+    return Quadratic(
+        gradient - border.T @ shift,
+        0.5 * (matrix + matrix.T),
+        shift,
+        response,
+        logdet(factor),
+    )
+
+
+def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a positive semi-definite matrix, scaled first so that units do not matter.
+
+    Directions that the data cannot see get a huge, finite variance.
+    """
+    diagonal = np.diag(matrix)
+    scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    values = np.clip(values, 1e-13 * max(1.0, *values), None) if values.size else values
+    return (vectors / values) @ vectors.T / np.outer(scale, scale)
+
+
+def fit_joint(
+    observations: Observations,
+    physics: Physics,
+    weights: Weights,
+    control_points: np.ndarray,
+    coefficients: np.ndarray,
+    *,
+    linearisation: Linearisation | None = None,
+    tolerance: float = 1e-2,
+    max_steps: int = 30,
+) -> JointFit:
+    """Minimise the joint cost from a start.
+
+    Parameters
+    ----------
+    linearisation : Linearisation, optional
+        At the start, where it is at hand.
+    tolerance : float
+        Stop when the step is predicted to lower the cost by less than this (a χ² of 0.01 is a
+        tenth of a standard error).
+
+    Returns
+    -------
+    JointFit
+        Never raises for numerical failure: see ``status``.
+    """
+    here = linearisation or linearise(observations, physics, control_points, coefficients)
+    cost, damping, status = here.cost(weights), 0.0, "step limit"
+    if not np.isfinite(cost):
+        return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
+    step = idle = 0
+    while step < max_steps:
+        step += 1
+        try:
+            quadratic = condense(observations, here, weights, damping)
+        except np.linalg.LinAlgError:
+            damping = max(10.0 * damping, 1e-8)
+            if damping > _LARGEST_DAMPING:
+                status = "not finite"
+                break
+            continue
+        shift, delta, predicted = _step(here, weights, quadratic, damping)
+        new_points = control_points + shift.reshape(control_points.shape)
+        new_coefficients = coefficients.copy()
+        new_coefficients[physics.free] += delta
+        there = linearise(observations, physics, new_points, new_coefficients)
+        new_cost = there.cost(weights)
+        if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
+            idle = idle + 1 if cost - new_cost < tolerance else 0
+            control_points, coefficients, here, cost = new_points, new_coefficients, there, new_cost
+            damping = damping / 10.0 if damping > 1e-6 else 0.0
+            if predicted < tolerance and damping < 1e-3:
+                status = "converged"
+                break
+            if idle == _MOST_IDLE:  # what the step promises is rounding
+                status = "stalled"
+                break
+        else:
+            damping = max(10.0 * damping, 1e-4)
+            # below the tolerance no measurable progress is left: rounding decides
+            if predicted < tolerance or damping > _LARGEST_DAMPING:
+                status = "stalled"
+                break
+    return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
+
+
+def _step(here: Linearisation, weights: Weights, quadratic: Quadratic, damping: float):
+    """Steps of curve and coefficients, and how much they should lower the cost."""
+    matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
+    delta = -symmetric_inverse(matrix) @ quadratic.gradient
+    shift = -(quadratic.curve_shift + quadratic.curve_response @ delta)
+    curve_gradient, gradient = here.gradients(weights)
+    return shift, delta, -float(curve_gradient @ shift + gradient @ delta)
+
+
+def _finish(observations, physics, weights, control_points, coefficients, here, status, step) -> JointFit:
+    """Covariance and log |H| at the last point."""
+    covariance, log_h = np.full((physics.n_free, physics.n_free), np.nan), np.nan
+    if status != "not finite":
+        try:
+            quadratic = condense(observations, here, weights)
+            # the weights are estimated too: what the volume term seems to know of the scale, they forget
+            known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
+            covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
+        except np.linalg.LinAlgError:
+            status = "not finite"
+    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step)
+
+
+def score_candidates(
+    observations: Observations, physics: Physics, fit: JointFit, candidates: EulerLagrange
+) -> Quadratic:
+    """Quadratic model of the cost in the coefficients of *all* candidates about a fit."""
+    at_fit = linearise(observations, physics, fit.control_points, fit.coefficients, candidates)
+    return condense(observations, at_fit, fit.weights)

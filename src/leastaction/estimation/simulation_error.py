@@ -1,0 +1,195 @@
+"""Coefficients by free runs, for machines that move in ways the library knows nothing of.
+
+Where equations hold only to some per cent, what they leave is not white: gears, belts and drives push at
+some frequencies and hardly at others, and an estimate that takes all of them alike is drawn to those that
+are of no use.  A free run is moved by the slow ones only.  There the coefficients minimise
+
+    Σ_r Σ_n Σ_i ρ((q_i(t_n; λ, run r) − q_i(t_n)) / s_i),      ρ(x) = 2 (√(1 + x²) − 1),
+
+over runs r of a quarter period that begin on the smoothed curve, s_i the rms of such errors before.  Standard
+errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50:1), run by run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+from scipy.optimize import least_squares
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.data.trajectories import Trajectory
+from leastaction.estimation.workspace import Workspace
+from leastaction.mechanics.equations import Mechanics
+from leastaction.simulation.integrate import rk4
+
+__all__ = ["FreeRuns", "minimise_free_runs"]
+
+_STEPS = 64  # of a free run
+_MOST_RUNS = 300
+_FEWEST_RUNS = 10
+_GAP = 0.05  # of a run, without samples
+_DIFFERENCE = 1e-5  # relative
+_LOST = 1e6  # a run that is further off, or diverges, counts as this
+_EVALUATIONS = 15
+
+
+@dataclass(frozen=True, eq=False)
+class FreeRuns:
+    """Coefficients and covariance of the members that were moved.
+
+    Attributes
+    ----------
+    estimates : (n_members,) array
+    covariance : (n_members, n_members) array
+    """
+
+    estimates: np.ndarray
+    covariance: np.ndarray
+
+
+def minimise_free_runs(
+    workspace: Workspace,
+    curve: Smooth,
+    members: Sequence[int],
+    coefficients: np.ndarray,
+    horizon: float,
+) -> FreeRuns | None:
+    """Minimise the errors of free runs along a smoothed curve, beginning at given coefficients.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        With the grid of ``curve``.
+    curve : Smooth
+    members : sequence of int
+        Columns to move; the coefficients of dissipation stay positive.
+    coefficients : (n_columns,) array
+    horizon : float
+        Seconds.
+
+    Returns
+    -------
+    FreeRuns or None
+        None where there are fewer than ten runs, or they cannot be followed.
+    """
+    runs = _Runs(workspace, curve, horizon)
+    if runs.n_runs < _FEWEST_RUNS:
+        return None
+    flow = _Flow(workspace, members, coefficients, runs)
+    one = np.ones(len(members))
+    before = np.abs(flow.errors(one[None])[0])
+    if not 0.0 < before.max() < _LOST:
+        return None
+    flow.scale = np.sqrt(np.mean(before**2, axis=(0, 1)))
+    kinds = [workspace.columns.terms[k].kind for k in members]
+    found = least_squares(
+        lambda x: flow.errors(x[None]).ravel(),
+        one,
+        flow.slopes,
+        bounds=([0.0 if kind == "dissipation" else -np.inf for kind in kinds], np.inf),
+        loss="soft_l1",
+        max_nfev=_EVALUATIONS,
+    )
+    size = coefficients[list(members)]
+    return FreeRuns(found.x * size, _sandwich(found.x, flow) * np.outer(size, size))
+
+
+def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
+    """H⁻¹ Σ_r g_r g_rᵀ H⁻¹ with the gradient g_r of each run."""
+    error, slopes = flow.errors(x[None])[0], flow.slopes(x)
+    root = np.sqrt(1.0 + error.ravel() ** 2)
+    hessian = slopes.T @ (slopes / root[:, None] ** 3)  # with ρ″, not only ρ′
+    gradients = (slopes * (error.ravel() / root)[:, None]).reshape(len(error), -1, x.size).sum(axis=1)
+    half = np.linalg.pinv(hessian) @ gradients.T
+    return half @ half.T
+
+
+class _Runs:
+    """Begins of free runs, the motion along them, and the forces.
+
+    Attributes
+    ----------
+    nodes : (n_steps + 1,) array
+        Seconds since the begin.
+    q : (n_runs, n_steps + 1, n_dof) array
+    qdot : (n_runs, n_dof) array
+        At the begin.
+    forces : (2 n_steps + 1, n_runs, n_dof) array or None
+        At the nodes and between them.
+    """
+
+    def __init__(self, workspace: Workspace, curve: Smooth, horizon: float) -> None:
+        self.nodes = np.linspace(0.0, horizon, _STEPS + 1)
+        begins = [_begins(trajectory, horizon) for trajectory in workspace.trajectories]
+        owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
+        keep = np.linspace(0, owner.size - 1, min(owner.size, _MOST_RUNS)).round().astype(int)
+        begin, owner = np.concatenate(begins)[keep], owner[keep]
+        self.n_runs, n_dof = begin.size, workspace.trajectories.n_dof
+        self.q = np.empty((self.n_runs, self.nodes.size, n_dof))
+        self.qdot = np.empty((self.n_runs, n_dof))
+        half = np.linspace(0.0, horizon, 2 * _STEPS + 1)
+        prescribed = workspace.columns.prescribed
+        moved = workspace.trajectories.driven or prescribed
+        self.forces = np.empty((half.size, self.n_runs, n_dof)) if moved else None
+        for k, part in enumerate(workspace.grid.split(curve.control_points)):
+            own, space = owner == k, workspace.grid.spaces[k]
+            self.q[own] = space.evaluate(part, begin[own][:, None] + self.nodes)
+            self.qdot[own] = space.evaluate(part, begin[own], 1)
+            if self.forces is not None:
+                times = half[:, None] + begin[own]
+                self.forces[:, own] = workspace.force_at(k, times)
+                for i in prescribed:  # its force is its acceleration
+                    self.forces[:, own, i] = space.evaluate(part, times, 2)[..., i]
+
+
+def _begins(trajectory: Trajectory, horizon: float) -> np.ndarray:
+    """Where runs of one trajectory begin, one after the other; none over a gap."""
+    t = trajectory.t[np.isfinite(trajectory.q).all(axis=1)]
+    if t.size < 2:
+        return np.empty(0)
+    step = np.diff(t)
+    gaps = np.flatnonzero(step > max(_GAP * horizon, 3.0 * float(np.median(step))))
+    begins = t[0] + horizon * np.arange(int((t[-1] - t[0]) / horizon))
+    ends = begins + horizon
+    over = (t[gaps] < ends[:, None]) & (t[gaps + 1] > begins[:, None])
+    return begins[~over.any(axis=1)]
+
+
+class _Flow:
+    """Free runs as a function of the members' coefficients, in units of those at the start."""
+
+    def __init__(self, workspace: Workspace, members, coefficients: np.ndarray, runs: _Runs) -> None:
+        self.runs, self.size = runs, coefficients[list(members)]
+        self.scale = np.ones(runs.q.shape[-1])
+        columns, symbols = workspace.columns, [sp.Dummy(real=True) for _ in members]
+        values: list[sp.Expr] = [sp.Float(float(value)) for value in coefficients]
+        for k, symbol in zip(members, symbols, strict=True):
+            values[k] = symbol
+        self.mechanics = Mechanics.of_terms(
+            columns.terms, values, columns.coordinates, symbols, columns.prescribed
+        )
+
+    def errors(self, x: np.ndarray) -> np.ndarray:
+        """(n_variants, n_runs, n_steps + 1, n_dof), over ``scale``; ``x`` is (n_variants, n_members)."""
+        runs, forces = self.runs, self.runs.forces
+        given = (x * self.size).T[:, :, None]
+        shape = (len(x), *runs.qdot.shape)
+        q, _ = rk4(
+            lambda q, qdot, forces: self.mechanics.acceleration(q, qdot, forces, given),
+            np.broadcast_to(runs.q[:, 0], shape),
+            np.broadcast_to(runs.qdot, shape),
+            runs.nodes,
+            substeps=1,
+            forces=None if forces is None else (lambda times: forces[:, None]),
+        )
+        error = (np.moveaxis(q, 0, 2) - runs.q) / self.scale
+        return np.clip(np.where(np.isnan(error), np.inf, error), -_LOST, _LOST)
+
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """Jacobian of the errors by central differences."""
+        steps = _DIFFERENCE * np.eye(x.size)
+        both = self.errors(np.concatenate([x + steps, x - steps]))
+        return ((both[: x.size] - both[x.size :]) / (2 * _DIFFERENCE)).reshape(x.size, -1).T

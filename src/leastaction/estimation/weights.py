@@ -1,0 +1,202 @@
+"""Noise and equation error estimated by the marginal likelihood, the curve integrated out.
+
+Given a support, the weights (σ, w) maximise (Laplace's approximation, up to a constant)
+
+    −½ cost − Σ_i n_i log σ_i + rank (½ Σ_i log w_i + ⟨log |det M|⟩) − ½ log|H(σ, w)|.
+
+Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural Computation 4:415)
+
+    w_i = (rank − γ_i) / ∫ r_i² dt,    γ_i = ∂ log|H| / ∂ log w_i,
+    σ_c² = Σ (y_c − N_c P)² / (n_c − η_c),   η_c = ∂ log|H| / ∂ log σ_c⁻²,
+
+the latter for every channel c: positions, and velocities and accelerations where they are measured.
+
+An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leastaction.estimation.gauss_newton import JointFit, assemble, cholesky, fit_joint, logdet
+from leastaction.estimation.joint import Observations, Physics, Weights, linearise
+
+__all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
+
+SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is left
+_LOG_STEP = 0.05
+# equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
+_SMALL, _EXACT = 1e-3, 1e-5
+_REGULAR = 0.9
+_HALVINGS = 4
+_MOST_STEPS = 100  # a structure that needs more is not worth it
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a fit begins: curve, coefficients (known ones included), weights."""
+
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    weights: Weights
+
+    @classmethod
+    def of(cls, fit: JointFit) -> Start:
+        return cls(fit.control_points, fit.coefficients, fit.weights)
+
+
+def equation_rank(observations: Observations) -> int:
+    """Directions of one coordinate that its equation touches: all but initial position and rate.
+
+    No more than there are points at which the equation is compared.
+    """
+    grid = observations.grid
+    return min(grid.n_ctrl - 2 * len(grid.spaces), grid.points.size)
+
+
+def evidence(observations: Observations, fit: JointFit) -> float:
+    """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only.
+
+    −∞ when the mass matrix is not positive definite along most of the motion: such equations do not
+    determine q̈, and the likelihood of the curve has no meaning.
+    """
+    at = fit.linearisation
+    if at.regular < _REGULAR:
+        return -np.inf
+    weights = fit.weights
+    value = -0.5 * at.misfit(weights) - float(observations.counts @ np.log(weights.noise_std))
+    prior = equation_rank(observations) * (0.5 * float(np.log(weights.physics).sum()) + at.log_volume)
+    unpushed = at.mean(weights.slack - weights.volume) * at.log_volume
+    return value + prior - unpushed - 0.5 * fit.logdet
+
+
+def start_weights(
+    observations: Observations,
+    physics: Physics,
+    noise_std: np.ndarray,
+    control_points: np.ndarray,
+    coefficients,
+) -> Weights:
+    """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike.
+
+    ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
+    """
+    at = linearise(observations, physics, control_points, coefficients)
+    slack = np.full_like(noise_std, equation_rank(observations))
+    slack[list(physics.columns.prescribed)] = 0.0
+    n = observations.n_dof
+    others = np.sqrt(at.squares[n:] / observations.counts[n:])
+    noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
+    counts = np.maximum(np.bincount(observations.coordinates, observations.counts), 1)
+    return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), slack)
+
+
+def update_weights(observations: Observations, fit: JointFit) -> Weights:
+    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters."""
+    weights, at = fit.weights, fit.linearisation
+
+    band = assemble(observations, at, weights)
+
+    def slope(part: np.ndarray, stride: int = 1, offset: int = 0) -> float:
+        """Derivative of log|H| in the logarithm of one weight, whose part of H is given."""
+        both = []
+        for factor in (np.expm1(_LOG_STEP), np.expm1(-_LOG_STEP)):
+            moved = band.copy()
+            moved[::stride, offset::stride] += factor * part
+            both.append(logdet(cholesky(moved)))
+        return 0.5 * (both[0] - both[1]) / _LOG_STEP
+
+    n, rank = observations.n_dof, equation_rank(observations)
+    new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
+    for i in range(n):
+        slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
+        ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
+        # where hardly any equation error is left, its size is mostly rounding: do not fall for it
+        lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
+        new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
+        if at.terms[i] > 0.0:
+            # an error that small makes no difference, and steps towards none at all would end on the way
+            hardly = slack[i] < SLACK_LEFT and fit.covariance.size > 0  # not while coefficients are held
+            least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
+            new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
+    for c, i in enumerate(observations.coordinates):
+        used = slope(observations.gram(c) / weights.noise_std[c] ** 2, n, i)
+        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
+        new_noise[c] = max(estimate, observations.floors[c])
+    slack[list(at.prescribed)] = 0.0
+    return replace(weights, noise_std=new_noise, physics=new_physics, slack=slack)
+
+
+def fit_weights(
+    observations: Observations,
+    physics: Physics,
+    start: Start,
+    *,
+    max_rounds: int = 25,
+) -> JointFit:
+    """Fit curve, coefficients and weights together.
+
+    Stops when the coefficients move by less than a twentieth of a standard error, and the evidence by
+    less than a half, from one round to the next.
+    """
+    best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
+    best_evidence = evidence(observations, best)
+    steps, stride = best.n_steps, 1.0
+    for _ in range(max_rounds):
+        if not best.converged or steps > _MOST_STEPS:
+            break
+        update = _accelerate(best.weights, update_weights(observations, best))
+        for _ in range(_HALVINGS):
+            weights = _part_of_the_way(best.weights, update, stride)
+            fit = fit_joint(
+                observations,
+                physics,
+                weights,
+                best.control_points,
+                best.coefficients,
+                linearisation=best.linearisation,
+            )
+            steps += fit.n_steps
+            value = evidence(observations, fit)
+            if np.isfinite(value) and value >= best_evidence - 0.5:
+                break
+            # equations compete for the same error and take it from each other in turn
+            stride *= 0.5
+        else:
+            break
+        spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
+        moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
+        settled = np.all(moved < 0.05) and value - best_evidence < 0.5
+        best, best_evidence = fit, value
+        if settled:
+            break
+    return best
+
+
+def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
+    """Between old and new weights, by their logarithms."""
+    noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
+    return replace(new, noise_std=noise_std, physics=old.physics * (new.physics / old.physics) ** share)
+
+
+def _accelerate(old: Weights, new: Weights) -> Weights:
+    """Square the growth of w while it is large: the plain fixed point needs many rounds for that."""
+    ratio = new.physics / old.physics
+    return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
+
+
+def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
+    """Fit the curve alone, coefficients held, and update the weights once.
+
+    Returns the new start and the evidence at the old weights; −inf when the fit failed.
+    """
+    held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
+    fit = fit_joint(
+        observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0
+    )
+    if not fit.converged:
+        return start, -np.inf
+    weights = update_weights(observations, fit)
+    return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)

@@ -1,0 +1,123 @@
+"""A model as an FMU for co-simulation: an archive of a description, C sources and a library made of them."""
+
+from __future__ import annotations
+
+import io
+import re
+import uuid
+import zipfile
+from importlib.resources import files
+
+import sympy as sp
+
+from leastaction.exporters import c
+from leastaction.exporters.compile import compile_library, platform_name
+from leastaction.exporters.fmu_description import build_description, model_description, variables
+from leastaction.exporters.shared import about
+from leastaction.mechanics.equations import Mechanics
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["source_files", "write"]
+
+_MAX_STEP = 1e-3  # seconds, unless the knots of the discovery ask for less
+_STEPS_PER_KNOT = 10
+_SHARED_NAMES = (
+    "leastaction_acceleration",
+    "leastaction_energy",
+    "motion_reset",
+    "motion_set",
+    "motion_get",
+    "motion_step",
+)
+
+
+def write(model: LagrangianModel, version: int, file: str | None = None) -> bytes:
+    """Return the archive; `file` is its name, from which that of the model is made.
+
+    Raises
+    ------
+    InputError
+        If there is no C compiler.
+    """
+    name = _identifier(file)
+    table = variables(model, _max_step(model))
+    # The token ties the description to the library: whatever changes either must change it.
+    parts = [
+        model_description(name, version, table, ""),
+        *(text for _, text in sorted(source_files(model, version, name, "").items())),
+    ]
+    token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, ''.join(parts))}}}"
+    sources = source_files(model, version, name, token)
+    library, suffix = compile_library(sources, [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"])
+    members: dict[str, bytes] = {
+        "modelDescription.xml": model_description(name, version, table, token).encode(),
+        f"binaries/{platform_name(version)}/{name}{suffix}": library,
+        **{f"sources/{path}": text.encode() for path, text in sources.items()},
+    }
+    if version == 3:
+        members["sources/buildDescription.xml"] = build_description(name).encode()
+    return _archive(members)
+
+
+def source_files(model: LagrangianModel, version: int, name: str, token: str) -> dict[str, str]:
+    """File name -> text: what is the same for every model, and the equations with parameters."""
+    ours = files("leastaction.exporters") / "sources"
+    out = {
+        path: (ours / path).read_text(encoding="utf-8")
+        for path in (f"fmi{version}.c", "motion.c", "motion.h")
+    }
+    terms = (*model.terms, *model.dissipation)
+    # A name with brackets is an element of an array in C, and no coordinate can have it.
+    symbols = [sp.Symbol(f"p[{k}]", real=True) for k in range(len(terms))]
+    n, n_dof = len(model.terms), model.n_dof
+    mechanics = Mechanics(
+        sp.Add(*(s * e for s, e in zip(symbols[:n], model.expressions, strict=True))),
+        sp.Add(*(s * e for s, e in zip(symbols[n:], model.dissipation_expressions, strict=True))),
+        model.coordinates,
+    )
+    numbers = ", ".join(repr(term.coefficient) for term in terms)
+    comment = "\n".join(["/*", *(f" * {line}" for line in about(model)), " */"])
+    out["model.h"] = (
+        f"{comment}\n#ifndef MODEL_H\n#define MODEL_H\n\n"
+        f'#define MODEL_PREFIX {name}_\n#define MODEL_TOKEN "{token}"\n'
+        f"#define START_MAX_STEP {_max_step(model)!r}\n\n"
+        f"enum {{ N_DOF = {n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
+        f"#define START_COEFFICIENTS {{{numbers}}}\n\n"
+        "/* Several FMUs in one program must not meet. */\n"
+        + "".join(f"#define {function} {name}_{function}\n" for function in _SHARED_NAMES)
+        + "\n"
+        f"void leastaction_acceleration(const double p[], const double q[{n_dof}], "
+        f"const double qdot[{n_dof}],\n"
+        f"                              const double forces[{n_dof}], double qddot[{n_dof}]);\n"
+        f"double leastaction_energy(const double p[], const double q[{n_dof}], const double qdot[{n_dof}]);\n"
+        "\n#endif\n"
+    )
+    includes = '#include <math.h>\n#include <stddef.h>\n\n#include "model.h"\n'
+    out["model.c"] = f"{comment}\n{includes}\n{c.definitions(mechanics, 'p')}"
+    return out
+
+
+def _identifier(file: str | None) -> str:
+    """Name of the model: a C identifier made of the name of the file."""
+    if file is None:
+        return "leastaction_model"
+    stem = re.sub(r"[^A-Za-z0-9_]", "_", file.removesuffix(".fmu"))[:60]
+    return stem if stem[:1].isalpha() else f"model_{stem}"
+
+
+def _max_step(model: LagrangianModel) -> float:
+    knots = model.provenance.get("knots_per_second")
+    fastest = float(knots) if isinstance(knots, (int, float)) and knots > 0 else 0.0
+    return min(_MAX_STEP, 1.0 / (_STEPS_PER_KNOT * fastest)) if fastest else _MAX_STEP
+
+
+def _archive(members: dict[str, bytes]) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            # A fixed date, so that the same model gives the same description and sources.
+            info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(info, data)
+    return out.getvalue()

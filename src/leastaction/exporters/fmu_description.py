@@ -1,0 +1,147 @@
+"""The XML files of an FMU: its variables, and how to build it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+from leastaction.exporters.shared import unused
+from leastaction.library import format_expression
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["Variable", "build_description", "model_description", "variables"]
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable; its value reference is its place in the list."""
+
+    name: str
+    description: str
+    causality: str
+    variability: str
+    initial: str | None = None
+    start: float | None = None
+
+
+def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
+    """Return all variables, in the sequence that ``motion.h`` fixes."""
+    out: list[Variable] = []
+    # Names of coordinates may be anything; they keep them, and the others make way.
+    taken = {*model.coordinates, *(f"{c}_dot" for c in model.coordinates)}
+
+    def add(name: str, *rest, keep: bool = False, **more) -> None:
+        free = name if keep else unused(name, sorted(taken))
+        taken.add(free)
+        out.append(Variable(free, *rest, **more))
+
+    add("time", "time in seconds", "independent", "continuous")
+    for c in model.coordinates:
+        add(c, f"coordinate {c}", "output", "continuous", initial="exact", start=0.0, keep=True)
+    for c in model.coordinates:
+        text = f"velocity of {c}"
+        add(f"{c}_dot", text, "output", "continuous", initial="exact", start=0.0, keep=True)
+    for c in model.coordinates:
+        add(f"{c}_dot_dot", f"acceleration of {c}", "output", "continuous", initial="calculated")
+    add("energy", "sum of qdot * dL/dqdot, less L", "output", "continuous", initial="calculated")
+    for c in model.coordinates:
+        what = f"acceleration of {c}" if c in model.prescribed else f"generalised force on {c}"
+        add(f"{c}_force", what, "input", "continuous", start=0.0)
+    text = "longest step of the integration inside, in seconds"
+    add("max_step", text, "parameter", "tunable", initial="exact", start=max_step)
+    groups = (
+        ("lagrangian", "L", model.terms, model.expressions),
+        ("dissipation", "the dissipation function", model.dissipation, model.dissipation_expressions),
+    )
+    for name, whole, terms, expressions in groups:
+        for k, (term, expr) in enumerate(zip(terms, expressions, strict=True), start=1):
+            text = f"coefficient of {format_expression(expr)} in {whole}"
+            add(f"{name}_{k}", text, "parameter", "tunable", initial="exact", start=term.coefficient)
+    return out
+
+
+def model_description(name: str, version: int, table: list[Variable], token: str) -> str:
+    """Return modelDescription.xml of FMI 2.0 or 3.0."""
+    given = {"guid" if version == 2 else "instantiationToken": token}
+    root = ET.Element(
+        "fmiModelDescription",
+        {"fmiVersion": f"{version}.0", "modelName": name, **given, "generationTool": "leastaction"},
+    )
+    able = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
+    if version == 2:
+        able |= {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
+    else:
+        able |= {"canGetAndSetFMUState": "true"}
+    interface = ET.SubElement(root, "CoSimulation", able)
+    if version == 2:
+        sources = ET.SubElement(interface, "SourceFiles")
+        for file in _units(version):
+            ET.SubElement(sources, "File", {"name": file})
+    categories = ET.SubElement(root, "LogCategories")
+    for category in ("logStatusDiscard", "logStatusError"):
+        ET.SubElement(categories, "Category", {"name": category})
+    ET.SubElement(root, "DefaultExperiment", {"startTime": "0", "stopTime": "10", "stepSize": "0.01"})
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(table):
+        (_variable2 if version == 2 else _variable3)(listed, reference, variable)
+    _structure(root, version, table)
+    return _text(root)
+
+
+def _attributes(reference: int, variable: Variable) -> dict[str, str]:
+    out = {
+        "name": variable.name,
+        "valueReference": str(reference),
+        "description": variable.description,
+        "causality": variable.causality,
+        "variability": variable.variability,
+    }
+    return out if variable.initial is None else {**out, "initial": variable.initial}
+
+
+def _start(variable: Variable) -> dict[str, str]:
+    return {} if variable.start is None else {"start": repr(variable.start)}
+
+
+def _variable2(listed: ET.Element, reference: int, variable: Variable) -> None:
+    scalar = ET.SubElement(listed, "ScalarVariable", _attributes(reference, variable))
+    ET.SubElement(scalar, "Real", _start(variable))
+
+
+def _variable3(listed: ET.Element, reference: int, variable: Variable) -> None:
+    ET.SubElement(listed, "Float64", {**_attributes(reference, variable), **_start(variable)})
+
+
+def _structure(root: ET.Element, version: int, table: list[Variable]) -> None:
+    structure = ET.SubElement(root, "ModelStructure")
+    outputs = [k for k, v in enumerate(table) if v.causality == "output"]
+    unknowns = [k for k in outputs if table[k].initial == "calculated"]
+    if version == 3:
+        for tag, places in (("Output", outputs), ("InitialUnknown", unknowns)):
+            for k in places:
+                ET.SubElement(structure, tag, {"valueReference": str(k)})
+        return
+    for tag, places in (("Outputs", outputs), ("InitialUnknowns", unknowns)):
+        group = ET.SubElement(structure, tag)
+        for k in places:
+            ET.SubElement(group, "Unknown", {"index": str(k + 1)})
+
+
+def _units(version: int) -> list[str]:
+    return [f"fmi{version}.c", "model.c", "motion.c"]
+
+
+def build_description(name: str) -> str:
+    """Return sources/buildDescription.xml of FMI 3.0."""
+    root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    sources = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
+    for file in _units(3):
+        ET.SubElement(sources, "SourceFile", {"name": file})
+    ET.SubElement(configuration, "Library", {"name": "m"})
+    return _text(root)
+
+
+def _text(root: ET.Element) -> str:
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, encoding="unicode")}\n'

@@ -1,0 +1,35 @@
+"""Names of the formats, each with a line that says what it is; nothing is imported for it."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+__all__ = ["FORMATS", "check_format"]
+
+FORMATS = {
+    "sympy": "Python script that makes L and the dissipation function with SymPy",
+    "latex": "L and the dissipation function as a displayed formula",
+    "python": "Python module that needs nothing: acceleration and energy",
+    "c": "C99 file that needs math.h only: acceleration and energy",
+    "casadi": "Python module that makes CasADi functions: acceleration, energy, mass matrix",
+    "matlab": "MATLAB or Octave function file: acceleration, state derivative for ode45, energy",
+    "fmu2": "FMU for co-simulation, FMI 2.0: C sources, and compiled for this computer",
+    "fmu3": "FMU for co-simulation, FMI 3.0: C sources, and compiled for this computer",
+}
+"""Name -> one line."""
+
+
+def check_format(format: str) -> None:
+    """Refuse what is not the name of a format.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(format, str) or format not in FORMATS:
+        near = get_close_matches(str(format)[:40].lower(), FORMATS, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise InputError(f"format is {quoted(format)}; expected one of {', '.join(FORMATS)}{hint}")

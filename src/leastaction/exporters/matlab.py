@@ -1,0 +1,153 @@
+"""A model as a function file for MATLAB and Octave."""
+
+from __future__ import annotations
+
+import re
+
+from leastaction.errors import InputError
+from leastaction.exporters.shared import CPrinter, about, assignments, equations
+from leastaction.identifiers import quoted
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["write"]
+
+_KEYWORDS = frozenset(
+    [
+        "break",
+        "case",
+        "catch",
+        "classdef",
+        "continue",
+        "else",
+        "elseif",
+        "end",
+        "for",
+        "function",
+        "global",
+        "if",
+        "otherwise",
+        "parfor",
+        "persistent",
+        "return",
+        "spmd",
+        "switch",
+        "try",
+        "while",
+    ]
+)
+
+
+class _MatlabPrinter(CPrinter):
+    """Scalar code. Where a real result does not exist, the real* functions stop; others become complex."""
+
+    def _print_RealAbs(self, expr):
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_RealSign(self, expr):
+        return f"sign({self._print(expr.args[0])})"
+
+    def _print_log(self, expr):
+        return f"reallog({self._print(expr.args[0])})"
+
+    def _print_Pow(self, expr):
+        base, exponent = self._print(expr.base), self._print(expr.exp)
+        if abs(expr.exp) == 0.5:
+            return f"realsqrt({base})" if expr.exp > 0 else f"(1/realsqrt({base}))"
+        if expr.exp.is_Integer:
+            return f"(({base})^({exponent}))"
+        return f"realpow({base}, {exponent})"
+
+
+_FUNCTIONS = """
+function qddot = acceleration(q, qdot, forces)
+[mass, right] = equations(q, qdot);
+if nargin > 2
+    right = right + forces(:);
+end
+qddot = mass \\ right;
+end
+
+function xdot = state_derivative(t, x, forces)
+q = x(1:{n});
+qdot = x({first}:{last});
+qdot = qdot(:);
+if nargin < 3
+    xdot = [qdot; acceleration(q, qdot)];
+elseif isa(forces, 'function_handle')
+    xdot = [qdot; acceleration(q, qdot, forces(t))];
+else
+    xdot = [qdot; acceleration(q, qdot, forces)];
+end
+end
+
+function mass = mass_matrix(q, qdot)
+if nargin < 2
+    qdot = zeros({n}, 1);
+end
+[mass, right] = equations(q, qdot);
+end
+"""
+
+
+def write(model: LagrangianModel, file: str | None = None) -> str:
+    """Return the file; its name is that of the function.
+
+    Raises
+    ------
+    InputError
+        If MATLAB could not call a file of this name.
+    """
+    name = "leastaction_model" if file is None else _function_name(file)
+    n, mechanics = model.n_dof, model.mechanics
+    lines = [
+        f"function model = {name}()",
+        *(f"% {line}" for line in about(model, "q({i})", 1)),
+        "%",
+        f"% model = {name}();",
+        "% qddot = model.acceleration(q, qdot, forces)    forces may be left out",
+        "% xdot  = model.state_derivative(t, x, forces)   x = [q; qdot]; forces may be a function of t",
+        "% E     = model.energy(q, qdot)",
+        "% M     = model.mass_matrix(q, qdot)",
+        "% [t, x] = ode45(@(t, x) model.state_derivative(t, x), [0 10], [q0; qdot0]);",
+        "model.acceleration = @acceleration;",
+        "model.state_derivative = @state_derivative;",
+        "model.energy = @energy;",
+        "model.mass_matrix = @mass_matrix;",
+        "end",
+    ]
+    functions = _FUNCTIONS.format(n=n, first=n + 1, last=2 * n)
+
+    def body(expressions):
+        return assignments(expressions, mechanics, _MatlabPrinter().doprint, "{array}({i})", 1)
+
+    first, values = body(equations(mechanics))
+    rows = "; ".join(", ".join(values[i * n : (i + 1) * n]) for i in range(n))
+    more = [
+        "",
+        "function [mass, right] = equations(q, qdot)",
+        *(f"{variable} = {value};" for variable, value in first),
+        f"mass = [{rows}];",
+        f"right = [{'; '.join(values[n * n :])}];",
+        "end",
+    ]
+    first, values = body([mechanics.energy_expression])
+    more += [
+        "",
+        "function E = energy(q, qdot)",
+        *(f"{variable} = {value};" for variable, value in first),
+        f"E = {values[0]};",
+        "end",
+    ]
+    return "\n".join(lines) + "\n" + functions + "\n".join(more) + "\n"
+
+
+def _function_name(file: str) -> str:
+    stem, dot, suffix = file.rpartition(".")
+    if not (dot and suffix == "m"):
+        raise InputError(f"{quoted(file)} does not end in .m; MATLAB looks for such files, e.g. pendulum.m")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", stem) or stem in _KEYWORDS:
+        raise InputError(
+            f"{quoted(file)} cannot be called in MATLAB; begin with a letter, then letters, digits and "
+            "underscores, at most 63, no keyword, e.g. pendulum.m"
+        )
+    return stem

@@ -1,0 +1,120 @@
+"""What the formats have in common: the equations with names for shared parts, and comments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import sympy as sp
+from sympy.printing.c import C99CodePrinter
+from sympy.printing.pycode import PythonCodePrinter
+
+from leastaction.library import format_expression
+from leastaction.mechanics.equations import Mechanics
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["CPrinter", "PythonPrinter", "about", "assignments", "equations", "unused"]
+
+
+def unused(name: str, taken: Sequence[str]) -> str:
+    """Return the name, with underscores behind it if it is taken."""
+    while name in taken:
+        name += "_"
+    return name
+
+
+def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> list[str]:
+    """What the file holds, for its comments: plain ASCII, whatever the coordinates are called."""
+    lines = ["Equations of motion  d/dt dL/dqdot - dL/dq = forces - dpsi/dqdot, written by leastaction."]
+    for i, name in enumerate(model.coordinates):
+        driven = (
+            "; its motion is prescribed: its force is its acceleration" if name in model.prescribed else ""
+        )
+        lines.append(f"{element.format(i=base + i)}: {name}{driven}")
+    groups = (
+        ("L", model.terms, model.expressions),
+        ("psi", model.dissipation, model.dissipation_expressions),
+    )
+    for name, terms, expressions in groups:
+        for k, (term, expr) in enumerate(zip(terms, expressions, strict=True)):
+            start = f"{name} = " if k == 0 else " " * len(name) + " + "
+            lines.append(f"{start}{term.coefficient!r} * ({format_expression(expr)})")
+    return [line.encode("ascii", "backslashreplace").decode().replace("*/", "* /") for line in lines]
+
+
+def equations(mechanics: Mechanics) -> list[sp.Expr]:
+    """Mass matrix row by row, then the right-hand side."""
+    return [*(entry for row in mechanics.mass for entry in row), *mechanics.right]
+
+
+def assignments(
+    expressions: Sequence[sp.Expr],
+    mechanics: Mechanics,
+    write: Callable[[sp.Expr], str],
+    element: str = "{array}[{i}]",
+    base: int = 0,
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Return (name, code) for what has to be computed first, and the code of the expressions.
+
+    `element` and `base` say how an entry of the arrays q and qdot is written, and what its first one is.
+    """
+    shared, reduced = sp.cse(
+        [sp.sympify(e) for e in expressions], symbols=sp.numbered_symbols("c_", real=True)
+    )
+    used = set().union(*(e.free_symbols for e in [*reduced, *(e for _, e in shared)]))
+    lines = []
+    for array, symbols in (("q", mechanics.q), ("qdot", mechanics.qdot)):
+        lines += [
+            (str(symbol), element.format(array=array, i=base + i))
+            for i, symbol in enumerate(symbols)
+            if symbol in used
+        ]
+    lines += [(str(symbol), write(expr)) for symbol, expr in shared]
+    return lines, [write(expr) for expr in reduced]
+
+
+class _CodeMixin:
+    """What the printers of Python and C have in common."""
+
+    def _print_Float(self, expr):
+        return repr(float(expr))
+
+    def _print_NumberSymbol(self, expr):
+        return repr(float(expr))
+
+    _print_Pi = _print_Exp1 = _print_NumberSymbol
+
+    def _print_RealSign(self, expr):
+        argument = self._print(expr.args[0])  # type: ignore[attr-defined]
+        return f"(({argument} > 0) - ({argument} < 0))"
+
+
+class PythonPrinter(_CodeMixin, PythonCodePrinter):
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": True})  # type: ignore[call-arg]
+
+    def _print_RealAbs(self, expr):
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_Pow(self, expr, rational=False):
+        if expr.exp.is_Integer or abs(expr.exp) == sp.S.Half:
+            return super()._print_Pow(expr, rational)
+        # A negative number to such a power must not become complex.
+        return f"math.pow({self._print(expr.base)}, {self._print(expr.exp)})"
+
+
+class CPrinter(_CodeMixin, C99CodePrinter):
+    def __init__(self) -> None:
+        # The macros such as M_SQRT2 are not in the standard.
+        super().__init__({"math_macros": {}})  # type: ignore[call-arg]
+
+    def _print_RealAbs(self, expr):
+        return f"fabs({self._print(expr.args[0])})"
+
+    def _print_Integer(self, expr):
+        return str(int(expr)) if abs(int(expr)) < 2**31 else repr(float(expr))
+
+    def _print_Pow(self, expr):
+        if expr.base.is_Symbol and expr.exp.is_Integer and 2 <= abs(expr.exp) <= 4:
+            product = "*".join([self._print(expr.base)] * abs(int(expr.exp)))
+            return f"({product})" if expr.exp > 0 else f"(1.0/({product}))"
+        return super()._print_Pow(expr)

@@ -1,0 +1,122 @@
+"""export(): a model in one of the formats."""
+
+from __future__ import annotations
+
+import os
+from typing import Literal, overload
+
+from leastaction.data.formats.atomic import check_path
+from leastaction.errors import InputError
+from leastaction.exporters import c, casadi, fmu, latex, matlab, python, sympy
+from leastaction.exporters.formats import check_format
+from leastaction.io import write_bytes
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["export"]
+
+_PLAIN = {
+    "sympy": sympy.write,
+    "latex": latex.write,
+    "python": python.write,
+    "c": c.write,
+    "casadi": casadi.write,
+}
+
+
+@overload
+def export(
+    model: LagrangianModel, format: Literal["fmu2", "fmu3"], path: str | os.PathLike[str] | None = None
+) -> bytes: ...
+@overload
+def export(
+    model: LagrangianModel,
+    format: Literal["sympy", "latex", "python", "c", "casadi", "matlab"],
+    path: str | os.PathLike[str] | None = None,
+) -> str: ...
+@overload
+def export(
+    model: LagrangianModel, format: str, path: str | os.PathLike[str] | None = None
+) -> str | bytes: ...
+def export(model, format, path=None):
+    """Write a model as a text or file that needs nothing of leastaction.
+
+    ============  =========================================================================================
+    format        content
+    ============  =========================================================================================
+    ``"sympy"``   a Python script that makes ``lagrangian`` and ``dissipation_function`` with SymPy, over real
+                  symbols with the names of the coordinates and ``<coordinate>_dot``; all digits are kept
+    ``"latex"``   L and ψ as a displayed formula (needs the package amsmath), rounded to their errors
+    ``"python"``  a module that imports only `math`: ``acceleration(q, qdot, forces=None)`` -> list and
+                  ``energy(q, qdot)`` -> float of plain sequences
+    ``"c"``       C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces, qddot)``,
+                  ``double leastaction_energy(q, qdot)`` of arrays; ``forces`` may be ``NULL``
+    ``"casadi"``  a Python module that imports `casadi` and holds three ``casadi.Function``:
+                  ``acceleration(q, qdot, forces)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``; without a
+                  file, `leastaction.casadi.functions` makes the same
+    ``"matlab"``  a function file for MATLAB and Octave; it returns a structure of function handles:
+                  ``acceleration(q, qdot, forces)``, ``state_derivative(t, x, forces)`` with x = [q; qdot] for
+                  ``ode45``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``. The function has the name of the
+                  file
+    ``"fmu2"``    an FMU for co-simulation (FMI 2.0) with its C sources, compiled for this computer by the C
+                  compiler on the PATH. Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
+                  ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
+                  first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
+                  ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms,
+                  or a tenth of a knot interval of the discovery if that is shorter; Coulomb friction can
+                  need less). Inputs are held over a communication step
+    ``"fmu3"``    the same for FMI 3.0
+    ============  =========================================================================================
+
+    Where the mass matrix is exactly singular the accelerations are NaN (MATLAB also warns, an FMU refuses the
+    step); where a function is not defined (logarithm of a negative number), C and CasADi return NaN,
+    Python raises what `math` raises, and MATLAB stops with its own message.
+
+    Parameters
+    ----------
+    model : LagrangianModel
+    format : {"sympy", "latex", "python", "c", "casadi", "matlab", "fmu2", "fmu3"}
+    path : path, optional
+        File to write. For MATLAB and for an FMU its name is also that of the function or model; without a
+        path that is ``leastaction_model``.
+
+    Returns
+    -------
+    str or bytes
+        The content: text, and bytes for an FMU.
+
+    Raises
+    ------
+    InputError
+        If there is no such format, the file cannot be written or, for MATLAB, has a name that cannot be
+        called; for an FMU, if there is no C compiler.
+
+    Examples
+    --------
+    >>> from leastaction.model.model import LagrangianModel, ModelTerm
+    >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+    >>> print(export(spring, "sympy"))
+    # Written by leastaction.
+    import sympy
+    <BLANKLINE>
+    x, x_dot = sympy.symbols("x x_dot", real=True)
+    lagrangian = -2.0*x**2 + 0.5*x_dot**2
+    dissipation_function = sympy.Integer(0)
+    <BLANKLINE>
+    >>> namespace = {}
+    >>> exec(export(spring, "python"), namespace)
+    >>> namespace["acceleration"]([1.0], [0.0], [3.0])
+    [-1.0]
+    """
+    if not isinstance(model, LagrangianModel):
+        raise InputError(f"model is of type {type(model).__name__}; expected a LagrangianModel")
+    check_format(format)
+    file = None if path is None else check_path(path).name
+    if format in _PLAIN:
+        content = _PLAIN[format](model)
+    elif format == "matlab":
+        content = matlab.write(model, file)
+    else:
+        content = fmu.write(model, version=int(format[-1]), file=file)
+    if path is not None:
+        write_bytes(path, content if isinstance(content, bytes) else content.encode("utf-8"))
+    return content

@@ -1,0 +1,406 @@
+"""The library: an ordered set of candidate terms over named coordinates."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import overload
+
+import sympy
+
+from leastaction.errors import InputError
+from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, quoted
+from leastaction.library.families import MAX_TERMS, check_angles, mechanical_terms
+from leastaction.library.file import read_terms
+from leastaction.library.parser import normalise
+from leastaction.library.reduction import find_redundant, same_functions
+from leastaction.library.term import Candidate, Dropped, Kind, Term, make_term
+
+__all__ = ["Library"]
+
+
+class Library(Sequence[Term]):
+    """Candidate terms of the Lagrangian, L = Σ_k λ_k φ_k, and of the dissipation function.
+
+    Immutable: every method returns a new library.
+
+    Parameters
+    ----------
+    terms
+        Candidates φ_k as text, SymPy expressions or terms.  Text may use ``+ - * / **``, brackets,
+        sin cos tan exp log sqrt abs, numbers, pi, the coordinates, their velocities
+        ``<coordinate>_dot`` and the parameters.
+    coordinates
+        Names of the generalised coordinates.
+    angles
+        Those coordinates that are angles, in radians.
+    parameters
+        Numbers that the texts may use by name; they are put in at once.
+    dissipation
+        Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ.
+
+    Attributes
+    ----------
+    terms, dissipation : tuple of Term
+        The candidates, in the order given; repeated expressions are left out.
+    coordinates, velocities, angles : tuple of str
+    dropped : tuple of Dropped
+        What was left out, and why.
+
+    Raises
+    ------
+    InputError
+        When a term cannot be read, or a name is unknown or not allowed.
+
+    Examples
+    --------
+    >>> library = Library(["theta_dot**2", "cos(theta)"], ["theta"], angles=["theta"])
+    >>> len(library), library[1].text, library.index("cos(-theta)")
+    (2, 'cos(theta)', 1)
+    """
+
+    def __init__(
+        self,
+        terms: Iterable[Candidate],
+        coordinates: Iterable[str] | str,
+        *,
+        angles: Iterable[str] | str = (),
+        parameters: Mapping[str, float] | None = None,
+        dissipation: Iterable[Candidate] = (),
+    ) -> None:
+        self._coordinates = check_coordinate_names(coordinates)
+        self._angles = check_angles(angles, self._coordinates)
+        names = [*self._coordinates, *self.velocities]
+        clash = {normalise(str(name)) for name in parameters or ()} & {*names, *FUNCTION_NAMES, "pi"}
+        if clash:
+            raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
+        self._dropped: tuple[Dropped, ...] = ()
+        self._terms = self._collect(terms, names, parameters, "lagrangian")
+        self._dissipation = self._collect(dissipation, names, parameters, "dissipation")
+        if not self._terms:
+            raise InputError("the library has no terms; give expressions such as 'theta_dot**2'")
+
+    def _collect(self, sources, names, parameters, kind: Kind) -> tuple[Term, ...]:
+        if isinstance(sources, Candidate) or not isinstance(sources, Iterable):
+            raise InputError(f"expected a list of {kind} terms, got {quoted(sources)}")
+        found: dict[sympy.Expr, Term] = {}
+        repeated = []
+        for source in sources:
+            term = make_term(source, names, parameters, kind)
+            if term.expr in found:
+                repeated.append(Dropped(term, "duplicate", f"equals {found[term.expr].text}"))
+            else:
+                found[term.expr] = term
+        self._dropped += tuple(repeated)
+        return tuple(found.values())
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | os.PathLike[str],
+        coordinates: Iterable[str] | str,
+        *,
+        angles: Iterable[str] | str = (),
+        parameters: Mapping[str, float] | None = None,
+        dissipation: Iterable[Candidate] = (),
+    ) -> Library:
+        r"""Read a library from a text file: one expression a line, ``#`` starts a comment.
+
+        Parameters
+        ----------
+        path
+            UTF-8 text file.
+        coordinates, angles, parameters, dissipation
+            As for `Library`.
+
+        Raises
+        ------
+        InputError
+            With file and line, when a line cannot be read; also when the file cannot.
+
+        Examples
+        --------
+        >>> import tempfile, pathlib
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "library.txt")
+        ...     _ = path.write_text("theta_dot**2  # kinetic\n\ncos(theta)\n", encoding="utf-8")
+        ...     Library.from_file(path, ["theta"])
+        Library(['theta_dot**2', 'cos(theta)'], coordinates=['theta'])
+        """
+        checked = check_coordinate_names(coordinates)
+        terms = read_terms(path, [*checked, *(f"{name}_dot" for name in checked)], parameters)
+        return cls(terms, checked, angles=angles, parameters=parameters, dissipation=dissipation)
+
+    @classmethod
+    def mechanical(
+        cls,
+        coordinates: Iterable[str] | str,
+        angles: Iterable[str] | str = (),
+        *,
+        size: str = "standard",
+        degree: int | None = None,
+        gyroscopic: bool = False,
+        dissipation: Iterable[Candidate] = (),
+    ) -> Library:
+        """Generate the candidates that mechanical systems are usually made of.
+
+        Products of two velocities times functions of the coordinates, and potentials: cosines and sines of
+        angles, their sums and differences; powers of other coordinates; products of both kinds.
+
+        Parameters
+        ----------
+        coordinates, angles
+            Names; the angles are some of the coordinates.
+        size
+            ``"compact"``, ``"standard"`` (1, 2, 3 coordinates: at most 12, 60, 150 terms) or ``"large"``
+            (which also has 1/x and log(x), for coordinates that stay positive).
+        degree
+            Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6
+            with the size.
+        gyroscopic
+            Whether to add terms linear in the velocities, x ẏ and φ̇ cos θ: spinning rotors, rotating frames,
+            charges in magnetic fields.
+        dissipation
+            Candidates of the dissipation function, as for `Library`.
+
+        Raises
+        ------
+        InputError
+            For an unknown size or degree, or when there would be more than 1500 terms.
+
+        Examples
+        --------
+        >>> Library.mechanical(["theta1", "theta2"], angles=["theta1", "theta2"]).summary()
+        '42 terms in theta1, theta2 (angles: theta1, theta2): 27 with velocities, 15 without'
+        """
+        names = check_coordinate_names(coordinates)
+        terms = mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic)
+        if len(terms) > MAX_TERMS:
+            raise InputError(
+                f"the {size} library over {len(names)} coordinates would have {len(terms)} terms; expected "
+                f"at most {MAX_TERMS}: choose a smaller size, or write the candidates down by hand"
+            )
+        return cls(terms, names, angles=angles, dissipation=dissipation)
+
+    @staticmethod
+    def mechanical_size(
+        coordinates: Iterable[str] | str,
+        angles: Iterable[str] | str = (),
+        *,
+        size: str = "standard",
+        degree: int | None = None,
+        gyroscopic: bool = False,
+    ) -> int:
+        """Return how many terms `mechanical` would generate, without doing so.
+
+        Examples
+        --------
+        >>> Library.mechanical_size(["x", "theta"], angles=["theta"])
+        38
+        """
+        names = check_coordinate_names(coordinates)
+        return len(mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Candidates of the Lagrangian."""
+        return self._terms
+
+    @property
+    def dissipation(self) -> tuple[Term, ...]:
+        """Candidates of the dissipation function."""
+        return self._dissipation
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self._coordinates
+
+    @property
+    def velocities(self) -> tuple[str, ...]:
+        """Names of the velocities, ``<coordinate>_dot``."""
+        return tuple(f"{name}_dot" for name in self._coordinates)
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Names of the coordinates that are angles."""
+        return self._angles
+
+    @property
+    def n_dof(self) -> int:
+        """Number of coordinates."""
+        return len(self._coordinates)
+
+    @property
+    def dropped(self) -> tuple[Dropped, ...]:
+        """Candidates that were left out, and why."""
+        return self._dropped
+
+    def __len__(self) -> int:
+        return len(self._terms)
+
+    @overload
+    def __getitem__(self, key: int) -> Term: ...
+    @overload
+    def __getitem__(self, key: slice) -> tuple[Term, ...]: ...
+    def __getitem__(self, key):
+        return self._terms[key]
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Library) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def _key(self) -> tuple:
+        return self._terms, self._dissipation, self._coordinates, self._angles
+
+    def __repr__(self) -> str:
+        shown = [term.text for term in self._terms[:6]]
+        listing = ", ".join(map(repr, shown)) + (", ..." if len(self) > len(shown) else "")
+        parts = [f"[{listing}]", f"coordinates={list(self._coordinates)}"]
+        if self._angles:
+            parts.append(f"angles={list(self._angles)}")
+        if self._dissipation:
+            parts.append(f"dissipation={[term.text for term in self._dissipation]}")
+        if len(self) > len(shown):
+            parts.append(f"{len(self)} terms")
+        return f"Library({', '.join(parts)})"
+
+    def index(self, expression: Candidate, kind: Kind = "lagrangian") -> int:  # type: ignore[override]
+        """Return the place of an expression in the library; equal functions match, however they are written.
+
+        Parameters
+        ----------
+        expression
+            Text, SymPy expression or term.
+        kind
+            Look among the terms of the Lagrangian or of the dissipation function.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        InputError
+            When no term is equal; the message lists near matches.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "(x-1)**2"], ["x"]).index("x**2 - 2*x + 1")
+        1
+        """
+        names = [*self._coordinates, *self.velocities]
+        kind = expression.kind if isinstance(expression, Term) else kind
+        wanted = make_term(expression, names, kind=kind)
+        terms = self._terms if kind == "lagrangian" else self._dissipation
+        for k, term in enumerate(terms):
+            if term.expr == wanted.expr:
+                return k
+        same = same_functions(wanted.expr, [term.expr for term in terms], self._coordinates)
+        if same:
+            return same[0]
+        texts = [term.text for term in terms]
+        near = difflib.get_close_matches(wanted.text, texts, n=3, cutoff=0.4) or texts[:3]
+        hint = f"; near matches: {', '.join(near)}" if near else ""
+        raise InputError(f"{wanted.text!r} is not among the {len(terms)} {kind} terms of the library{hint}")
+
+    def replace(
+        self,
+        *,
+        terms: Iterable[Candidate] | None = None,
+        dissipation: Iterable[Candidate] | None = None,
+    ) -> Library:
+        """Return a library over the same coordinates with other terms or another dissipation.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "x"], ["x"]).replace(terms=["x**2"])
+        Library(['x**2'], coordinates=['x'])
+        """
+        new = Library(
+            self._terms if terms is None else terms,
+            self._coordinates,
+            angles=self._angles,
+            dissipation=self._dissipation if dissipation is None else dissipation,
+        )
+        new._dropped = self._dropped + new._dropped
+        return new
+
+    def with_dissipation(self, expressions: Iterable[Candidate]) -> Library:
+        """Return a library with more candidates of the dissipation function.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "x"], ["x"]).with_dissipation(["x_dot**2/2"]).dissipation[0].text
+        'x_dot**2/2'
+        """
+        more = Library(self._terms, self._coordinates, dissipation=expressions)
+        return self.replace(dissipation=[*self._dissipation, *more._dissipation])
+
+    def reduced(self, keep: Iterable[Candidate] | str = (), *, prescribed: Iterable[str] = ()) -> Library:
+        """Return the library without terms that change nothing in the equations of motion it can write.
+
+        Left out are null terms (constants and total time derivatives), multiples of another term, and
+        sums of others, also where that is so only up to a null term; `dropped` says which and why.
+        Terms of the dissipation are examined together with those of the Lagrangian.
+
+        Parameters
+        ----------
+        keep
+            Terms of the library that stay where there is a choice; otherwise earlier terms stay.
+        prescribed
+            Coordinates that are moved by unknown forces: their equations do not count.
+
+        Raises
+        ------
+        InputError
+            When a term to keep is not in the library, or no term is left.
+
+        Examples
+        --------
+        >>> library = Library(["x_dot**2", "1", "x*x_dot", "x", "2*x"], ["x"]).reduced()
+        >>> [term.text for term in library], [str(dropped) for dropped in library.dropped]
+        (['x_dot**2', 'x'], ['1: constant', 'x*x_dot: total time derivative', '2*x: equals 2*x'])
+        """
+        both = (*self._terms, *self._dissipation)
+        wanted = (keep,) if isinstance(keep, Candidate) else keep
+        places = [self._coordinates.index(name) for name in prescribed]
+        found = find_redundant(both, self._coordinates, {self._place(item) for item in wanted}, places)
+        left = [term for k, term in enumerate(both) if k not in found]
+        terms = [term for term in left if term.kind == "lagrangian"]
+        if not terms:
+            raise InputError("no term of the library has an effect on the motion; add kinetic terms")
+        new = self.replace(terms=terms, dissipation=[term for term in left if term.kind == "dissipation"])
+        new._dropped = self._dropped + tuple(found.values())
+        return new
+
+    def _place(self, item: Candidate) -> int:
+        """Return the index of a term in terms + dissipation; text may mean a term of either."""
+        known_kind = item.kind if isinstance(item, Term) else None
+        if known_kind != "dissipation":
+            try:
+                return self.index(item)
+            except InputError:
+                if known_kind or not self._dissipation:
+                    raise
+        return len(self._terms) + self.index(item, "dissipation")
+
+    def summary(self) -> str:
+        """Return one line with the number of terms of each kind.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "x"], ["x"]).summary()
+        '2 terms in x: 1 with velocities, 1 without'
+        """
+        velocities = {sympy.Symbol(name, real=True) for name in self.velocities}
+        moving = sum(not velocities.isdisjoint(term.expr.free_symbols) for term in self._terms)
+        angles = f" (angles: {', '.join(self._angles)})" if self._angles else ""
+        text = f"{len(self)} terms in {', '.join(self._coordinates)}{angles}: "
+        text += f"{moving} with velocities, {len(self) - moving} without"
+        if self._dissipation:
+            text += f"; {len(self._dissipation)} of dissipation"
+        return text + (f"; {len(self._dropped)} left out" if self._dropped else "")

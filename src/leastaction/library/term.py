@@ -1,0 +1,185 @@
+"""One candidate function, of the Lagrangian or of the dissipation function."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import TYPE_CHECKING, Literal, overload
+
+import sympy
+
+from leastaction.errors import InputError
+from leastaction.library.parser import canonical_number, format_expression, normalise, parse_expression
+
+if TYPE_CHECKING:
+    from leastaction.library.library import Library
+
+__all__ = ["Candidate", "Dropped", "Kind", "Term", "make_term", "smooth_abs"]
+
+Kind = Literal["lagrangian", "dissipation"]
+
+
+@dataclass(frozen=True)
+class Term:
+    """One candidate function of coordinates and velocities.
+
+    Two terms are equal when expression and kind are equal; the text does not count.
+
+    Parameters
+    ----------
+    text
+        Readable text in the grammar of the library, for example ``"theta_dot**2"``.
+    expr
+        The same as a SymPy expression over real symbols.
+    kind
+        ``"lagrangian"`` or ``"dissipation"``.
+    """
+
+    text: str = field(compare=False)
+    expr: sympy.Expr
+    kind: Kind = "lagrangian"
+
+    def __str__(self) -> str:
+        return self.text
+
+
+Candidate = str | Term | sympy.Expr
+"""What a user may give for a term."""
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A candidate that was left out of a library, and why.
+
+    ``reason`` is ``"null"`` (no effect on the equations of motion), ``"duplicate"`` (a multiple of one
+    other term) or ``"dependent"`` (a sum of several); ``because`` is text for people.
+    """
+
+    term: Term
+    reason: Literal["null", "duplicate", "dependent"]
+    because: str
+
+    def __str__(self) -> str:
+        return f"{self.term.text}: {self.because}"
+
+
+def make_term(
+    source: Candidate,
+    names: Iterable[str],
+    parameters: Mapping[str, float] | None = None,
+    kind: Kind = "lagrangian",
+) -> Term:
+    """Return a validated term from text, a SymPy expression or another term.
+
+    Parameters
+    ----------
+    source
+        The candidate.
+    names
+        Coordinates and velocities that may occur.
+    parameters
+        Numbers to put in place of further names.
+    kind
+        What the term is a candidate of.
+
+    Raises
+    ------
+    InputError
+        When the expression cannot be read, or a Term is of the other kind.
+
+    Examples
+    --------
+    >>> make_term(" x_dot ** 2", ["x", "x_dot"])
+    Term(text='x_dot**2', expr=x_dot**2, kind='lagrangian')
+    """
+    names = list(names)
+    if isinstance(source, Term):
+        if source.kind != kind:
+            raise InputError(f"term {source.text!r} is a {source.kind} term; expected a {kind} term")
+        strangers = {symbol.name for symbol in source.expr.free_symbols} - {normalise(n) for n in names}
+        if not strangers:
+            return source
+        source = source.text
+    if isinstance(source, sympy.Expr):
+        source = _text_of(source)
+    if not isinstance(source, str):
+        raise InputError(f"expected an expression as text such as 'cos(x)', got {type(source).__name__}")
+    expr = parse_expression(source, names, parameters)
+    # Text with a parameter in it could not be read back by itself (from a saved model).
+    by_itself = not parameters or not _mentions(source, parameters)
+    text = "".join(normalise(source).split()) if by_itself else format_expression(expr)
+    return Term(text, expr, kind)
+
+
+def _text_of(expr: sympy.Expr) -> str:
+    try:
+        return format_expression(expr)
+    except InputError as error:
+        raise InputError(f"{error}; expected the functions sin cos tan exp log sqrt abs") from None
+
+
+def _mentions(text: str, parameters: Mapping[str, float]) -> bool:
+    words = set(re.findall(r"[^\W\d]\w*", normalise(text)))
+    return not words.isdisjoint(normalise(name) for name in parameters)
+
+
+@overload
+def smooth_abs(source: Term, scale: Mapping[str, float]) -> Term: ...
+@overload
+def smooth_abs(source: Library, scale: Mapping[str, float]) -> Library: ...
+def smooth_abs(source, scale):
+    """Replace |u| by √(u² + ε²) wherever u contains velocities, so that friction has no kink.
+
+    Parameters
+    ----------
+    source
+        A term or a whole library (its terms and its dissipation).
+    scale
+        Velocity name to ε, in the units of that velocity; where u has several velocities the largest ε
+        counts.
+
+    Returns
+    -------
+    Term or Library
+        The same object when there is nothing to replace.
+
+    Raises
+    ------
+    InputError
+        When a velocity inside abs() has no positive ε.
+
+    Examples
+    --------
+    >>> smooth_abs(make_term("abs(x_dot)", ["x", "x_dot"]), {"x_dot": 0.01}).text
+    'sqrt(x_dot**2 + 1/10000)'
+    """
+    if not isinstance(source, Term):
+        terms = [smooth_abs(term, scale) for term in source.terms]
+        dissipation = [smooth_abs(term, scale) for term in source.dissipation]
+        unchanged = (*terms, *dissipation) == (*source.terms, *source.dissipation)
+        return source if unchanged else source.replace(terms=terms, dissipation=dissipation)
+    changes = {}
+    for part in source.expr.atoms(sympy.Abs):
+        velocities = sorted(s.name for s in part.free_symbols if s.name.endswith("_dot"))
+        if velocities:
+            epsilon = max(_epsilon(name, scale, source) for name in velocities)
+            squared = canonical_number(Fraction(repr(epsilon)) ** 2)
+            changes[part] = sympy.sqrt(part.args[0] ** 2 + squared)
+    if not changes:
+        return source
+    expr = source.expr.xreplace(changes)
+    text = format_expression(expr)
+    names = [symbol.name for symbol in expr.free_symbols]
+    return Term(text, parse_expression(text, names), source.kind)
+
+
+def _epsilon(velocity: str, scale: Mapping[str, float], term: Term) -> float:
+    epsilon = float(scale.get(velocity, 0.0))
+    if not 1e-15 <= epsilon <= 1e6:
+        raise InputError(
+            f"smoothing {term.text!r} needs a positive scale for {velocity!r}, got {scale.get(velocity)!r}; "
+            "give one in the units of that velocity, for example 1 % of its standard deviation"
+        )
+    return epsilon

@@ -1,0 +1,1 @@
+"""Equations of motion of candidate terms and of whole models."""

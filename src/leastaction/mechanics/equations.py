@@ -1,0 +1,250 @@
+"""Equations of motion of one Lagrangian and one dissipation function: symbolic, and compiled for arrays.
+
+The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f are M(q, q̇) q̈ = r(q, q̇) + f with
+
+    M_ij = ∂²L/∂q̇_i∂q̇_j,    r_i = ∂L/∂q_i − ∂ψ/∂q̇_i − Σ_j (∂²L/∂q̇_i∂q_j) q̇_j.
+
+Where the motion of a coordinate is prescribed, q̈_i = f_i takes the place of its equation: its force is its
+acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+import sympy as sp
+from sympy.printing.numpy import NumPyPrinter
+
+from leastaction.library import Term
+
+__all__ = ["Mechanics", "RealAbs", "RealSign", "state_symbols"]
+
+
+# SymPy's own derivative of |u| brings in re() and im() where it is not sure that u is real, and a delta
+# function the second time. Here all is real, and a kink has no second derivative worth the name.
+class RealSign(sp.Function):
+    """Sign of a real number; its derivative is taken as zero."""
+
+    def fdiff(self, argindex=1):
+        return sp.Integer(0)
+
+
+class RealAbs(sp.Function):
+    """|u| of a real number u."""
+
+    def fdiff(self, argindex=1):
+        return RealSign(self.args[0])
+
+
+class _Printer(NumPyPrinter):
+    """NumPy code with all digits of the numbers: lambdify's own printer keeps 15."""
+
+    def _print_Float(self, expr):
+        return repr(float(expr))
+
+    def _print_RealAbs(self, expr):
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_RealSign(self, expr):
+        return f"sign({self._print(expr.args[0])})"
+
+
+def state_symbols(coordinates: Sequence[str]) -> tuple[list[sp.Symbol], list[sp.Symbol], list[sp.Symbol]]:
+    """Real symbols of coordinates, velocities (``x_dot``) and accelerations (``x_dot_dot``)."""
+    q = [sp.Symbol(c, real=True) for c in coordinates]
+    qdot = [sp.Symbol(f"{c}_dot", real=True) for c in coordinates]
+    return q, qdot, [sp.Symbol(f"{c}_dot_dot", real=True) for c in coordinates]
+
+
+class Mechanics:
+    """Mass matrix, right-hand side, energy and acceleration of one system.
+
+    Parameters
+    ----------
+    lagrangian, dissipation : sympy.Expr
+        L and ψ with their numbers, over the symbols of `state_symbols`.
+    coordinates : sequence of str
+    parameters : sequence of sympy.Symbol
+        Coefficients that stay symbols; `acceleration` takes their values.
+    prescribed : sequence of int
+        Coordinates whose motion is prescribed.
+
+    Notes
+    -----
+    `mass`, `right` and `energy_expression` are written in the neutral symbols `q` and `qdot`, so that no
+    name of a coordinate can meet a name in generated code.
+    """
+
+    def __init__(
+        self,
+        lagrangian: sp.Expr,
+        dissipation: sp.Expr,
+        coordinates: Sequence[str],
+        parameters: Sequence[sp.Symbol] = (),
+        prescribed: Sequence[int] = (),
+    ) -> None:
+        self.prescribed = tuple(prescribed)
+        self.n_dof = len(coordinates)
+        self.parameters = tuple(parameters)
+        self._named = state_symbols(coordinates)
+        self.q = [sp.Symbol(f"q_{i}", real=True) for i in range(self.n_dof)]
+        self.qdot = [sp.Symbol(f"v_{i}", real=True) for i in range(self.n_dof)]
+        swap = dict(zip([*self._named[0], *self._named[1]], [*self.q, *self.qdot], strict=True))
+        self._lagrangian = lagrangian.replace(sp.Abs, RealAbs).xreplace(swap)
+        self._dissipation = dissipation.replace(sp.Abs, RealAbs).xreplace(swap)
+
+    @classmethod
+    def of_terms(
+        cls,
+        terms: Sequence[Term],
+        values: Sequence[sp.Expr],
+        coordinates: Sequence[str],
+        parameters: Sequence[sp.Symbol] = (),
+        prescribed: Sequence[int] = (),
+    ) -> Mechanics:
+        """Terms of L and ψ with their coefficients, numbers or parameters."""
+        parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
+        for term, value in zip(terms, values, strict=True):
+            parts[term.kind] += value * term.expr
+        return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters, prescribed)
+
+    @cached_property
+    def momentum(self) -> list[sp.Expr]:
+        """∂L/∂q̇_i."""
+        return [sp.diff(self._lagrangian, v) for v in self.qdot]
+
+    @cached_property
+    def mass(self) -> list[list[sp.Expr]]:
+        """M_ij, symmetric but for the rows of prescribed coordinates."""
+        n = self.n_dof
+        upper = {(i, j): sp.diff(self.momentum[i], self.qdot[j]) for i in range(n) for j in range(i, n)}
+        rows = [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
+        for i in self.prescribed:
+            rows[i] = [sp.Integer(int(i == j)) for j in range(n)]
+        return rows
+
+    @cached_property
+    def right(self) -> list[sp.Expr]:
+        """r_i."""
+        return [
+            sp.diff(self._lagrangian, self.q[i])
+            - sp.diff(self._dissipation, self.qdot[i])
+            - sp.Add(*(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True)))
+            if i not in self.prescribed
+            else sp.Integer(0)
+            for i in range(self.n_dof)
+        ]
+
+    @cached_property
+    def energy_expression(self) -> sp.Expr:
+        """Σ_i q̇_i ∂L/∂q̇_i − L, without the products that cancel."""
+        return sp.expand_mul(
+            sp.Add(*(v * p for v, p in zip(self.qdot, self.momentum, strict=True))) - self._lagrangian
+        )
+
+    def equations(self, forces: bool) -> tuple[sp.Eq, ...]:
+        """Equations in the symbols of the coordinates: solved for q̈ up to three coordinates.
+
+        Coordinates that are prescribed have none; their accelerations stay in those of the others.
+        """
+        q, qdot, qddot = self._named
+        back = dict(zip([*self.q, *self.qdot], [*q, *qdot], strict=True))
+
+        def named(expr: sp.Expr) -> sp.Expr:
+            return expr.replace(RealAbs, sp.Abs).replace(RealSign, sp.sign).xreplace(back)
+
+        free = [i for i in range(self.n_dof) if i not in self.prescribed]
+        mass = sp.Matrix(len(free), len(free), lambda i, j: named(self.mass[free[i]][free[j]]))
+        right = sp.Matrix(
+            [
+                named(self.right[i]) - sp.Add(*(named(self.mass[i][j]) * qddot[j] for j in self.prescribed))
+                for i in free
+            ]
+        )
+        if forces:
+            right += sp.Matrix([sp.Symbol(f"{q[i].name}_force", real=True) for i in free])
+        accelerations = [qddot[i] for i in free]
+        if len(free) > 3:
+            left = mass * sp.Matrix(accelerations)
+            return tuple(sp.Eq(a, b, evaluate=False) for a, b in zip(left, right, strict=True))
+        if mass.is_diagonal():
+            solved = [right[i] / mass[i, i] for i in range(len(free))]
+        else:
+            solved = list(mass.adjugate() * right / mass.det())
+        return tuple(
+            sp.Eq(a, sp.sympify(b), evaluate=False) for a, b in zip(accelerations, solved, strict=True)
+        )
+
+    @cached_property
+    def _equations_function(self) -> Callable[..., list]:
+        return self.compile([*(entry for row in self.mass for entry in row), *self.right], self.parameters)
+
+    @cached_property
+    def _energy_function(self) -> Callable[..., list]:
+        return self.compile([self.energy_expression])
+
+    def compile(self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()) -> Callable[..., list]:
+        """Return a function of the entries of `q`, those of `qdot`, and `more`, to a list of values."""
+        printer = _Printer(
+            {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
+        )
+        symbols = [*self.q, *self.qdot, *more]
+        return sp.lambdify(symbols, list(expressions), modules="numpy", printer=printer, cse=True)
+
+    def _columns(self, q: np.ndarray, qdot: np.ndarray) -> list[np.ndarray]:
+        return [x[..., i] for x in (q, qdot) for i in range(self.n_dof)]
+
+    def mass_and_right(
+        self, q: np.ndarray, qdot: np.ndarray, parameters: Iterable[np.ndarray] = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return M, shape (..., n_dof, n_dof), and r, shape (..., n_dof), of float arrays of one shape.
+
+        ``parameters`` have values of a shape that can be broadcast to (...).
+        """
+        n = self.n_dof
+        with np.errstate(all="ignore"):
+            values = iter(self._equations_function(*self._columns(q, qdot), *parameters))
+        mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
+        for i, j in product(range(n), repeat=2):
+            mass[..., i, j] = next(values)
+        for i in range(n):
+            right[..., i] = next(values)
+        return mass, right
+
+    def mass_matrix(self, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+        """Return M, shape (..., n_dof, n_dof)."""
+        return self.mass_and_right(q, qdot)[0]
+
+    def acceleration(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        forces: np.ndarray | None = None,
+        parameters: Iterable[np.ndarray] = (),
+    ) -> np.ndarray:
+        """Return q̈; NaN where the mass matrix is exactly singular."""
+        mass, right = self.mass_and_right(q, qdot, parameters)
+        return _solve(mass, right if forces is None else right + forces)
+
+    def energy(self, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+        """Return q̇·∂L/∂q̇ − L, shape (...)."""
+        with np.errstate(all="ignore"):
+            (value,) = self._energy_function(*self._columns(q, qdot))
+        return np.array(np.broadcast_to(value, q.shape[:-1]), dtype=float)
+
+
+def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
+    if right.shape[-1] == 1:
+        pivot = mass[..., 0]
+        with np.errstate(all="ignore"):
+            return np.where(pivot != 0, right / pivot, np.nan)
+    try:
+        return np.linalg.solve(mass, right[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        # One singular matrix must not take the others with it.
+        singular = np.linalg.det(mass) == 0
+        safe = np.where(singular[..., None, None], np.eye(right.shape[-1]), mass)
+        return np.where(singular[..., None], np.nan, np.linalg.solve(safe, right[..., None])[..., 0])

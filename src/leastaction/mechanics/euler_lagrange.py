@@ -1,0 +1,310 @@
+"""Candidate terms put through the Euler–Lagrange operator, with exact symbolic derivatives.
+
+For a candidate φ(q, q̇) of the Lagrangian the operator is, by the chain rule,
+
+    E_i[φ] = Σ_j φ_{q̇i q̇j} q̈_j + Σ_j φ_{q̇i qj} q̇_j − φ_{qi},
+
+and a Rayleigh candidate ψ contributes ∂ψ/∂q̇_i on the same side, so that the equations of motion read
+
+    Σ_k λ_k E_i[φ_k] + Σ_k c_k ∂ψ_k/∂q̇_i = f_i.
+
+Both are linear in the coefficients.  A *column* below is one candidate, of either kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+import sympy as sp
+
+from leastaction.errors import InputError
+from leastaction.library import Library, Term
+
+__all__ = ["EulerLagrange", "Points", "euler_lagrange"]
+
+
+class Points:
+    """States at many points, with the functions of them that candidates share.
+
+    Parameters
+    ----------
+    q, qdot, qddot : (n_points, n_dof) arrays
+        ``qddot`` may be left out where no strong form is needed.
+    intervals : slice, optional
+        Knot intervals whose quadrature points these are: first point of each, then second point of each, …
+    """
+
+    def __init__(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        qddot: np.ndarray | None = None,
+        *,
+        intervals: slice | None = None,
+    ) -> None:
+        self.intervals = intervals
+        self.n_points, self.n_dof = q.shape
+        blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
+        self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
+        self._cache: dict[sp.Basic, np.ndarray] = {}
+
+    def value(self, atom: sp.Basic, function: Callable) -> np.ndarray:
+        """Value of sin(θ), √(…) and the like, computed once for all candidates."""
+        if atom not in self._cache:
+            # a candidate may be undefined at some points (log of a negative number): NaN is checked later
+            with np.errstate(all="ignore"):
+                self._cache[atom] = np.broadcast_to(function(*self.columns[: 2 * self.n_dof]), self.n_points)
+        return self._cache[atom]
+
+
+def _symbols(coordinates: Sequence[str]) -> tuple[list[sp.Symbol], list[sp.Symbol], list[sp.Symbol]]:
+    q = [sp.Symbol(c, real=True) for c in coordinates]
+    qdot = [sp.Symbol(f"{c}_dot", real=True) for c in coordinates]
+    # no clash is possible: names that end in _dot are not coordinates
+    qddot = [sp.Symbol(f"{c}_dot_dot", real=True) for c in coordinates]
+    return q, qdot, qddot
+
+
+def _clean(expr: sp.Expr) -> sp.Expr:
+    """|x| has a kink: its second derivative is taken as zero."""
+    return expr.replace(sp.DiracDelta, lambda *_: sp.Integer(0)) if expr.has(sp.DiracDelta) else expr
+
+
+class _Compiled:
+    """Several expressions of (q, q̇, q̈) as one numpy function; zeros are left out."""
+
+    def __init__(
+        self, expressions: dict[tuple[int, ...], sp.Expr], symbols: list[sp.Symbol], n_dof: int
+    ) -> None:
+        entries = {key: e for key, e in expressions.items() if e != 0}
+        self.keys = tuple(entries)
+        atoms = sorted({a for e in entries.values() for a in _shared_atoms(e)}, key=sp.default_sort_key)
+        stand_ins = [sp.Symbol(f"_shared{k}", real=True) for k in range(len(atoms))]
+        swap = dict(zip(atoms, stand_ins, strict=True))
+        bodies = [e.xreplace(swap) for e in entries.values()]
+        self._atoms = [(a, _atom_function(a, tuple(symbols[: 2 * n_dof]))) for a in atoms]
+        # dummify: a coordinate may bear the name of a numpy function
+        self._function = sp.lambdify(
+            [*symbols, *stand_ins], bodies, modules="numpy", cse=len(bodies) > 2, dummify=True
+        )
+        self._n_symbols = len(symbols)
+
+    def __call__(self, points: Points) -> Iterable[tuple[tuple[int, ...], np.ndarray | float]]:
+        if not self.keys:
+            return ()
+        shared = [points.value(atom, function) for atom, function in self._atoms]
+        with np.errstate(all="ignore"):
+            values = self._function(*points.columns[: self._n_symbols], *shared)
+        return zip(self.keys, values, strict=True)
+
+
+def _shared_atoms(expr: sp.Expr) -> set[sp.Basic]:
+    """Functions and roots worth computing once: sin, cos, …, and powers that are not small integers."""
+    found: set[sp.Basic] = set()
+    stack = [expr]
+    while stack:
+        node = stack.pop()
+        costly_power = isinstance(node, sp.Pow) and not (node.exp.is_Integer and 0 < int(node.exp) <= 4)
+        if node.free_symbols and (isinstance(node, sp.Function) or costly_power):
+            found.add(node)
+        else:
+            stack.extend(node.args)
+    return found
+
+
+@lru_cache(maxsize=4096)
+def _atom_function(atom: sp.Basic, symbols: tuple[sp.Symbol, ...]) -> Callable:
+    return sp.lambdify(symbols, atom, modules="numpy", dummify=True)
+
+
+class _Column:
+    """One candidate: its derivatives, compiled when first asked for."""
+
+    def __init__(self, term: Term, coordinates: tuple[str, ...]) -> None:
+        self.term = term
+        self.n_dof = len(coordinates)
+        self.q, self.qdot, self.qddot = _symbols(coordinates)
+        self._compiled: dict[str, _Compiled] = {}
+
+    def get(self, what: str) -> _Compiled:
+        if what not in self._compiled:
+            expressions = getattr(self, f"_{what}")()
+            state = [*self.q, *self.qdot] if what in ("weak", "mass") else [*self.q, *self.qdot, *self.qddot]
+            self._compiled[what] = _Compiled(expressions, state, self.n_dof)
+        return self._compiled[what]
+
+    def _weak(self) -> dict[tuple[int, ...], sp.Expr]:
+        """(0, i): what χ̇ multiplies, ∂φ/∂q̇_i; (1, i): what χ multiplies, ∂φ/∂q_i or −∂ψ/∂q̇_i."""
+        phi, out = self.term.expr, {}
+        for i in range(self.n_dof):
+            rate = _clean(sp.diff(phi, self.qdot[i]))
+            if self.term.kind == "dissipation":
+                out[1, i] = -rate
+            else:
+                out[0, i] = rate
+                out[1, i] = _clean(sp.diff(phi, self.q[i]))
+        return out
+
+    def _mass(self) -> dict[tuple[int, ...], sp.Expr]:
+        if self.term.kind == "dissipation":
+            return {}
+        momentum = [sp.diff(self.term.expr, v) for v in self.qdot]
+        return {
+            (i, j): _clean(sp.diff(p, self.qdot[j]))
+            for i, p in enumerate(momentum)
+            for j in range(self.n_dof)
+        }
+
+    def _strong(self) -> dict[tuple[int, ...], sp.Expr]:
+        phi, out = self.term.expr, {}
+        for i in range(self.n_dof):
+            momentum = _clean(sp.diff(phi, self.qdot[i]))
+            if self.term.kind == "dissipation":
+                out[(i,)] = momentum
+                continue
+            pieces = [_clean(sp.diff(momentum, v)) * a for v, a in zip(self.qdot, self.qddot, strict=True)]
+            pieces += [_clean(sp.diff(momentum, x)) * v for x, v in zip(self.q, self.qdot, strict=True)]
+            out[(i,)] = sp.Add(*pieces, -_clean(sp.diff(phi, self.q[i])))
+        return out
+
+    def _jacobian(self) -> dict[tuple[int, ...], sp.Expr]:
+        """(nu, i, j): ∂E_i/∂q_j^{(nu)}."""
+        out = {}
+        for (i,), expr in self._strong().items():
+            for nu, symbols in enumerate((self.q, self.qdot, self.qddot)):
+                for j, s in enumerate(symbols):
+                    out[nu, i, j] = _clean(sp.diff(expr, s))
+        return out
+
+
+@lru_cache(maxsize=2048)
+def _column(term: Term, coordinates: tuple[str, ...]) -> _Column:
+    return _Column(term, coordinates)
+
+
+class EulerLagrange:
+    """The columns of a library as numpy functions.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Candidates of L and of the dissipation function, in any mixture.
+    coordinates : sequence of str
+    prescribed : sequence of int
+        Coordinates that unknown forces move: their equations are empty, and the mass matrix is that of the
+        others, with a one for each of them.
+    """
+
+    def __init__(
+        self, terms: Sequence[Term], coordinates: Sequence[str], prescribed: Sequence[int] = ()
+    ) -> None:
+        self.terms = tuple(terms)
+        self.coordinates = tuple(coordinates)
+        self.prescribed = tuple(prescribed)
+        self.n_dof = len(self.coordinates)
+        self._columns = [_column(term, self.coordinates) for term in self.terms]
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def weak(self, points: Points) -> np.ndarray:
+        """(2, n_terms, n_dof, n_points): what χ̇ multiplies, ∂φ/∂q̇, and what χ does, ∂φ/∂q or −∂ψ/∂q̇."""
+        out = np.zeros((2, len(self), self.n_dof, points.n_points))
+        for k, column in enumerate(self._columns):
+            for (part, i), value in column.get("weak")(points):
+                out[part, k, i] = value
+        out[:, :, self.prescribed] = 0.0
+        return out
+
+    def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
+        """(n_selected, n_dof, n_points): E_i[φ_k] and ∂ψ_k/∂q̇_i."""
+        select = range(len(self)) if select is None else select
+        out = np.zeros((len(select), self.n_dof, points.n_points))
+        for row, k in enumerate(select):
+            for (i,), value in self._columns[k].get("strong")(points):
+                out[row, i] = value
+        out[:, self.prescribed] = 0.0
+        return out
+
+    def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
+        """Sparse dictionary (nu, i, j) → Σ_k λ_k ∂E_i[φ_k]/∂q_j^{(nu)}, each (n_points,) or a float."""
+        out: dict[tuple[int, ...], np.ndarray] = {}
+        for column, coefficient in zip(self._columns, coefficients, strict=True):
+            if coefficient == 0.0:
+                continue
+            for key, value in column.get("jacobian")(points):
+                if key[1] not in self.prescribed:
+                    out[key] = out.get(key, 0.0) + coefficient * value
+        return out  # type: ignore[return-value]
+
+    def mass_of(self, k: int, points: Points) -> np.ndarray:
+        """(n_points, n_dof, n_dof): ∂²φ_k/∂q̇∂q̇."""
+        out = np.zeros((points.n_points, self.n_dof, self.n_dof))
+        for (i, j), value in self._columns[k].get("mass")(points):
+            out[:, i, j] = value
+        out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
+        return out
+
+    def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
+        """(n_points, n_dof, n_dof): ∂²L/∂q̇∂q̇."""
+        out = np.zeros((points.n_points, self.n_dof, self.n_dof))
+        for k, coefficient in enumerate(coefficients):
+            out += coefficient * self.mass_of(k, points)
+        out[:, self.prescribed, self.prescribed] = 1.0
+        return out
+
+    @property
+    def turning(self) -> tuple[str, ...]:
+        """Coordinates that stand inside a sine or cosine."""
+        waves = [wave for term in self.terms for wave in term.expr.atoms(sp.sin, sp.cos)]
+        inside = {symbol.name for wave in waves for symbol in wave.free_symbols}
+        return tuple(name for name in self.coordinates if name in inside)
+
+    def subset(self, select: Sequence[int]) -> EulerLagrange:
+        """Some of the columns, in the given sequence; compiled functions are shared."""
+        return self.of([self.terms[k] for k in select])
+
+    def of(self, terms: Sequence[Term]) -> EulerLagrange:
+        """Other terms for the same coordinates."""
+        return EulerLagrange(terms, self.coordinates, self.prescribed)
+
+
+def euler_lagrange(library: Library, q, qdot, qddot) -> np.ndarray:
+    """Put every candidate of a library through the Euler–Lagrange operator at given states.
+
+    Parameters
+    ----------
+    library : Library
+    q, qdot, qddot : array_like, shape (n_times, n_dof)
+        Coordinates, velocities (1/s) and accelerations (1/s²).
+
+    Returns
+    -------
+    (n_times, n_dof, n_terms) array
+        ``E_i[φ_k] = d/dt ∂φ_k/∂q̇_i − ∂φ_k/∂q_i`` for the terms of L, then ``∂ψ_k/∂q̇_i`` for those of the
+        dissipation function, so that the equations of motion read ``out @ coefficients = forces``.  NaN or
+        infinite where a candidate is undefined.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not match each other or the library.
+
+    Examples
+    --------
+    >>> import leastaction as la
+    >>> pendulum = la.Library(["theta_dot**2/2", "cos(theta)"], ["theta"])
+    >>> la.euler_lagrange(pendulum, q=[[0.5]], qdot=[[1.0]], qddot=[[2.0]])
+    array([[[2.        , 0.47942554]]])
+    """
+    states = [np.asarray(a, dtype=float) for a in (q, qdot, qddot)]
+    shapes = [a.shape for a in states]
+    if len(set(shapes)) > 1 or len(shapes[0]) != 2 or shapes[0][1] != len(library.coordinates):
+        raise InputError(
+            f"q, qdot and qddot have the shapes {', '.join(map(str, shapes))}; expected one shape "
+            f"(n_times, {len(library.coordinates)}) for the coordinates {', '.join(library.coordinates)}"
+        )
+    columns = EulerLagrange((*library.terms, *library.dissipation), library.coordinates)
+    return columns.strong(Points(*states)).transpose(2, 1, 0)

@@ -1,0 +1,1 @@
+"""What a discovery returns, saves and prints."""

@@ -1,0 +1,194 @@
+"""What a model accepts at the door: its own parts, and the states it computes with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike
+
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.data.validation import real_array
+from leastaction.errors import InputError
+from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.library import parse_expression
+from leastaction.model.term import FitSummary, ModelTerm
+
+if TYPE_CHECKING:
+    from leastaction.model.model import LagrangianModel
+
+__all__ = ["check_force_function", "checked_fields", "checked_start", "checked_states", "held_out"]
+
+
+def checked_fields(model: LagrangianModel) -> dict[str, Any]:
+    """Return the checked and normalised fields of a new model, and the parsed ``_expressions``.
+
+    Raises
+    ------
+    InputError
+        Naming the field, what was expected and the cure.
+    """
+    coordinates = check_coordinate_names(model.coordinates)
+    terms = _terms(model.terms, "terms")
+    dissipation = _terms(model.dissipation, "dissipation")
+    if not terms:
+        raise InputError("terms is empty; a Lagrangian needs at least one term")
+    expressions = (_parsed(terms, "terms", coordinates), _parsed(dissipation, "dissipation", coordinates))
+    n_free = sum(not term.known for term in (*terms, *dissipation))
+    if not isinstance(model.fit, FitSummary):
+        raise InputError(f"fit is of type {type(model.fit).__name__}; expected a FitSummary")
+    n_weights = len(model.fit.physics_weight)
+    if n_weights not in (0, len(coordinates)):
+        raise InputError(
+            f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
+        )
+    if not isinstance(model.provenance, Mapping):
+        raise InputError(f"provenance is {quoted(model.provenance)}; expected a dictionary")
+    return {
+        "coordinates": coordinates,
+        "terms": terms,
+        "dissipation": dissipation,
+        "covariance": _covariance(model.covariance, n_free),
+        "noise_std": _noise_std(model.noise_std, coordinates),
+        "provenance": dict(model.provenance),
+        "_expressions": expressions,
+    }
+
+
+def _terms(terms: Sequence[ModelTerm], label: str) -> tuple[ModelTerm, ...]:
+    try:
+        items = tuple(terms)
+    except TypeError:
+        raise InputError(f"{label} is {quoted(terms)}; expected a sequence of ModelTerm") from None
+    for i, term in enumerate(items):
+        if not isinstance(term, ModelTerm):
+            raise InputError(
+                f"{label}[{i}] is {quoted(term)}; expected a ModelTerm, e.g. ModelTerm('x_dot**2', 0.5)"
+            )
+    return items
+
+
+def _parsed(terms: Sequence[ModelTerm], label: str, coordinates: Sequence[str]) -> tuple[sp.Expr, ...]:
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    seen: dict[sp.Expr, int] = {}
+    for i, term in enumerate(terms):
+        try:
+            expr = parse_expression(term.expression, names)
+        except InputError as error:
+            raise InputError(f"{label}[{i}]: {error}") from None
+        if expr in seen:
+            raise InputError(
+                f"{label}[{i}] {quoted(term.expression)} is the same as {label}[{seen[expr]}]; "
+                "merge them into one"
+            )
+        seen[expr] = i
+    return tuple(seen)
+
+
+def _covariance(value: ArrayLike | None, n_free: int) -> np.ndarray | None:
+    if value is None:
+        return None
+    covariance = real_array(value, "covariance")
+    if covariance.size == 0 and n_free == 0:
+        covariance = np.zeros((0, 0))
+    if covariance.shape != (n_free, n_free):
+        raise InputError(
+            f"covariance has shape {covariance.shape}; expected {(n_free, n_free)}, a row for each "
+            "coefficient that is not known"
+        )
+    variance = covariance.diagonal()
+    if not np.isfinite(covariance).all() or (variance < 0).any():
+        raise InputError(
+            "covariance must be finite with a diagonal of at least 0; leave it out if there is none"
+        )
+    scale = np.sqrt(np.outer(variance, variance))
+    if (np.abs(covariance - covariance.T) > 1e-6 * scale).any():
+        raise InputError("covariance is not symmetric; expected covariance[i, j] == covariance[j, i]")
+    covariance.flags.writeable = False
+    return covariance
+
+
+def _noise_std(value: ArrayLike | None, coordinates: Sequence[str]) -> np.ndarray:
+    n_dof = len(coordinates)
+    noise = np.full(n_dof, np.nan) if value is None else real_array(value, "noise_std")
+    if noise.shape != (n_dof,):
+        raise InputError(
+            f"noise_std has shape {noise.shape}; expected {(n_dof,)}, one number for each of "
+            f"{', '.join(coordinates)}"
+        )
+    noise[~np.isfinite(noise)] = np.nan
+    if (noise < 0).any():
+        raise InputError(f"noise_std is {quoted(noise.tolist())}; expected numbers of at least 0")
+    noise.flags.writeable = False
+    return noise
+
+
+def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | None]) -> list[np.ndarray]:
+    """Return the arrays that are given, as float64 of one shape (..., n_dof).
+
+    Raises
+    ------
+    InputError
+        If a last axis does not hold one number per coordinate, or the shapes do not fit together.
+    """
+    given = {label: real_array(x, label) for label, x in arrays.items() if x is not None}
+    n_dof = len(coordinates)
+    for label, array in given.items():
+        if array.ndim == 0 or array.shape[-1] != n_dof:
+            raise InputError(
+                f"{label} has shape {array.shape}; expected (..., {n_dof}), the last axis for "
+                f"{', '.join(coordinates)}"
+            )
+    try:
+        return list(np.broadcast_arrays(*given.values()))
+    except ValueError:
+        shapes = ", ".join(f"{label} {array.shape}" for label, array in given.items())
+        raise InputError(f"the shapes do not fit together: {shapes}; make them equal") from None
+
+
+def checked_start(coordinates: Sequence[str], value: ArrayLike, label: str) -> np.ndarray:
+    """Return one finite number per coordinate, shape (n_dof,)."""
+    start = real_array(value, label)
+    if start.shape != (len(coordinates),) or not np.isfinite(start).all():
+        raise InputError(
+            f"{label} is {quoted(value)}; expected {len(coordinates)} finite number(s), for "
+            f"{', '.join(coordinates)}"
+        )
+    return start
+
+
+def check_force_function(coordinates: Sequence[str], forces: Callable[[float], Any], t: ArrayLike) -> None:
+    """Check that ``forces(time)`` has one number per coordinate, at the first of the times."""
+    times = np.ravel(real_array(t, "t"))
+    shape = np.shape(forces(float(times[0]))) if times.size else (len(coordinates),)
+    if shape != (len(coordinates),):
+        raise InputError(
+            f"forces(time) has shape {shape}; expected {(len(coordinates),)}, one per coordinate"
+        )
+
+
+def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]) -> Trajectories:
+    """Return trajectories of the coordinates of the model, with the angles of its discovery unwrapped."""
+    data = Trajectories.coerce(trajectories)
+    if data.coordinates != model.coordinates:
+        raise InputError(
+            f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
+            f"{', '.join(model.coordinates)}, and the sequence matters too"
+        )
+    chosen = _listed(model.coordinates, model.provenance, "angles")
+    return data.unwrap(chosen) if chosen else data
+
+
+def prescribed_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> tuple[str, ...]:
+    """Coordinates that a discovery was told are prescribed; not all of them, whatever a file says."""
+    found = _listed(coordinates, provenance, "prescribed")
+    return tuple(found) if len(found) < len(coordinates) else ()
+
+
+def _listed(coordinates: Sequence[str], provenance: Mapping[str, Any], option: str) -> list[str]:
+    """Coordinates that an option of the discovery names; files may hold anything there."""
+    options = provenance.get("options")
+    names = options.get(option) if isinstance(options, Mapping) else None
+    return [c for c in coordinates if c in names] if isinstance(names, (list, tuple)) else []

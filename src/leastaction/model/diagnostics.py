@@ -1,0 +1,90 @@
+"""What a discovery leaves behind besides the model: curve, path, what was dropped, where time went."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leastaction.curve.bspline import SplineGrid
+from leastaction.data.trajectories import Trajectories
+from leastaction.library import Dropped
+
+__all__ = ["Diagnostics", "PathPoint"]
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """One structure on the selection path.
+
+    Attributes
+    ----------
+    expressions : tuple of str
+        Free terms of the structure.
+    cost : float
+        −2 log likelihood, relative to the best structure seen.
+    bic : float
+        ``cost`` + (number of free terms) · log(number of samples), relative to the chosen structure.
+    chosen : bool
+    """
+
+    expressions: tuple[str, ...]
+    cost: float
+    bic: float
+    chosen: bool = False
+
+    @property
+    def n_terms(self) -> int:
+        """Number of free terms."""
+        return len(self.expressions)
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnostics:
+    """Everything that the report shows and the model file does not keep.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        As used: angles unwrapped.
+    grid, control_points
+        The fitted curve; see :meth:`curve`.
+    noise_std, physics_weight, equation_error : (n_dof,) arrays
+        σ_i; w_i, the inverse spectral density of the equation error; root mean square of the equation
+        residual in the units of a generalised force.
+    path : tuple of PathPoint
+        Best structure of each size, in rising size; runners-up of the chosen size come last.
+    dropped : tuple of Dropped
+        Candidates removed before the fit, and for which others.
+    notes : tuple of str
+        What was done to the data or the library on the user's behalf.
+    timings : dict
+        Stage → seconds.
+    rate_noise_std : dict
+        Measured velocity or acceleration, ``"velocity of theta"`` → its noise.
+    force_offset : dict
+        Coordinate → the slowly changing force that was found there, one (n_times,) array a trajectory at its
+        times, where ``discover(force_offset={coordinate: seconds})`` asked for it.
+    """
+
+    trajectories: Trajectories
+    grid: SplineGrid
+    control_points: np.ndarray
+    noise_std: np.ndarray
+    physics_weight: np.ndarray
+    equation_error: np.ndarray
+    path: tuple[PathPoint, ...] = ()
+    dropped: tuple[Dropped, ...] = ()
+    notes: tuple[str, ...] = ()
+    timings: dict[str, float] = field(default_factory=dict)
+    rate_noise_std: dict[str, float] = field(default_factory=dict)
+    force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+
+    def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
+        """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array a trajectory.
+
+        ``times`` defaults to the measured ones.
+        """
+        times = [trajectory.t for trajectory in self.trajectories] if times is None else times
+        return self.grid.evaluate(self.control_points, times, nu)

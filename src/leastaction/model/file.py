@@ -1,0 +1,298 @@
+"""The model file: JSON in, checked by a white list; JSON out.
+
+Schema 1, where ``null`` stands for "not available"::
+
+    {"schema": 1,
+     "coordinates": ["theta1", ...],
+     "terms": [{"expression": "theta1_dot**2", "coefficient": 0.5,
+                "standard_error": number or null, "known": false}, ...],
+     "dissipation": [the same],
+     "noise_std": [number or null for each coordinate],
+     "fit": {"status": "ok" or "doubtful", "chi2_per_sample": number or null,
+             "physics_weight": [number or null for each coordinate, or nothing], "warnings": [text, ...]},
+     "provenance": {anything that is JSON: version, options, hash of the data},
+     "covariance": [[...], ...]}        optional: of the free coefficients, terms before dissipation
+
+Numbers are finite; expressions are read by `leastaction.library.parse_expression`, never evaluated.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from leastaction.data.formats.atomic import check_path, read_bytes
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+from leastaction.model.term import FitSummary, ModelTerm, as_float
+
+if TYPE_CHECKING:
+    from leastaction.model.model import LagrangianModel
+
+__all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "plain_json", "read_document", "to_text"]
+
+SCHEMA = 1
+MAX_BYTES = 10_000_000
+MAX_TERMS = 1000
+_MAX_COORDINATES = 64
+_MAX_DEPTH = 20
+_REQUIRED = ("schema", "coordinates", "terms", "dissipation", "noise_std", "fit", "provenance")
+
+
+def encode(model: LagrangianModel) -> dict[str, Any]:
+    """Return the model as plain dictionaries, lists, text and finite numbers."""
+    document = {
+        "schema": SCHEMA,
+        "coordinates": list(model.coordinates),
+        "terms": [_encode_term(term) for term in model.terms],
+        "dissipation": [_encode_term(term) for term in model.dissipation],
+        "noise_std": [_number_or_none(x) for x in model.noise_std],
+        "fit": {
+            "status": model.fit.status,
+            "chi2_per_sample": _number_or_none(model.fit.chi2_per_sample),
+            "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
+            "warnings": list(model.fit.warnings),
+        },
+        "provenance": plain_json(model.provenance, "provenance"),
+    }
+    if model.covariance is not None:
+        document["covariance"] = model.covariance.tolist()
+    return document
+
+
+def _encode_term(term: ModelTerm) -> dict[str, Any]:
+    return {
+        "expression": term.expression,
+        "coefficient": term.coefficient,
+        "standard_error": _number_or_none(term.standard_error),
+        "known": term.known,
+    }
+
+
+def _number_or_none(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def plain_json(value: Any, place: str, depth: int = 0) -> Any:
+    """Return a copy made of JSON's types; NumPy's become plain, what is not finite becomes None.
+
+    Raises
+    ------
+    InputError
+        If something in it has no place in JSON.
+    """
+    if depth > _MAX_DEPTH:
+        raise InputError(f"{place} is nested more than {_MAX_DEPTH} levels deep; make it flatter")
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int)):
+        return value
+    if isinstance(value, str):
+        return str(value)
+    if isinstance(value, float):
+        return _number_or_none(value)
+    if isinstance(value, os.PathLike):
+        return str(value)
+    if isinstance(value, np.ndarray):
+        return plain_json(value.tolist(), place, depth)
+    if isinstance(value, Mapping):
+        for key in value:
+            if not isinstance(key, str):
+                raise InputError(f"{place} has the key {quoted(key)}; expected text")
+        return {str(k): plain_json(v, f"{place}.{k[:40]}", depth + 1) for k, v in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)):
+        items = value if isinstance(value, (list, tuple)) else sorted(value, key=str)
+        return [plain_json(item, f"{place}[{i}]", depth + 1) for i, item in enumerate(items)]
+    raise InputError(
+        f"{place} is of type {type(value).__name__}, which JSON cannot hold; use text, numbers, lists and "
+        "dictionaries"
+    )
+
+
+def to_text(document: Mapping[str, Any]) -> str:
+    """Return a document as standard JSON text."""
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def read_document(path: str | os.PathLike[str]) -> Any:
+    """Read a file as strict JSON; what it means is not looked at yet.
+
+    Raises
+    ------
+    InputError
+        If there is no such file, it is larger than 10 MB, or not JSON; the text names the file.
+    """
+    file = check_path(path)
+    data = read_bytes(file, MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise InputError(f"{file} is larger than {MAX_BYTES // 10**6} MB; a file with a model is far smaller")
+    try:
+        text = data.decode("utf-8-sig")
+        document = json.loads(text, object_pairs_hook=_object, parse_constant=_refuse_constant)
+        _check_depth(document)
+        return document
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno}, column {error.colno}"
+        raise InputError(
+            f"{file}: {where}: not valid JSON ({error.msg}); the file may be cut short, make it again"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{file} is not UTF-8 text (byte {error.start}); expected a model in JSON") from None
+    except RecursionError:
+        raise InputError(f"{file} is nested too deeply; expected a model in JSON") from None
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    except ValueError:
+        # Python refuses whole numbers of thousands of digits.
+        raise InputError(f"{file} contains a number with too many digits; expected a model in JSON") from None
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    out = dict(pairs)
+    if len(out) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError(f"the entry {quoted(twice)} occurs twice in one object; keep one of them")
+    return out
+
+
+def _check_depth(document: Any) -> None:
+    """Refuse what is nested so deeply that even quoting it in a message would fail."""
+    level = [document]
+    for _ in range(_MAX_DEPTH + 10):
+        level = [x for item in level if isinstance(item, (dict, list)) for x in _inside(item)]
+        if not level:
+            return
+    raise RecursionError
+
+
+def _inside(item: dict | list) -> list:
+    return list(item.values()) if isinstance(item, dict) else item
+
+
+def _refuse_constant(name: str) -> None:
+    raise InputError(f"{name} is not a number in JSON; use null for a value that is not available")
+
+
+def fields(document: Any) -> dict[str, Any]:
+    """Check a document against the schema and return the arguments of LagrangianModel.
+
+    Raises
+    ------
+    InputError
+        With the place in the document, what was expected and the cure.
+    """
+    if not isinstance(document, Mapping) or "schema" not in document:
+        raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
+    _check_schema(document["schema"])
+    _check_entries(document, "the model", _REQUIRED, ("covariance",))
+    coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)
+    for i, name in enumerate(coordinates):
+        _text(name, f"coordinates[{i}]")
+    provenance = document["provenance"]
+    if not isinstance(provenance, Mapping):
+        raise InputError(f"provenance is {quoted(provenance)}; expected an object")
+    return {
+        "coordinates": tuple(coordinates),
+        "terms": _terms(document["terms"], "terms"),
+        "dissipation": _terms(document["dissipation"], "dissipation"),
+        "covariance": _matrix(document.get("covariance")),
+        "noise_std": _numbers(document["noise_std"], "noise_std"),
+        "fit": _fit(document["fit"]),
+        "provenance": plain_json(provenance, "provenance"),
+    }
+
+
+def _check_schema(schema: Any) -> None:
+    if isinstance(schema, bool) or not isinstance(schema, int) or schema < 1:
+        raise InputError(f"schema is {quoted(schema)}; expected the number {SCHEMA}")
+    if schema > SCHEMA:
+        raise InputError(
+            f"schema {quoted(schema)} was made by a newer version of leastaction (this one reads {SCHEMA}); "
+            "upgrade leastaction"
+        )
+
+
+def _check_entries(value: Any, place: str, required: Sequence[str], optional: Sequence[str] = ()) -> None:
+    if not isinstance(value, Mapping):
+        raise InputError(f"{place} is {quoted(value)}; expected an object with {', '.join(required)}")
+    for name in required:
+        if name not in value:
+            raise InputError(f"{place} has no entry {name!r}; the file may be cut short")
+    for name in value:
+        if name not in required and name not in optional:
+            raise InputError(f"{place} has the unknown entry {quoted(name)}; expected {', '.join(required)}")
+
+
+def _list(value: Any, place: str, limit: int) -> list:
+    if not isinstance(value, (list, tuple)):
+        raise InputError(f"{place} is {quoted(value)}; expected a list")
+    if len(value) > limit:
+        raise InputError(f"{place} has {len(value)} entries; expected at most {limit}")
+    return list(value)
+
+
+def _text(value: Any, place: str) -> str:
+    if not isinstance(value, str):
+        raise InputError(f"{place} is {quoted(value)}; expected text")
+    return value
+
+
+def _numbers(value: Any, place: str) -> tuple[float, ...]:
+    items = _list(value, place, _MAX_COORDINATES)
+    return tuple(_number(x, f"{place}[{i}]", nullable=True) for i, x in enumerate(items))
+
+
+def _number(value: Any, place: str, nullable: bool = False, least: float = -math.inf) -> float:
+    if value is None and nullable:
+        return math.nan
+    # Here null is the only way to say "not available": what overflows to infinity is an error.
+    return as_float(value, place, least=least)
+
+
+def _terms(value: Any, place: str) -> tuple[ModelTerm, ...]:
+    return tuple(_term(item, f"{place}[{i}]") for i, item in enumerate(_list(value, place, MAX_TERMS)))
+
+
+def _term(value: Any, place: str) -> ModelTerm:
+    _check_entries(value, place, ("expression", "coefficient", "standard_error", "known"))
+    known = value["known"]
+    if not isinstance(known, bool):
+        raise InputError(f"{place}.known is {quoted(known)}; expected true or false")
+    expression = _text(value["expression"], f"{place}.expression")
+    coefficient = _number(value["coefficient"], f"{place}.coefficient")
+    error = _number(value["standard_error"], f"{place}.standard_error", nullable=True, least=0.0)
+    try:
+        return ModelTerm(expression, coefficient, error, known)
+    except InputError as problem:
+        raise InputError(f"{place}: {problem}") from None
+
+
+def _fit(value: Any) -> FitSummary:
+    _check_entries(value, "fit", ("status", "chi2_per_sample", "physics_weight", "warnings"))
+    warnings = _list(value["warnings"], "fit.warnings", MAX_TERMS)
+    return FitSummary(
+        value["status"],
+        _number(value["chi2_per_sample"], "fit.chi2_per_sample", nullable=True),
+        _numbers(value["physics_weight"], "fit.physics_weight"),
+        tuple(_text(w, f"fit.warnings[{i}]") for i, w in enumerate(warnings)),
+    )
+
+
+def _matrix(value: Any) -> np.ndarray | None:
+    if value is None:
+        return None
+    lines = enumerate(_list(value, "covariance", 2 * MAX_TERMS))
+    rows = [_list(row, f"covariance[{i}]", 2 * MAX_TERMS) for i, row in lines]
+    for i, row in enumerate(rows):
+        if len(row) != len(rows):
+            raise InputError(
+                f"covariance[{i}] has {len(row)} entries; expected {len(rows)}, the number of rows"
+            )
+    numbers = [[_number(x, f"covariance[{i}][{j}]") for j, x in enumerate(row)] for i, row in enumerate(rows)]
+    return np.array(numbers, dtype=float).reshape(len(rows), len(rows))

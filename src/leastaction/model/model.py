@@ -1,0 +1,411 @@
+"""LagrangianModel: what a discovery returns, what a file holds, and what one computes with."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+from numpy.typing import ArrayLike
+
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import InputError
+from leastaction.io import write_text
+from leastaction.mechanics.equations import Mechanics
+from leastaction.model import file as model_file
+from leastaction.model import text as model_text
+from leastaction.model.checks import (
+    check_force_function,
+    checked_fields,
+    checked_start,
+    checked_states,
+    held_out,
+    prescribed_in,
+)
+from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.simulation.forecast import ForecastResult, forecast
+from leastaction.simulation.integrate import SimulationResult, simulate
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from leastaction.model.diagnostics import Diagnostics
+
+__all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "load"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LagrangianModel:
+    r"""A Lagrangian L(q, q̇) and a dissipation function ψ(q, q̇) with numbers and their errors.
+
+    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. A passive system fixes L and ψ only up to one common
+    factor: that of the known coefficients.
+
+    Parameters
+    ----------
+    coordinates : sequence of str
+    terms : sequence of ModelTerm
+        L = Σ coefficient · expression; at least one.
+    dissipation : sequence of ModelTerm
+        The same for ψ; may be empty.
+    covariance : array_like, shape (n_free, n_free), optional
+        Of the coefficients that are not known: those of `terms`, then those of `dissipation`.
+    noise_std : array_like, shape (n_dof,), optional
+        Standard deviation of the measurement noise; NaN: not available.
+    fit : FitSummary
+        Whether the model holds, and the warnings if it does not.
+    provenance : mapping
+        Where the model comes from: version, options, hash of the data. Must be JSON.
+    diagnostics : Diagnostics, optional
+        What the discovery left behind; it is not saved.
+
+    Raises
+    ------
+    InputError
+        If a name, an expression, a number or a shape is not as described.
+
+    Examples
+    --------
+    >>> pendulum = LagrangianModel(["theta"], [ModelTerm("theta_dot**2", 0.5, 0.0009),
+    ...                                        ModelTerm("cos(theta)", 9.81, known=True)])
+    >>> pendulum.lagrangian
+    0.5*theta_dot**2 + 9.81*cos(theta)
+    >>> pendulum.acceleration([[0.1], [0.2]], [[0.0], [0.0]]).round(3).tolist()
+    [[-0.979], [-1.949]]
+    >>> pendulum.equations_of_motion()[0].rhs
+    -9.81*sin(theta)
+    """
+
+    coordinates: tuple[str, ...]
+    terms: tuple[ModelTerm, ...]
+    dissipation: tuple[ModelTerm, ...] = ()
+    covariance: np.ndarray | None = None
+    noise_std: np.ndarray = None  # type: ignore[assignment]
+    fit: FitSummary = field(default_factory=FitSummary)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    diagnostics: Diagnostics | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in checked_fields(self).items():
+            object.__setattr__(self, name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Compiled functions cannot be pickled; they are made again when they are needed.
+        return {
+            k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__ or k == "_expressions"
+        }
+
+    @property
+    def n_dof(self) -> int:
+        """Number of degrees of freedom."""
+        return len(self.coordinates)
+
+    @property
+    def expressions(self) -> tuple[sp.Expr, ...]:
+        """SymPy expressions of `terms`, without coefficients."""
+        return self.__dict__["_expressions"][0]
+
+    @property
+    def dissipation_expressions(self) -> tuple[sp.Expr, ...]:
+        """SymPy expressions of `dissipation`, without coefficients."""
+        return self.__dict__["_expressions"][1]
+
+    @cached_property
+    def lagrangian(self) -> sp.Expr:
+        """L with its numbers, over real SymPy symbols such as ``theta1`` and ``theta1_dot``."""
+        return _weighted_sum(self.terms, self.expressions)
+
+    @cached_property
+    def dissipation_function(self) -> sp.Expr:
+        """ψ with its numbers; 0 if there is no dissipation."""
+        return _weighted_sum(self.dissipation, self.dissipation_expressions)
+
+    @property
+    def prescribed(self) -> tuple[str, ...]:
+        """Coordinates whose motion was prescribed in the discovery (`provenance`), by unknown forces.
+
+        Nothing is known of what moves them: wherever the model takes forces, the entry of such a coordinate
+        is its acceleration.
+        """
+        return prescribed_in(self.coordinates, self.provenance)
+
+    @cached_property
+    def mechanics(self) -> Mechanics:
+        """Symbolic and compiled equations of motion."""
+        places = [self.coordinates.index(name) for name in self.prescribed]
+        return Mechanics(self.lagrangian, self.dissipation_function, self.coordinates, prescribed=places)
+
+    def equations_of_motion(self, forces: bool = False) -> tuple[sp.Eq, ...]:
+        """Equations of motion as SymPy equations.
+
+        Parameters
+        ----------
+        forces : bool
+            Add a symbol ``<coordinate>_force`` for the generalised force on each coordinate.
+
+        Returns
+        -------
+        tuple of sympy.Eq
+            One per coordinate that is not `prescribed`. Up to three coordinates they are solved: the left
+            sides are the symbols ``<coordinate>_dot_dot``. Beyond, the i-th one reads Σ_j M_ij q̈_j = r_i,
+            since the solution would fill pages.
+        """
+        return self.mechanics.equations(forces)
+
+    def acceleration(self, q: ArrayLike, qdot: ArrayLike, forces: ArrayLike | None = None) -> np.ndarray:
+        """q̈, the solution of M q̈ = f − ∂ψ/∂q̇ + ∂L/∂q − (∂²L/∂q̇∂q) q̇.
+
+        Parameters
+        ----------
+        q, qdot : array_like, shape (..., n_dof)
+            They are broadcast against each other, and so are `forces`.
+        forces : array_like, shape (..., n_dof), optional
+
+        Returns
+        -------
+        ndarray, shape (..., n_dof)
+            NaN where the mass matrix is singular.
+
+        Raises
+        ------
+        InputError
+            If the last axis does not hold one number per coordinate.
+        """
+        q, qdot, *rest = self._states(q=q, qdot=qdot, forces=forces)
+        return self.mechanics.acceleration(q, qdot, *rest)
+
+    def energy(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
+        """q̇·∂L/∂q̇ − L, which is conserved where nothing drives or damps the system.
+
+        Parameters
+        ----------
+        q, qdot : array_like, shape (..., n_dof)
+
+        Returns
+        -------
+        ndarray, shape (...)
+        """
+        return self.mechanics.energy(*self._states(q=q, qdot=qdot))
+
+    def mass_matrix(self, q: ArrayLike, qdot: ArrayLike | None = None) -> np.ndarray:
+        """∂²L/∂q̇∂q̇.
+
+        Parameters
+        ----------
+        q : array_like, shape (..., n_dof)
+        qdot : array_like, shape (..., n_dof), optional
+            Zero by default; it matters only if L is not quadratic in the velocities.
+
+        Returns
+        -------
+        ndarray, shape (..., n_dof, n_dof)
+        """
+        return self.mechanics.mass_matrix(
+            *self._states(q=q, qdot=np.zeros(self.n_dof) if qdot is None else qdot)
+        )
+
+    def simulate(
+        self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None, **limits: Any
+    ) -> SimulationResult:
+        """Integrate one motion by an adaptive method of degree 8 (DOP853).
+
+        Parameters
+        ----------
+        q0, qdot0 : array_like, shape (n_dof,)
+            Start, at ``t[0]``.
+        t : array_like, shape (n_times,)
+            Times in seconds, strictly increasing.
+        forces : array_like, shape (n_times, n_dof), or callable, optional
+            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; accelerations of coordinates that are
+            `prescribed`.
+        **limits
+            ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
+
+        Returns
+        -------
+        SimulationResult
+            With ``status="stopped"`` and a reason if the motion cannot be followed to the end, for example
+            because the mass matrix becomes singular; a numerical failure raises nothing.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, times or numbers.
+
+        Examples
+        --------
+        >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+        >>> run = spring.simulate([1.0], [0.0], np.linspace(0.0, np.pi, 5))
+        >>> run.status, run.q[:, 0].round(6).tolist()
+        ('complete', [1.0, 0.0, -1.0, 0.0, 1.0])
+        """
+        q0, qdot0 = (checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
+        if callable(forces):
+            check_force_function(self.coordinates, forces, t)
+        limits.setdefault("mass_matrix", self.mechanics.mass_matrix)
+        return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
+
+    def validate(
+        self,
+        trajectories: Trajectory | Trajectories | Sequence[Trajectory],
+        horizon: float | None = None,
+        *,
+        window: float | None = None,
+        tolerance: float = 0.4,
+    ) -> ForecastResult:
+        """Forecast held-out measurements and compare.
+
+        Every `horizon` seconds a forecast starts. Its initial state is that of the model's own motion which
+        fits the data in the `window` before best (least squares); from there the model runs free. Known
+        forces of the trajectories are used. Coordinates that were angles in the discovery (provenance) are
+        unwrapped first; those that are `prescribed` move as their smoothed measurements do.
+
+        Parameters
+        ----------
+        trajectories : Trajectory, Trajectories or sequence of Trajectory
+            Of the same coordinates in the same order.
+        horizon : float, optional
+            Length of the free runs in seconds. By default 1 s, at least 20 sampling intervals, at most half
+            of the shortest trial.
+        window : float, optional
+            Length of the data from which the initial state is found. By default half of the horizon, less
+            if the shortest trial has no room for it, at least 8 sampling intervals.
+        tolerance : float
+            A forecast holds until a coordinate is off by `tolerance` of its standard deviation plus three
+            times the noise.
+
+        Returns
+        -------
+        ForecastResult
+            Errors in the units of the coordinates, relative to noise and spread, and what they would be if
+            the model were exact. A run that diverges is recorded as such.
+
+        Raises
+        ------
+        InputError
+            If the coordinates differ, or no trial is long enough for one forecast.
+        """
+        data = held_out(self, trajectories)
+        motion = self.mechanics
+        return forecast(
+            motion.acceleration, data, self.noise_std, horizon, window, tolerance, motion.prescribed
+        )
+
+    def _states(self, **arrays: ArrayLike | None) -> list[np.ndarray]:
+        return checked_states(self.coordinates, arrays)
+
+    def table(self) -> pd.DataFrame:
+        """Coefficients with their errors.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``expression``; columns ``kind`` ("lagrangian" or "dissipation"), ``coefficient``,
+            ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
+
+        Raises
+        ------
+        InputError
+            Which is also an ImportError, if pandas is not installed (extra ``pandas``).
+        """
+        return model_text.frame(self)
+
+    def format_rows(self) -> list[tuple[str, ...]]:
+        """Rows of text for a table, the first one the header; numbers are rounded to their errors."""
+        return model_text.rows(self)
+
+    def format_table(self) -> str:
+        """Table of the terms, the status of the fit and its warnings, as plain text."""
+        return model_text.table(self)
+
+    def latex(self, digits: int | None = None, uncertainty: bool = False) -> str:
+        r"""L, and ψ if there is one, as LaTeX for math mode, with velocities as ``\dot{\theta}_{1}``.
+
+        Parameters
+        ----------
+        digits : int, optional
+            Significant digits of the coefficients. By default each ends at the second digit of its
+            standard error, and has six digits if it has none.
+        uncertainty : bool
+            Write the error behind the number, as in 0.5577(12).
+
+        Examples
+        --------
+        >>> LagrangianModel("x", [ModelTerm("x_dot**2", 0.50123, 0.002)]).latex(uncertainty=True)
+        'L = 0.5012(20) \\, \\dot{x}^{2}'
+        """
+        return model_text.latex(self, digits, uncertainty)
+
+    def __repr__(self) -> str:
+        return model_text.summary(self)
+
+    def __str__(self) -> str:
+        return model_text.table(self)
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        return model_text.html_table(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the model as JSON types, as in the file of `save`; null stands for what is not available."""
+        return model_file.encode(self)
+
+    @classmethod
+    def from_dict(cls, document: Mapping[str, Any], source: str = "model") -> LagrangianModel:
+        """Make a model of what `to_dict` returned, after checking all of it.
+
+        Parameters
+        ----------
+        document : mapping
+        source : str
+            Named in messages, e.g. the file.
+
+        Raises
+        ------
+        InputError
+            Naming the source, the place, what was expected and the cure.
+        """
+        try:
+            return cls(**model_file.fields(document))
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the model to a JSON file, all or nothing; `load` reads it. Diagnostics are not kept.
+
+        Raises
+        ------
+        InputError
+            If the file cannot be written, or the provenance is not JSON.
+
+        Examples
+        --------
+        >>> from tempfile import TemporaryDirectory
+        >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+        >>> with TemporaryDirectory() as folder:
+        ...     spring.save(f"{folder}/spring.json")
+        ...     load(f"{folder}/spring.json")
+        <LagrangianModel of x: L = 0.5*x_dot**2 - 2*x**2; fit ok>
+        """
+        write_text(path, model_file.to_text(self.to_dict()))
+
+
+def load(path: str | os.PathLike[str]) -> LagrangianModel:
+    """Read a model that `LagrangianModel.save` has written; everything in the file is checked.
+
+    Raises
+    ------
+    InputError
+        If the file is not a model of this or an older version; the text names the file and the place.
+    """
+    return LagrangianModel.from_dict(model_file.read_document(path), os.fspath(path))
+
+
+def _weighted_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> sp.Expr:
+    return sp.Add(*(sp.Float(t.coefficient) * e for t, e in zip(terms, expressions, strict=True)))

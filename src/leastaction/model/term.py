@@ -1,0 +1,153 @@
+"""What a model is made of: a term with its coefficient, and the summary of the fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+__all__ = ["FitSummary", "ModelTerm", "as_float"]
+
+# Half width of a central 95 % interval of a normal distribution, in standard errors.
+_Z95 = 1.959963984540054
+
+
+def as_float(value: object, label: str, *, missing: bool = False, least: float = -math.inf) -> float:
+    """Return a real number as float; not finite is refused, or with `missing` NaN ("not available")."""
+    if value is None and missing:
+        return math.nan
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise InputError(f"{label} is {quoted(value)}; expected a number")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        if missing:
+            return math.nan
+        raise InputError(f"{label} is {quoted(value)}; expected a finite number")
+    if number < least:
+        raise InputError(f"{label} is {number:g}; expected at least {least:g}")
+    return number
+
+
+@dataclass(frozen=True)
+class ModelTerm:
+    """One term of a model: coefficient times expression.
+
+    Parameters
+    ----------
+    expression : str
+        Function of coordinates and velocities, e.g. ``"theta_dot**2"``.
+    coefficient : float
+    standard_error : float
+        0.0 for a known coefficient; NaN where it is not available.
+    known : bool
+        Whether the coefficient was given by the user instead of estimated.
+
+    Raises
+    ------
+    InputError
+        If a value is of the wrong type, not finite, or a known coefficient has an error.
+
+    Examples
+    --------
+    >>> term = ModelTerm("cos(theta)", 9.8, 0.1)
+    >>> round(term.lower, 3), round(term.upper, 3), round(term.z)
+    (9.604, 9.996, 98)
+    """
+
+    expression: str
+    coefficient: float
+    standard_error: float = 0.0
+    known: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.expression, str) or not self.expression.strip():
+            raise InputError(
+                f"the expression of a term is {quoted(self.expression)}; expected text such as 'cos(theta)'"
+            )
+        where = f"term {quoted(self.expression)}: "
+        if not isinstance(self.known, (bool, np.bool_)):
+            raise InputError(f"{where}known is {quoted(self.known)}; expected True or False")
+        error = as_float(self.standard_error, f"{where}the standard error", missing=True, least=0.0)
+        if self.known and error != 0.0:
+            raise InputError(f"{where}a known coefficient has the standard error {error:g}; expected 0")
+        object.__setattr__(self, "coefficient", as_float(self.coefficient, f"{where}the coefficient"))
+        object.__setattr__(self, "standard_error", error)
+        object.__setattr__(self, "known", bool(self.known))
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the 95 % interval; the coefficient itself if it is known."""
+        return self.coefficient - _Z95 * self.standard_error
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.coefficient + _Z95 * self.standard_error
+
+    @property
+    def z(self) -> float:
+        """Coefficient over standard error; NaN if it is known or has no standard error."""
+        return self.coefficient / self.standard_error if self.standard_error > 0 else math.nan
+
+
+@dataclass(frozen=True)
+class FitSummary:
+    """How well the model holds.
+
+    Parameters
+    ----------
+    status : {"ok", "doubtful"}
+        ``"doubtful"``: the library cannot explain the data, the terms cannot be told apart by these data,
+        the mass matrix is not positive definite, or the solver did not converge; a warning says which.
+    chi2_per_sample : float
+        Mean of the squared data residuals in units of the noise; about 1 for a good fit. NaN: not available.
+    physics_weight : sequence of float
+        Inverse spectral density of the equation error, one per coordinate; empty or NaN: not available.
+    warnings : sequence of str
+        What is doubtful, and what would help.
+
+    Examples
+    --------
+    >>> FitSummary("ok", 1.02, [1e6]).physics_weight
+    (1000000.0,)
+    """
+
+    status: Literal["ok", "doubtful"] = "ok"
+    chi2_per_sample: float = math.nan
+    physics_weight: tuple[float, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.status not in ("ok", "doubtful"):
+            raise InputError(f"fit: the status is {quoted(self.status)}; expected 'ok' or 'doubtful'")
+        chi2 = as_float(self.chi2_per_sample, "fit: chi2_per_sample", missing=True, least=0.0)
+        weights = _items(self.physics_weight, "fit: physics_weight", "numbers, one per coordinate")
+        texts = _items(self.warnings, "fit: warnings", "texts")
+        for text in texts:
+            if not isinstance(text, str):
+                raise InputError(f"fit: a warning is {quoted(text)}; expected text")
+        object.__setattr__(self, "chi2_per_sample", chi2)
+        object.__setattr__(
+            self,
+            "physics_weight",
+            tuple(as_float(w, "fit: a physics weight", missing=True, least=0.0) for w in weights),
+        )
+        object.__setattr__(self, "warnings", tuple(str(text) for text in texts))
+
+
+def _items(value: Iterable, label: str, expected: str) -> list:
+    if isinstance(value, (str, bytes)):
+        raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}")
+    try:
+        return list(value)
+    except TypeError:
+        raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}") from None

@@ -1,0 +1,100 @@
+"""A model as people read it: summary line, table, LaTeX, HTML."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING
+
+from leastaction.errors import InputError, MissingPackageError
+from leastaction.identifiers import quoted
+from leastaction.model.notation import coefficient_text, latex_sum, latex_symbols, plain_sum, rounded
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from leastaction.model.model import LagrangianModel
+
+__all__ = ["frame", "html_table", "latex", "rows", "summary", "table"]
+
+_HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
+
+
+def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
+    """Header and one row of text for each term."""
+    out: list[tuple[str, ...]] = [_HEADER]
+    for kind, terms in (("lagrangian", model.terms), ("dissipation", model.dissipation)):
+        for term in terms:
+            error = term.standard_error
+            if error > 0:
+                ends = " … ".join(rounded(end, error) for end in (term.lower, term.upper))
+                rest = (f"{error:.2g}", ends, f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}")
+            else:
+                rest = ("known" if term.known else "", "", "")
+            out.append((term.expression, kind, coefficient_text(term), *rest))
+    return out
+
+
+def table(model: LagrangianModel) -> str:
+    """Table of the terms, the status of the fit and its warnings."""
+    cells = rows(model)
+    width = [max(len(row[i]) for row in cells) for i in range(len(_HEADER))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in cells]
+    return "\n".join([*lines, f"fit: {model.fit.status}", *(f"warning: {w}" for w in model.fit.warnings)])
+
+
+def summary(model: LagrangianModel) -> str:
+    """The model on one line."""
+    total = plain_sum(model.terms, model.expressions)
+    if model.dissipation:
+        total += f", psi = {plain_sum(model.dissipation, model.dissipation_expressions)}"
+    return f"<LagrangianModel of {', '.join(model.coordinates)}: L = {total}; fit {model.fit.status}>"
+
+
+def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
+    """L, and ψ if there is one, for math mode."""
+    if digits is not None and (isinstance(digits, bool) or not isinstance(digits, int) or digits < 1):
+        raise InputError(f"digits is {quoted(digits)}; expected a whole number of at least 1")
+    symbols = latex_symbols(model.coordinates)
+    lines = []
+    groups = (
+        ("L", model.terms, model.expressions),
+        (r"\psi", model.dissipation, model.dissipation_expressions),
+    )
+    for name, terms, expressions in groups:
+        pieces = latex_sum(terms, expressions, symbols, digits, uncertainty) if terms else []
+        # Four terms a line: more would run out of the page.
+        parts = [" ".join(pieces[i : i + 4]) for i in range(0, len(pieces), 4)]
+        lines += [f"{name} &= {part}" if i == 0 else rf"&\quad {part}" for i, part in enumerate(parts)]
+    if len(lines) == 1:
+        return lines[0].replace("&=", "=")
+    return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+
+def html_table(model: LagrangianModel) -> str:
+    """Table of the terms, the status of the fit and its warnings as HTML; all text is escaped."""
+
+    def line(cells: tuple[str, ...], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+    header, *body = rows(model)
+    notes = "".join(f"<li>{html.escape(w)}</li>" for w in model.fit.warnings)
+    lines = "".join(line(row, "td") for row in body)
+    return (
+        f"<table><thead>{line(header, 'th')}</thead><tbody>{lines}</tbody></table>"
+        f"<p>fit: {model.fit.status}</p>{f'<ul>{notes}</ul>' if notes else ''}"
+    )
+
+
+def frame(model: LagrangianModel) -> pd.DataFrame:
+    """Coefficients with their errors, as a data frame of pandas."""
+    try:
+        import pandas as pd
+    except ImportError:
+        instead = "use format_table(), or terms and dissipation"
+        raise MissingPackageError("table()", "pandas", "pandas", instead) from None
+
+    terms = (*model.terms, *model.dissipation)
+    kinds = ["lagrangian"] * len(model.terms) + ["dissipation"] * len(model.dissipation)
+    names = ("coefficient", "standard_error", "lower", "upper", "z", "known")
+    columns = {"kind": kinds, **{name: [getattr(t, name) for t in terms] for name in names}}
+    return pd.DataFrame(columns, index=pd.Index([t.expression for t in terms], name="expression"))

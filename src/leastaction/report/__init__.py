@@ -1,0 +1,90 @@
+"""The report: one HTML file that shows what was found, how well it holds, and how to find it again."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+from leastaction.io import write_text
+
+if TYPE_CHECKING:
+    from leastaction.model.model import LagrangianModel
+    from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["write_report"]
+
+
+def write_report(
+    model: LagrangianModel,
+    path: str | os.PathLike[str],
+    *,
+    validation: ForecastResult | None = None,
+    command: str | None = None,
+) -> Path:
+    """Write a report on a discovered model: one HTML file without scripts, which loads nothing.
+
+    It shows L = Σ λ_k φ_k and ψ = Σ c_k ψ_k with their errors, data against the fitted curve and its
+    derivatives, the residuals, the selection path, the energy along the motion, forecasts, the data and
+    the noise, the candidates that were dropped, and how to reproduce it all.
+
+    Parameters
+    ----------
+    model : LagrangianModel
+        As `discover` returns it, with its diagnostics.
+    path : path
+        File to write, all or nothing.
+    validation : ForecastResult, optional
+        Forecasts of held-out trials, from `LagrangianModel.validate`.
+    command : str, optional
+        What reproduces the model, for example the command line.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the model has no diagnostics because it was loaded from a file, an argument is of the wrong
+        kind, the forecasts are of other coordinates, or the file cannot be written.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from leastaction import discover, systems
+    >>> pendulum = systems.get("single_pendulum")
+    >>> data = systems.generate("single_pendulum", noise=0.01, trials=2, duration=6.0, seed=0)
+    >>> model = discover(data[:1], pendulum.library)
+    >>> with TemporaryDirectory() as folder:
+    ...     page = write_report(model, f"{folder}/report.html", validation=model.validate(data[1:]))
+    ...     page.read_text(encoding="utf-8")[:15]
+    '<!DOCTYPE html>'
+    """
+    # The model and the templates take a moment: not for a command that only wants its help text.
+    from leastaction.model.model import LagrangianModel
+    from leastaction.report.page import render
+    from leastaction.simulation.forecast import ForecastResult
+
+    if not isinstance(model, LagrangianModel):
+        raise InputError(f"model is {quoted(model)}; expected a LagrangianModel, as discover() returns it")
+    if model.diagnostics is None:
+        raise InputError(
+            "the model has no diagnostics: a model file keeps the result, but not the fitted curve and the "
+            "selection path. Run discover() again on the data and write the report from its result"
+        )
+    if validation is not None and not isinstance(validation, ForecastResult):
+        raise InputError(
+            f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)"
+        )
+    if validation is not None and validation.coordinates != model.coordinates:
+        raise InputError(
+            f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "
+            f"{', '.join(model.coordinates)}; call validate of this model"
+        )
+    if command is not None and not isinstance(command, str):
+        raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
+    return write_text(path, render(model, validation, command))

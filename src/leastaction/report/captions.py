@@ -1,0 +1,103 @@
+"""What is seen in each figure, as one sentence: the titles of the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from leastaction.model.diagnostics import PathPoint
+from leastaction.report.series import Series
+from leastaction.report.text import percent, plain, plural, signed
+from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["curve_title", "energy_title", "forecast_title", "path_title", "residual_title"]
+
+_AS_NOISE = 0.15  # |rms / σ − 1|
+_LAG_ONE = 0.1
+_SLOW = 0.05
+_TAIL = 0.01  # beyond 3 σ, where normal noise leaves 0.0027
+
+
+def forecast_title(result: ForecastResult) -> str:
+    """How far off the free runs are."""
+    over = plain(result.horizon)
+    if result.n_diverged:
+        starts = plural(result.n_starts, "forecast", "forecasts")
+        return f"{result.n_diverged} of {starts} over {over} s diverged"
+    if np.isnan(result.rms_over_std).all():
+        return f"Forecasts over {over} s, without samples to compare them with"
+    worst = int(np.nanargmax(result.rms_over_std))
+    share, ratio = float(result.rms_over_std[worst]), float((result.rms / result.expected_rms)[worst])
+    text = f"Forecasts over {over} s are off by {percent(share)} of the spread (rms"
+    text += ", worst coordinate)" if len(result.coordinates) > 1 else ")"
+    if not math.isfinite(ratio):
+        return text
+    if ratio < 1.5:
+        return f"{text}: as an exact model would be"
+    times = f"{ratio:.0f}" if 10 <= ratio < 1e4 else plain(ratio, 2)
+    return f"{text}: {times} times as far as an exact model would be"
+
+
+def curve_title(series: Series, i: int, name: str) -> str:
+    """How well curve and samples agree."""
+    ratio = _ratio(series, i)
+    if math.isnan(ratio):
+        return f"{name}: samples and fitted curve"
+    if abs(ratio - 1.0) <= _AS_NOISE:
+        return f"{name}: the curve is as far from the samples as their noise explains ({ratio:.2f} σ rms)"
+    where = "closer to" if ratio < 1.0 else "farther from"
+    return f"{name}: the curve is {where} the samples than their noise explains ({ratio:.2f} σ rms)"
+
+
+def _ratio(series: Series, i: int) -> float:
+    sigma = float(series.model.noise_std[i])
+    return float(np.sqrt(np.mean(series.all_residuals(i) ** 2))) / sigma if sigma > 0 else math.nan
+
+
+def residual_title(series: Series, i: int, name: str) -> str:
+    """Whether the residuals look like white, normal noise."""
+    residuals, lags = series.all_residuals(i), series.correlation(i)
+    sigma = max(float(series.model.noise_std[i]), 1e-300)
+    findings = []
+    chance = 4.0 / math.sqrt(max(residuals.size, 1))
+    if lags.size and abs(lags[0]) > _LAG_ONE + chance:
+        findings.append(f"correlated from sample to sample ({signed(float(lags[0]), 2)})")
+    elif lags.size > 1 and np.nanmax(np.abs(lags[1:]), initial=0.0) > _SLOW + chance:
+        lag = 2 + int(np.nanargmax(np.abs(lags[1:])))
+        findings.append(f"correlated at a lag of {lag} samples ({signed(float(lags[lag - 1]), 2)})")
+    beyond = float(np.mean(np.abs(residuals) > 3 * sigma))
+    if beyond > _TAIL:
+        findings.append(f"{percent(beyond)} of them lie beyond 3 σ, where normal noise leaves 0.27 %")
+    if not findings:
+        return f"{name}: what is left looks like white, normal noise"
+    return f"{name}: what is left is not plain noise: {'; '.join(findings)}"
+
+
+def energy_title(energy: dict[str, Any]) -> str:
+    """Where the energy goes."""
+    if energy["driven"] and energy["friction"]:
+        text = "Forces and friction change the energy"
+    elif energy["driven"]:
+        text = "Known forces change the energy"
+    elif energy["friction"]:
+        text = f"Friction takes energy, from {energy['start']} to {energy['stop']} on trial {energy['shown']}"
+    else:
+        text = f"Nothing drives or brakes this motion: the energy should stay at {energy['start']}"
+    if energy["imbalance"]:
+        text += f"; {energy['imbalance']} of the mean kinetic energy stays unexplained (rms, worst trial)"
+    return text
+
+
+def path_title(path: Sequence[PathPoint]) -> str:
+    """How far the neighbours of the chosen structure are."""
+    chosen = next(point for point in path if point.chosen)
+    rivals = [p.bic for p in path if not p.chosen and p.n_terms == chosen.n_terms]
+    smaller = [p.bic for p in path if p.n_terms == chosen.n_terms - 1]
+    larger = [p.bic for p in path if p.n_terms == chosen.n_terms + 1]
+    cases = (("one term less", smaller), ("one more", larger), ("the best rival of this size", rivals))
+    parts = [f"{what} {signed(min(values))}" for what, values in cases if values]
+    text = f"{plural(chosen.n_terms, 'free term', 'free terms')}"
+    return f"{text}; difference in BIC: {', '.join(parts)}" if parts else f"{text}, without a rival"

@@ -1,0 +1,127 @@
+"""Figures of the model: selection path, energy, forecasts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from leastaction.model.diagnostics import PathPoint
+from leastaction.report.axes import HALF, Axes
+from leastaction.report.series import Energy, legible_samples, thin_line
+from leastaction.report.text import plain, signed
+from leastaction.report.ticks import Folded, Linear
+from leastaction.simulation.forecast import ForecastTrace
+
+__all__ = [
+    "draw_forecast",
+    "draw_path",
+    "energy_of_trial",
+    "energy_of_trials",
+    "forecast_panel",
+    "path_axes",
+    "path_figure",
+]
+
+_MOST_TRIALS = 60
+_OTHER_POINTS = 200  # of a trial that is one line among many
+
+
+def path_figure(path: Sequence[PathPoint]) -> Markup:
+    """ΔBIC and −2 Δ log likelihood against the number of terms."""
+    chosen = next(p for p in path if p.chosen)
+    best: dict[int, PathPoint] = {}
+    for point in path:
+        best.setdefault(point.n_terms, point)
+    best[chosen.n_terms] = chosen
+    sizes = sorted(best)
+    rest = [p for p in path if p is not best[p.n_terms]]
+    axes = path_axes((HALF[0], 320.0))
+    draw_path(axes, [best[n] for n in sizes])
+    axes.dots(np.array([p.n_terms for p in rest]), np.array([p.bic for p in rest]), "fit", 4.0, opacity=0.55)
+    axes.label("number of free terms", "difference from the chosen structure")
+    said = ", ".join(f"{n}: {signed(best[n].bic)}" for n in sizes if n != chosen.n_terms)
+    return axes.svg(
+        "path",
+        f"ΔBIC against the number of free terms; {chosen.n_terms} are chosen",
+        f"BIC of the best structure of each size, from the chosen one: {said or 'no other size'}",
+    )
+
+
+def path_axes(size: tuple[float, float]) -> Axes:
+    """Axes of a selection path: whole numbers of terms, and differences of every size and either sign."""
+    return Axes(size, x=Linear(room=45.0, whole=True), y=Folded())
+
+
+def draw_path(axes: Axes, best: Sequence[PathPoint]) -> None:
+    """Draw the criterion and the misfit of the best structure of each size, and mark the chosen one."""
+    sizes = np.array([point.n_terms for point in best])
+    cost, bic = (np.array([getattr(point, key) for point in best]) for key in ("cost", "bic"))
+    axes.line(sizes, cost, "measured", 1.2, dashes="4.8 3.6")
+    axes.dots(sizes, cost, "measured", 6.0)
+    axes.line(sizes, bic, "fit", 1.5)
+    axes.dots(sizes, bic, "fit", 7.0)
+    chosen = np.array([point.chosen for point in best])
+    axes.dots(sizes[chosen], bic[chosen], "forecast", 12.0, above=True)
+    axes.limit(x=(sizes[0] - 0.5, sizes[-1] + 0.5))
+
+
+def energy_of_trial(energy: Energy, balance: bool) -> Markup:
+    """Kinetic and potential energy and their sum, counted from the lowest potential energy."""
+    axes = Axes((HALF[0], 270.0))
+    floor = float(energy.potential.min())
+    total = energy.total - floor
+    if balance:
+        # A band below the line of the total: where the balance holds, the line lies in it.
+        axes.line(*thin_line(energy.t, energy.expected - floor), "measured", 5.0)
+    axes.line(*thin_line(energy.t, energy.kinetic), "forecast", 1.2)
+    axes.line(*thin_line(energy.t, energy.potential - floor), "fit", 1.2)
+    axes.line(*thin_line(energy.t, total), "ink", 1.6)
+    axes.limit(y_from=0.0)
+    axes.label("t (s)", "energy (units of L)")
+    said = f"The total goes from {plain(float(total[0]))} to {plain(float(total[-1]))}, in units of L"
+    return axes.svg("energy", "Kinetic, potential and total energy along the fitted curve", said)
+
+
+def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
+    """Total energy of every trial; the one of the other panel in full colour."""
+    axes = Axes((HALF[0], 270.0))
+    floor = min(float(e.potential.min()) for e in energies)
+    for k, energy in enumerate(energies[:_MOST_TRIALS]):
+        t, total = thin_line(energy.t - energy.t[0], energy.total - floor, _OTHER_POINTS)
+        bold = k == shown
+        axes.line(t, total, "ink" if bold else "measured", 1.8 if bold else 1.1)
+    axes.limit(y_from=0.0)
+    axes.label("time from the start of the trial (s)", "total energy (units of L)")
+    starts = [float(e.total[0]) - floor for e in energies]
+    said = f"{len(energies)} trials, which begin between {plain(min(starts))} and {plain(max(starts))}"
+    return axes.svg("energies", "Total energy along the fitted curves of all trials", said)
+
+
+def forecast_panel(trace: ForecastTrace, i: int, noise_std: float, name: str, unit: str, key: str) -> Markup:
+    """Measured samples and the free run of one coordinate."""
+    axes = Axes()
+    draw_forecast(axes, trace.t, trace.measured[:, i], trace.forecast[:, i], noise_std)
+    axes.label("t (s)", name, y_unit=unit)
+    far = "no error known" if np.isnan(trace.rms[i]) else f"rms error {plain(float(trace.rms[i]))} {unit}"
+    title = f"{name} of trial {trace.trial} from {trace.origin:.4g} s: forecast and samples"
+    return axes.svg(key, title, f"Measured samples as dots, the free run as a line; {far}")
+
+
+def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray, noise_std: float) -> None:
+    """Draw samples, and over them the free run as far as it is near them."""
+    t_seen, some, quiet = legible_samples(t, measured, noise_std)
+    axes.dots(t_seen, some, "measured", 4.5 if quiet else 3.2, above=quiet)
+    there = np.isfinite(run)
+    seen = measured[np.isfinite(measured)]
+    if seen.size:
+        # A run that leaves the data must not flatten them.
+        low, high = seen.min(), seen.max()
+        reach = max(float(high - low), 1e-12)
+        there &= (run > low - 20 * reach) & (run < high + 20 * reach)
+        ends = np.concatenate([seen, np.clip(run[there], low - reach, high + reach)])
+        pad = 0.06 * max(float(np.ptp(ends)), 1e-12)
+        axes.limit(y=(ends.min() - pad, ends.max() + pad))
+    axes.line(*thin_line(t[there], run[there]), "forecast")
+    axes.limit(x=(t[0], t[-1]))

@@ -1,0 +1,242 @@
+"""Everything that the template shows, and the page made from it."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from importlib.resources import files
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from leastaction.model.model import LagrangianModel
+from leastaction.report import captions, tables
+from leastaction.report import figures_model as figures
+from leastaction.report.figures_data import DataFigures
+from leastaction.report.mathml import Notation
+from leastaction.report.series import Energy, Series
+from leastaction.report.text import percent, plain, plural
+from leastaction.report.verdict import verdict
+from leastaction.report.whisker import axis as whisker_axis
+from leastaction.simulation.forecast import ForecastResult, ForecastTrace
+
+__all__ = ["render"]
+
+_MOST_DRAWN = 6  # coordinates with figures
+_MOST_ROWS = 30  # trials listed
+_MOST_ENERGIES = 60
+_MOST_OPEN = 10  # rows of a table that need no folding away
+
+
+def render(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> str:
+    """Return the page as text; the model has diagnostics."""
+    here = files("leastaction.report")
+
+    def source(name: str) -> str:
+        return here.joinpath(name).read_text(encoding="utf-8")
+
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        loader=jinja2.FunctionLoader(source),
+    )
+    template = environment.get_template("page.html.j2")
+    return template.render(style=Markup(source("style.css")), **_context(model, validation, command))
+
+
+def _context(
+    model: LagrangianModel, validation: ForecastResult | None, command: str | None
+) -> dict[str, Any]:
+    diagnostics = model.diagnostics
+    assert diagnostics is not None
+    notation, series = Notation(model.coordinates), Series(model)
+    options = model.provenance.get("options")
+    options = options if isinstance(options, Mapping) else {}
+    angles = options.get("angles") or ()
+    units = tuple("rad" if c in angles else "units" for c in model.coordinates)
+    trials = tables.trial_rows(series)
+    groups = tables.coefficient_groups(model, notation)
+    return {
+        "model": model,
+        "symbols": [notation.heading(c) for c in model.coordinates],
+        "names": [notation.text(c) for c in model.coordinates],
+        "verdict": verdict(model, validation, notation),
+        "formulas": _formulas(model, notation),
+        "groups": groups,
+        "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
+        "whisker_axis": whisker_axis(),
+        "data": series.trajectories,
+        "shown": series.trajectories.names[series.trial],
+        "n_drawn": min(model.n_dof, _MOST_DRAWN),
+        "figures": DataFigures(series, notation, units),
+        "panels": [
+            {
+                "curve": captions.curve_title(series, i, notation.text(name)),
+                "residuals": captions.residual_title(series, i, notation.text(name)),
+            }
+            for i, name in enumerate(model.coordinates[:_MOST_DRAWN])
+        ],
+        "residuals": tables.residual_rows(series, notation, units),
+        **_selection(model, notation),
+        **_energy(series),
+        **_forecast(validation, notation, units),
+        "coordinates": tables.coordinate_rows(series, notation, units),
+        "trials": trials[:_MOST_ROWS],
+        "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
+        "dropped": tables.dropped_rows(diagnostics.dropped, notation),
+        "n_open": _MOST_OPEN,
+        "notes": diagnostics.notes,
+        "plain": plain,
+        "plural": plural,
+        "has_units": "units" in units,
+        "has_angles": "rad" in units,
+        "command": command or _call(options),
+        "given_command": command is not None,
+        "options": tables.option_rows(options),
+        "provenance": model.provenance,
+        "versions": _versions(),
+        "timings": diagnostics.timings,
+        "total_time": sum(diagnostics.timings.values()),
+    }
+
+
+def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    groups = (("L", model.terms), ("ψ", model.dissipation))
+    return [
+        {
+            "name": name,
+            "addends": [
+                notation.addend(
+                    t.expression, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
+                )
+                for k, t in enumerate(terms)
+            ],
+        }
+        for name, terms in groups
+        if terms
+    ]
+
+
+def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
+    path = model.diagnostics.path if model.diagnostics else ()
+    path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
+    if not any(point.chosen for point in path):
+        return {"path": [], "runner_up": None}
+    rivals = [point for point in path if not point.chosen]
+    rows = tables.path_rows(path, notation)
+    best = min(rivals, key=lambda p: p.bic, default=None)
+    return {
+        "path": rows,
+        "n_hidden": len(path) - len(rows),
+        "path_figure": figures.path_figure(path),
+        "path_title": captions.path_title(path),
+        "runner_up": None
+        if best is None
+        else {"bic": best.bic, "text": plain(best.bic), "n_terms": best.n_terms},
+    }
+
+
+def _energy(series: Series) -> dict[str, Any]:
+    model, data = series.model, series.trajectories
+    if model.prescribed:
+        names = ", ".join(model.prescribed)
+        return {"energy": None, "no_energy": f"No balance: the forces that move {names} are not known."}
+    everything = [Energy.of(series, k) for k in range(min(len(data), _MOST_ENERGIES))]
+    if series.trial >= len(everything):
+        everything[-1] = Energy.of(series, series.trial)
+    shown = everything[min(series.trial, len(everything) - 1)]
+    if not all(energy.finite for energy in everything):
+        return {"energy": None, "no_energy": "Not drawn: it is not finite everywhere along the fitted curve."}
+    balance = bool(model.dissipation) or data.driven
+    floor = float(shown.potential.min())
+    worst = max(e.imbalance for e in everything)
+    several = len(everything) > 1
+    facts = {
+        "friction": bool(model.dissipation),
+        "driven": data.driven,
+        "shown": data.names[series.trial],
+        "start": plain(float(shown.expected[0]) - floor),
+        "stop": plain(float(shown.expected[-1]) - floor),
+        "imbalance": None if math.isnan(worst) else percent(worst),
+    }
+    return {
+        "energy": {
+            **facts,
+            "title": captions.energy_title(facts),
+            "trial": figures.energy_of_trial(shown, balance),
+            "trials": figures.energy_of_trials(everything, everything.index(shown)) if several else None,
+            "balance": balance,
+        }
+    }
+
+
+def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[str, ...]) -> dict[str, Any]:
+    if result is None:
+        return {"forecast": None}
+    picked = _typical_starts(result)
+    n_drawn = min(len(units), _MOST_DRAWN)
+    panels = [
+        {
+            "title": title,
+            "trial": trace.trial,
+            "origin": plain(trace.origin, 4),
+            "status": trace.status,
+            "reason": trace.reason,
+            "figures": [
+                figures.forecast_panel(
+                    trace,
+                    i,
+                    result.noise_std[i],
+                    notation.text(result.coordinates[i]),
+                    units[i],
+                    f"forecast{k}-{i}",
+                )
+                for i in range(n_drawn)
+            ],
+        }
+        for k, (title, trace) in enumerate(picked)
+    ]
+    rows = tables.forecast_trials(result)
+    return {
+        "forecast": {
+            "result": result,
+            "title": captions.forecast_title(result),
+            "panels": panels,
+            "rows": tables.forecast_rows(result, notation, units),
+            "trials": rows[:_MOST_ROWS],
+            "n_more": max(len(rows) - _MOST_ROWS, 0),
+        }
+    }
+
+
+def _typical_starts(result: ForecastResult) -> list[tuple[str, ForecastTrace]]:
+    """Forecasts with the smallest, the median and the largest error, relative to the spread."""
+
+    def size(trace: ForecastTrace) -> float:
+        relative = trace.rms / result.std
+        return float(np.nanmax(relative)) if np.isfinite(relative).any() else math.inf
+
+    ranked = sorted(result.traces, key=size)
+    picks = {0: "smallest error", len(ranked) - 1: "largest error", len(ranked) // 2: "median error"}
+    if len(ranked) < 3:
+        picks = dict.fromkeys(range(len(ranked)), "forecast")
+    return [(picks[k], ranked[k]) for k in sorted(picks)]
+
+
+def _call(options: Mapping[str, Any]) -> str:
+    """The call of discover() that the options describe."""
+    given = [f"{name}={value!r}" for name, value in options.items() if value not in ({}, [], ())]
+    return (
+        "leastaction.discover(\n" + "".join(f"    {a},\n" for a in ["trajectories", "library", *given]) + ")"
+    )
+
+
+def _versions() -> str:
+    parts = [f"{name} {version(name.lower())}" for name in ("NumPy", "SciPy", "SymPy")]
+    return ", ".join([f"Python {platform.python_version()}", *parts])

@@ -1,0 +1,193 @@
+"""Numbers behind the figures: which stretch to show, how to thin it, residuals and their correlation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+import sympy as sp
+
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.mechanics.equations import state_symbols
+from leastaction.model.diagnostics import Diagnostics
+from leastaction.model.model import LagrangianModel
+
+__all__ = ["Energy", "Series", "legible_samples", "sample_times", "thin_line", "thin_points"]
+
+_ZOOM_SAMPLES = (100, 260)  # fewest and most sampling intervals of the zoom
+_LINE_POINTS = 900
+_DOTS = 2000
+_FEW = 25  # dots upon a line that they must not hide
+_LAGS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """Residuals of all trials, and the one trial that the figures show: that with the most samples."""
+
+    model: LagrangianModel
+
+    @cached_property
+    def trial(self) -> int:
+        """Number of the trial that is shown."""
+        return int(np.argmax([t.n_samples for t in self.trajectories]))
+
+    @property
+    def trajectories(self) -> Trajectories:
+        return _diagnostics(self.model).trajectories
+
+    @property
+    def shown(self) -> Trajectory:
+        return self.trajectories[self.trial]
+
+    @cached_property
+    def residuals(self) -> list[np.ndarray]:
+        """Measured minus fitted, one (n_times, n_dof) array a trial."""
+        curves = _diagnostics(self.model).curve()
+        return [trial.q - curve for trial, curve in zip(self.trajectories, curves, strict=True)]
+
+    def curve(self, t: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """Fitted curve of the trial that is shown, (n_times, n_dof)."""
+        return self.curve_of(self.trial, t, derivative)
+
+    def curve_of(self, trial: int, t: np.ndarray, derivative: int = 0) -> np.ndarray:
+        diagnostics = _diagnostics(self.model)
+        points = diagnostics.grid.split(diagnostics.control_points)[trial]
+        return diagnostics.grid.spaces[trial].evaluate(points, t, derivative)
+
+    @cached_property
+    def zoom(self) -> tuple[float, float]:
+        """Stretch from the middle of the trial in which one sees samples as well as motion."""
+        t = self.shown.t
+        step = self.shown.duration / max(self.shown.n_times - 1, 1)
+        q_rate, q_turn = (self.curve(t, nu) for nu in (1, 2))
+        period = 2 * np.pi * np.sqrt((q_rate**2).mean(axis=0) / np.maximum((q_turn**2).mean(axis=0), 1e-300))
+        few, many = (n * step for n in _ZOOM_SAMPLES)
+        length = min(float(np.clip(1.5 * np.median(period), few, many)), self.shown.duration)
+        start = float(t[0]) + 0.5 * (self.shown.duration - length)
+        return start, start + length
+
+    def correlation(self, coordinate: int) -> np.ndarray:
+        """Autocorrelation of the residuals at lags of 1, 2, … samples, missing ones left out."""
+        parts = [r[:, coordinate] for r in self.residuals]
+        lags = min(_LAGS, max(len(p) for p in parts) - 2)
+        power = np.nanmean(np.concatenate(parts) ** 2)
+        out = np.full(max(lags, 0), np.nan)
+        for lag in range(1, lags + 1):
+            products = np.concatenate([p[lag:] * p[:-lag] for p in parts if p.size > lag])
+            products = products[np.isfinite(products)]
+            if products.size and power > 0:
+                out[lag - 1] = products.mean() / power
+        return out
+
+    def all_residuals(self, coordinate: int) -> np.ndarray:
+        """Finite residuals of one coordinate, over all trials."""
+        values = np.concatenate([r[:, coordinate] for r in self.residuals])
+        return values[np.isfinite(values)]
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Energy along the fitted curve of one trial, each (n_times,).
+
+    `expected` is the energy that the work of the known forces and of friction leaves: total minus expected is
+    what the model cannot account for.
+    """
+
+    t: np.ndarray
+    total: np.ndarray
+    potential: np.ndarray
+    expected: np.ndarray
+
+    @property
+    def kinetic(self) -> np.ndarray:
+        return self.total - self.potential
+
+    @property
+    def finite(self) -> bool:
+        return bool(np.isfinite([self.total, self.potential, self.expected]).all())
+
+    @property
+    def imbalance(self) -> float:
+        """Root mean square of total − expected, in units of the mean kinetic energy."""
+        scale = float(np.abs(self.kinetic).mean())
+        return float(np.sqrt(np.mean((self.total - self.expected) ** 2))) / scale if scale > 0 else np.nan
+
+    @classmethod
+    def of(cls, series: Series, trial: int, n_times: int = 3000) -> Energy:
+        """Compute it on equal steps, at least as fine as the samples up to `n_times`."""
+        model, data = series.model, series.trajectories[trial]
+        n_times = max(min(n_times, 4 * data.n_times), 2)
+        t = np.linspace(data.t[0], data.t[-1], n_times)
+        q, qdot = series.curve_of(trial, t), series.curve_of(trial, t, 1)
+        total, potential = model.energy(q, qdot), model.energy(q, np.zeros_like(q))
+        power = -_friction_power(model, q, qdot)
+        if data.forces is not None:
+            for i in range(model.n_dof):
+                power = power + np.interp(t, data.t, data.forces[:, i]) * qdot[:, i]
+        work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
+        return cls(t, total, potential, work + np.mean(total - work))
+
+
+def _friction_power(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    """Σ_i q̇_i ∂ψ/∂q̇_i, shape (n_times,)."""
+    if not model.dissipation:
+        return np.zeros(len(q))
+    names, rates, _ = state_symbols(model.coordinates)
+    # The names of the coordinates stay out of the generated code.
+    neutral = [sp.Dummy(real=True) for _ in (*names, *rates)]
+    psi = model.dissipation_function.xreplace(dict(zip((*names, *rates), neutral, strict=True)))
+    power = sp.Add(*(v * sp.diff(psi, v) for v in neutral[len(names) :]))
+    function = sp.lambdify(neutral, power, modules="numpy", cse=True)
+    with np.errstate(all="ignore"):
+        return np.broadcast_to(np.asarray(function(*q.T, *qdot.T), dtype=float), (len(q),))
+
+
+def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Keep the lowest and highest point of each of `n_points` / 2 stretches: no peak is lost."""
+    if t.size <= n_points:
+        return t, y
+    edges = np.linspace(0, t.size, n_points // 2 + 1).astype(int)
+    keep = {0, t.size - 1}
+    for a, b in pairwise(edges):
+        part = y[a:b]
+        if np.isfinite(part).any():
+            keep |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
+    index = np.array(sorted(keep))
+    return t[index], y[index]
+
+
+def thin_points(t: np.ndarray, y: np.ndarray, n_points: int = _DOTS) -> tuple[np.ndarray, np.ndarray]:
+    """Every k-th measured point, and the most extreme ones whatever k is."""
+    index = np.flatnonzero(np.isfinite(y))
+    if index.size <= n_points:
+        return t[index], y[index]
+    step = -(-index.size // n_points)
+    extreme = index[np.argsort(np.abs(y[index] - np.median(y[index])), kind="stable")[-20:]]
+    index = np.union1d(index[::step], extreme)
+    return t[index], y[index]
+
+
+def legible_samples(
+    t: np.ndarray, y: np.ndarray, noise_std: float, n_points: int = _DOTS
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Samples to draw with a line, and whether above it: where noise cannot be seen, a few of them above."""
+    there = np.isfinite(y)
+    t, y = t[there], y[there]
+    quiet = bool(t.size > 1 and noise_std < 0.015 * np.ptp(y))
+    if not quiet:
+        return *thin_points(t, y, n_points), False
+    step = -(-t.size // _FEW)
+    return t[::step], y[::step], True
+
+
+def sample_times(start: float, stop: float, n_times: int) -> np.ndarray:
+    """Equal steps, at most 20 000."""
+    return np.linspace(start, stop, int(min(max(n_times, 2), 20_000)))
+
+
+def _diagnostics(model: LagrangianModel) -> Diagnostics:
+    assert model.diagnostics is not None  # write_report has checked it
+    return model.diagnostics

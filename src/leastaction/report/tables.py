@@ -1,0 +1,226 @@
+"""Rows of the report's tables: numbers rounded for people, terms as mathematics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from leastaction.model.diagnostics import PathPoint
+from leastaction.model.model import LagrangianModel
+from leastaction.model.notation import rounded
+from leastaction.model.term import ModelTerm
+from leastaction.report.mathml import Notation, number_parts
+from leastaction.report.series import Series
+from leastaction.report.text import aligned, listed, percent, plain, signed, typeset
+from leastaction.report.whisker import whisker
+from leastaction.simulation.forecast import ForecastResult
+
+__all__ = [
+    "coefficient_groups",
+    "coordinate_rows",
+    "dropped_rows",
+    "forecast_rows",
+    "forecast_trials",
+    "option_rows",
+    "path_rows",
+    "residual_rows",
+    "trial_rows",
+]
+
+_REASONS = {
+    "null": "no effect on the motion",
+    "duplicate": "same as another",
+    "dependent": "combination of others",
+}
+
+
+def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """The rows of L, then those of ψ."""
+    kinds = (("L", "Lagrangian", model.terms), ("ψ", "friction", model.dissipation))
+    return [
+        {
+            "symbol": symbol,
+            "name": name,
+            "rows": [_coefficient_row(term, notation, f"{name}{k}") for k, term in enumerate(terms)],
+        }
+        for symbol, name, terms in kinds
+        if terms
+    ]
+
+
+def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str, Any]:
+    error = term.standard_error
+    number = number_parts(term.coefficient, error)
+    ends = [typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
+    return {
+        "term": notation.term(term.expression),
+        "text": term.expression,
+        "value": number.text,
+        "error": number.error_text,
+        "whisker": whisker(term, key),
+        "interval": " … ".join(ends),
+        "z": _z_text(term.z),
+        "known": term.known,
+    }
+
+
+def _z_text(z: float) -> str:
+    if math.isnan(z):
+        return ""
+    text = f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}"
+    return typeset(text if float(text) else text.lstrip("-"))
+
+
+def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
+    """Range, noise and equation error of each coordinate."""
+    model, data = series.model, series.trajectories
+    diagnostics = model.diagnostics
+    assert diagnostics is not None
+    values = np.concatenate([trial.q for trial in data])
+    rows = []
+    for i, name in enumerate(model.coordinates):
+        column = values[:, i]
+        there = np.isfinite(column)
+        spread, sigma = float(np.std(column[there])), float(model.noise_std[i])
+        rows.append(
+            {
+                "symbol": notation.heading(name),
+                "name": name,
+                "unit": units[i],
+                "range": f"{plain(column[there].min())} … {plain(column[there].max())}",
+                "samples": int(there.sum()),
+                "missing": int((~there).sum()),
+                "wraps": data.wraps_removed[name],
+                "noise": plain(sigma, full=True),
+                "relative": percent(sigma / spread) if spread > 0 else "–",
+                "equation": "prescribed"
+                if name in model.prescribed
+                else plain(float(diagnostics.equation_error[i]), full=True),
+            }
+        )
+    return rows
+
+
+def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
+    """How white and how normal the residuals are."""
+    rows = []
+    for i, name in enumerate(series.model.coordinates):
+        sigma = max(float(series.model.noise_std[i]), 1e-300)
+        residuals = series.all_residuals(i)
+        lags = series.correlation(i)
+        rms = float(np.sqrt(np.mean(residuals**2)))
+        rows.append(
+            {
+                "symbol": notation.heading(name),
+                "noise": plain(sigma, full=True),
+                "rms": plain(rms, full=True),
+                "unit": units[i],
+                "ratio": f"{rms / sigma:.2f}",
+                "lag": f"{lags[0]:+.2f}".replace("-", "−") if lags.size and np.isfinite(lags[0]) else "–",
+                "outside": f"{100 * float(np.mean(np.abs(residuals) > 3 * sigma)):.2f} %",
+            }
+        )
+    return rows
+
+
+def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 9) -> list[dict[str, Any]]:
+    """Structures of the path and what differs from the chosen one; sizes far from it are left out."""
+    chosen = next(point for point in path if point.chosen)
+    near = sorted(path, key=lambda p: (not p.chosen, abs(p.n_terms - chosen.n_terms), p.bic))[:limit]
+    return [
+        {
+            "n_terms": point.n_terms,
+            "bic": "0" if point.chosen else signed(point.bic),
+            "cost": "0" if point.chosen else signed(point.cost),
+            "added": [notation.term(e) for e in point.expressions if e not in chosen.expressions],
+            "removed": [notation.term(e) for e in chosen.expressions if e not in point.expressions],
+            "chosen": point.chosen,
+        }
+        for point in sorted(near, key=lambda p: (p.n_terms, p.bic))
+    ]
+
+
+def trial_rows(series: Series) -> list[dict[str, Any]]:
+    """Length and sampling of the trials; those that are alike share a row."""
+    data = series.trajectories
+    rows: dict[tuple, list[str]] = {}
+    for name, trial in zip(data.names, data, strict=True):
+        steps = np.diff(trial.t)
+        step = float(np.median(steps)) if steps.size else math.nan
+        uneven = " (uneven)" if steps.size and np.ptp(steps) > 0.02 * step else ""
+        sampling = f"{plain(1e3 * step)} ms{uneven}"
+        forces = "yes" if trial.driven else "none"
+        key = (trial.n_times, plain(trial.duration, 4), sampling, trial.q.size - trial.n_samples, forces)
+        rows.setdefault(key, []).append(name)
+    return [
+        {
+            **dict(zip(("times", "duration", "step", "missing", "forces"), key, strict=True)),
+            "names": listed(names),
+        }
+        for key, names in rows.items()
+    ]
+
+
+def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
+    """Forecast error of each coordinate."""
+    return [
+        {
+            "symbol": notation.heading(name),
+            "unit": units[i],
+            "rms": plain(float(result.rms[i]), full=True),
+            "expected": plain(float(result.expected_rms[i]), full=True),
+            "noise": plain(float(result.rms_over_noise[i])),
+            "std": percent(float(result.rms_over_std[i])),
+        }
+        for i, name in enumerate(result.coordinates)
+    ]
+
+
+def forecast_trials(result: ForecastResult) -> list[dict[str, Any]]:
+    """Forecast error of each trial."""
+    parts = result.by_trial()
+    columns = [
+        aligned([float(part.rms[i]) for part in parts.values()]) for i in range(len(result.coordinates))
+    ]
+    return [
+        {
+            "name": name,
+            "starts": part.n_starts,
+            "diverged": part.n_diverged,
+            "rms": [column[k] for column in columns],
+            "valid": plain(part.valid_time),
+        }
+        for k, (name, part) in enumerate(parts.items())
+    ]
+
+
+def dropped_rows(dropped: Iterable[Any], notation: Notation) -> list[dict[str, Any]]:
+    """Candidates that were removed before the fit."""
+    return [
+        {
+            "term": notation.term(item.term.text),
+            "text": item.term.text,
+            "reason": _REASONS.get(item.reason, item.reason),
+            "because": item.because,
+        }
+        for item in dropped
+    ]
+
+
+def option_rows(options: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Options of the discovery as name and value."""
+    rows = []
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            text = ", ".join(
+                f"{k} = {v:g}" if isinstance(v, float) else f"{k} = {v}" for k, v in value.items()
+            )
+        elif isinstance(value, (list, tuple)):
+            text = ", ".join(map(str, value))
+        else:
+            text = str(value)
+        rows.append((str(name).replace("_", " "), text or "none"))
+    return rows

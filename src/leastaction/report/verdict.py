@@ -1,0 +1,73 @@
+"""The head of the report: status, warnings, what to do, and the few numbers that decide."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from leastaction.model.model import LagrangianModel
+from leastaction.report.mathml import Notation
+from leastaction.report.text import percent, plain, plural, warning_parts
+from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["verdict"]
+
+
+def verdict(model: LagrangianModel, validation: ForecastResult | None, notation: Notation) -> dict[str, Any]:
+    """What the first section shows."""
+    return {
+        "ok": model.fit.status == "ok",
+        "status": model.fit.status,
+        "warnings": [warning_parts(text) for text in model.fit.warnings],
+        "forecast": validation is not None,
+        "facts": [*_forecast_facts(validation), *_fit_facts(model, notation), *_size_facts(model)],
+    }
+
+
+def _forecast_facts(result: ForecastResult | None) -> list[dict[str, Any]]:
+    if result is None:
+        return []
+    shares = result.rms_over_std
+    worst = float(np.nanmax(shares)) if not np.isnan(shares).all() else math.nan
+    return [
+        {
+            "name": "Forecast error",
+            "value": percent(worst),
+            "note": f"of the spread, over {plain(result.horizon)} s",
+        }
+    ]
+
+
+def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    facts = [{"name": "χ² per sample", "value": plain(model.fit.chi2_per_sample), "note": "expected 1"}]
+    free = [
+        t
+        for t in (*model.terms, *model.dissipation)
+        if t.standard_error > 0 and t.coefficient and not math.isnan(t.z)
+    ]
+    if free:
+        weakest = min(free, key=lambda t: abs(t.z))
+        share = (weakest.upper - weakest.coefficient) / abs(weakest.coefficient)
+        value = f"±{percent(share)}" if share < 10 else "open"
+        text = weakest.expression
+        note = text if notation.is_long(text) else notation.term(text)
+        facts.append({"name": "Least sure term", "value": value, "note": note})
+    return facts
+
+
+def _size_facts(model: LagrangianModel) -> list[dict[str, Any]]:
+    diagnostics = model.diagnostics
+    assert diagnostics is not None
+    data = diagnostics.trajectories
+    free = sum(not t.known for t in (*model.terms, *model.dissipation))
+    candidates = model.provenance.get("n_candidates")
+    note = "" if candidates is None else f"of {candidates} candidates"
+    samples = plural(data.n_samples, "sample", "samples")
+    number, _, noun = samples.partition(" ")
+    trials = plural(len(data), "trial", "trials")
+    return [
+        {"name": "Terms found", "value": str(free), "note": note},
+        {"name": "Data", "value": number, "note": f"{noun} in {trials}, {plain(data.duration, 4)} s"},
+    ]

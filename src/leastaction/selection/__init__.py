@@ -1,0 +1,1 @@
+"""Which terms are in the model."""

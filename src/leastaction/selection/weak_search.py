@@ -1,0 +1,210 @@
+"""Search for supports on the weak form, by how well noise explains what is left.
+
+A support S is judged by
+
+    ρ(S) = min over λ of λᵀ R λ / λᵀ (N + ε S) λ,
+
+the smallest generalised eigenvalue of two small matrices: R is the sum of squared row residuals, N what the
+measurement noise makes of that sum on average, and ε the squared relative size of the equation error.
+For the true support ρ is about one, whatever the units and the noise; λ is the total-least-squares
+estimate, free of the bias that noisy columns give to plain least squares.  The ratio cannot be made small
+by letting candidates cancel a known term: their noise remains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.selection.weak_form import WeakGram
+
+__all__ = ["Support", "beam_search", "grow_bases", "solve_support", "support_score"]
+
+_RIDGE = 1e-12
+_SMALLEST = 1e-13
+_DEPENDENT = 1e-9
+_BISECTIONS = 45
+_SWAP_ROUNDS = 6
+_PATIENCE = 4
+
+
+@dataclass(frozen=True)
+class Support:
+    """A set of free columns and its ratio ρ."""
+
+    members: tuple[int, ...]
+    ratio: float
+
+
+class _Scaled:
+    """Both matrices with unit diagonal of the reference, so that a ridge means the same for every column."""
+
+    def __init__(self, gram: WeakGram, error: float) -> None:
+        reference = gram.noise + error * gram.size
+        scale = 1.0 / np.sqrt(np.clip(np.diag(reference), 1e-300, None))
+        self.scale = scale
+        self.residual = gram.residual * np.outer(scale, scale)
+        self.reference = reference * np.outer(scale, scale)
+        self.known = self.residual.shape[0] - 1
+
+    def extended(self, supports: np.ndarray) -> np.ndarray:
+        """ρ of every support with every candidate added: (n_supports, size) → (n_supports, n_candidates).
+
+        With the support's own eigenvectors V (VᵀNV = 1, VᵀRV = diag μ) one more column borders a diagonal
+        matrix; the smallest eigenvalue x of that arrow matrix is the root below min μ of
+
+            α − x − Σ_j a_j² / (μ_j − x) = 0.
+
+        Candidates that are in the support already get infinity.
+        """
+        index = np.column_stack([supports, np.full(len(supports), self.known)]).astype(int)
+        pick = (index[:, :, None], index[:, None, :])
+        root = _inverse_root(self.reference[pick])
+        mu, vectors = np.linalg.eigh(root @ self.residual[pick] @ root.transpose(0, 2, 1))
+        mu = np.maximum(mu, _SMALLEST)  # rounding may leave it below zero
+        basis = vectors.transpose(0, 2, 1) @ root
+        a, b = basis @ self.residual[index], basis @ self.reference[index]
+        rest = np.maximum(1.0 - (b**2).sum(axis=1), _DEPENDENT)  # what the new column adds
+        alpha = np.diag(self.residual) - 2.0 * (a * b).sum(axis=1) + (mu[:, :, None] * b**2).sum(axis=1)
+        squares = (a - mu[:, :, None] * b) ** 2 / rest[:, None, :]
+        ratios = _smallest_root(alpha / rest, squares, mu)
+        # a column that depends on the support adds nothing but rounding errors
+        ratios = np.where(rest > _DEPENDENT, ratios, mu[:, :1])
+        np.put_along_axis(ratios, index, np.inf, axis=1)
+        return ratios[:, : self.known]
+
+
+def _inverse_root(matrices: np.ndarray) -> np.ndarray:
+    """R with R G Rᵀ = 1 for symmetric matrices G of unit diagonal, which rounding may leave indefinite."""
+    ridge = _RIDGE
+    while True:
+        try:
+            return np.linalg.inv(np.linalg.cholesky(matrices + ridge * np.eye(matrices.shape[-1])))
+        except np.linalg.LinAlgError:
+            if ridge > 1.0:
+                raise
+            ridge *= 100.0
+
+
+def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """Root of α − x − Σ_j s_j / (μ_j − x) in (0, min μ), where it falls from positive to −∞, by bisection."""
+    low = np.zeros_like(alpha)
+    high = np.broadcast_to(mu[:, :1], alpha.shape).copy()
+    for _ in range(_BISECTIONS):
+        x = 0.5 * (low + high)
+        gap = np.maximum(mu[:, :, None] - x[:, None, :], 1e-300)
+        above = alpha - x - (squares / gap).sum(axis=1) > 0.0
+        low, high = np.where(above, x, low), np.where(above, high, x)
+    return np.maximum(high, _SMALLEST)
+
+
+def beam_search(
+    gram: WeakGram, error: float, penalty: float, n_rows: float, max_size: int, width: int = 8
+) -> list[list[Support]]:
+    """The best supports of each size 1, 2, …, best first.
+
+    Grows every kept support by one candidate, then swaps single members while that helps.  Ends when four
+    more terms have not improved :func:`support_score`.
+
+    Parameters
+    ----------
+    error : float
+        ε, the squared size of the equation error relative to the rows.
+    """
+    scaled = _Scaled(gram, error)
+    kept: list[Support] = [Support((), np.inf)]
+    levels: list[list[Support]] = []
+    best, since = np.inf, 0
+    for size in range(1, min(max_size, scaled.known) + 1):
+        # two terms often make sense together only: all pairs are tried
+        kept = _best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
+        for _ in range(_SWAP_ROUNDS if size > 2 else 0):
+            smaller = {s.members[:m] + s.members[m + 1 :] for s in kept[: width // 2] for m in range(size)}
+            swapped = _best_extensions(scaled, smaller, width)
+            merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
+            improved = merged[0].ratio < kept[0].ratio * (1 - 1e-6)
+            kept = merged
+            if not improved:
+                break
+        levels.append(kept)
+        value = support_score(kept[0], penalty, n_rows)
+        best, since = (value, 0) if value < best else (best, since + 1)
+        if since == _PATIENCE:
+            break
+    return levels
+
+
+def grow_bases(
+    gram: WeakGram,
+    error: float,
+    penalty: float,
+    n_rows: float,
+    max_size: int,
+    bases: list[tuple[int, ...]],
+    width: int = 3,
+) -> list[list[Support]]:
+    """Supports grown from each of several bases, which stay in them; all sizes, best first in each.
+
+    Ends when no base has been improved by four more terms.
+    """
+    scaled = _Scaled(gram, error)
+    kept = [{base} for base in bases]
+    best, since = np.full(len(bases), np.inf), 0
+    levels: list[list[Support]] = []
+    while since < _PATIENCE:
+        level, values = [], np.full(len(bases), np.inf)
+        for b, supports in enumerate(kept):
+            if max(map(len, supports)) >= min(max_size, scaled.known):
+                continue
+            found = _best_extensions(scaled, supports, width)
+            kept[b] = {support.members for support in found}
+            values[b] = support_score(found[0], penalty, n_rows)
+            level += found
+        if not level:
+            break
+        levels.append(sorted({s.members: s for s in level}.values(), key=lambda s: s.ratio))
+        since = 0 if np.any(values < best) else since + 1
+        best = np.minimum(best, values)
+    return levels
+
+
+def support_score(support: Support, penalty: float, n_rows: float) -> float:
+    """n_rows · log ρ + penalty · size, with ρ < 1 counted as 1: better than noise is not better."""
+    return n_rows * float(np.log(max(support.ratio, 1.0))) + penalty * len(support.members)
+
+
+def _best_extensions(scaled: _Scaled, supports: set[tuple[int, ...]], width: int) -> list[Support]:
+    """The best distinct supports that have one candidate more than those given."""
+    base = np.array(sorted(supports), dtype=int).reshape(len(supports), -1)
+    ratios = scaled.extended(base)
+    size = base.shape[1] + 1
+    found: dict[tuple[int, ...], Support] = {}
+    # the same support is reached from each of its parts
+    for flat in np.argsort(ratios, axis=None, kind="stable")[: width * size]:
+        row, k = divmod(int(flat), ratios.shape[1])
+        if not np.isfinite(ratios[row, k]) or len(found) == width:
+            break
+        members = tuple(sorted((*(int(m) for m in base[row]), k)))
+        found.setdefault(members, Support(members, float(ratios[row, k])))
+    return list(found.values())
+
+
+def solve_support(gram: WeakGram, error: float, members: tuple[int, ...]) -> np.ndarray:
+    """Coefficients of the free columns for a support, scaled so that the known column has weight one.
+
+    Falls back to least squares on the weak form when the smallest eigenvector leaves the known column out.
+    """
+    scaled = _Scaled(gram, error)
+    index = np.array([*members, scaled.known])
+    root = _inverse_root(scaled.reference[np.ix_(index, index)])
+    _, vectors = np.linalg.eigh(root @ scaled.residual[np.ix_(index, index)] @ root.T)
+    vector = root.T @ vectors[:, 0] * scaled.scale[index]
+    weight = vector[-1] / scaled.scale[scaled.known]
+    out = np.zeros(scaled.known)
+    if abs(weight) > 1e-6 * np.abs(root.T @ vectors[:, 0]).max():
+        out[list(members)] = vector[:-1] / vector[-1]
+    else:
+        total = gram.residual[np.ix_(index, index)]
+        out[list(members)] = -np.linalg.lstsq(total[:-1, :-1], total[:-1, -1], rcond=1e-10)[0]
+    return out

@@ -1,0 +1,1 @@
+"""Integration of models and forecasts of measured motion."""

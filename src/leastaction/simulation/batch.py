@@ -1,0 +1,247 @@
+"""Many short motions at once: fit the initial state of each in its window, then let all run free."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.simulation.integrate import rk4
+
+__all__ = ["Acceleration", "Start", "StartResult", "run_starts"]
+
+Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
+
+# Bounds the memory of one batch.
+_MAX_BATCH = 400
+_MAX_HALVINGS = 4
+# A motion that leaves the range of its data by this factor has diverged.
+_FAR = 1e6
+# Squares of larger numbers are of no use.
+_HUGE = 1e100
+# Finite differences: step relative to the size of the motion.
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """One window and the free run after it: number of the trial, begin of the window, samples.
+
+    `t` (n_samples,) counts from the begin; `q` (n_samples, n_dof) may hold NaN; `forces` is a function of
+    the trial's time, or None.
+    """
+
+    trial: int
+    begin: float
+    t: np.ndarray
+    q: np.ndarray
+    forces: Callable[[np.ndarray], np.ndarray] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StartResult:
+    """Motion `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended."""
+
+    q: np.ndarray
+    variance: np.ndarray
+    status: str
+    reason: str
+
+
+def run_starts(
+    acceleration: Acceleration,
+    starts: Sequence[Start],
+    state: np.ndarray,
+    sigma: np.ndarray,
+    scale: np.ndarray,
+    window: float,
+    horizon: float,
+) -> list[StartResult]:
+    """Fit and run all starts.
+
+    Parameters
+    ----------
+    acceleration : callable
+        Vectorised; NaN where it is not defined.
+    starts : sequence of Start
+    state : ndarray, shape (n_starts, 2 n_dof)
+        First guess of q, q̇ at the begin of the windows.
+    sigma, scale : ndarray, shape (n_dof,)
+        Noise, and size of the motion.
+    window, horizon : float
+        Seconds.
+    """
+    out: list[StartResult] = []
+    for a in range(0, len(starts), _MAX_BATCH):
+        chunk = slice(a, a + _MAX_BATCH)
+        batch = _Batch(acceleration, starts[chunk], sigma, scale, window, horizon)
+        # A motion that diverges is an answer here: it must not warn, nor disturb the others.
+        with np.errstate(all="ignore"):
+            out += batch.run(state[chunk])
+    return out
+
+
+class _Batch:
+    def __init__(self, acceleration, starts, sigma, scale, window: float, horizon: float) -> None:
+        self.acceleration, self.starts = acceleration, starts
+        self.sigma, self.scale = sigma, scale
+        self.window, self.horizon = window, horizon
+        self.n_dof = sigma.size
+        longest = max(start.t.size for start in starts)
+        self.t = np.zeros((len(starts), longest))
+        self.q = np.full((len(starts), longest, self.n_dof), np.nan)
+        for s, start in enumerate(starts):
+            self.t[s, : start.t.size] = start.t
+            self.q[s, : start.t.size] = start.q
+        self.driven = any(start.forces is not None for start in starts)
+        self._force_tables: dict[tuple[int, float], np.ndarray] = {}
+        spacing = np.median(np.concatenate([np.diff(start.t) for start in starts]))
+        self.n_steps = int(np.clip(np.ceil(window / (2.0 * spacing)), 16, 2000))
+
+    def run(self, state: np.ndarray) -> list[StartResult]:
+        """Fit and run free, with the step halved until the motions no longer change."""
+        alive = np.asarray(np.isfinite(state).all(axis=1))
+        state = np.where(alive[:, None], state, 0.0)
+        speed = np.sqrt((state[:, self.n_dof :] ** 2).mean(axis=0))
+        self.unit = np.concatenate([self.scale, np.fmax(speed, self.scale / self.window)])
+        guess = state
+        state = self._grow(guess)
+        coarse = self._flow(state[None], 1.0 + self.horizon / self.window)
+        resolved = np.zeros(len(self.starts), dtype=bool)
+        for _ in range(_MAX_HALVINGS):
+            self.n_steps *= 2
+            far = self._far(coarse[0])
+            # A motion may have diverged only because the steps were too long for it: begin again.
+            state = np.where(far[:, None], guess, state)
+            state = self._grow(state) if far.any() else self._fit(state, 1.0, rounds=2)
+            fine = self._flow(state[None], 1.0 + self.horizon / self.window)
+            change = np.where(np.isfinite(self.q), np.abs(fine - coarse)[0], 0.0)
+            resolved = (change <= 0.02 * self.sigma + 1e-4 * self.scale).all(axis=(1, 2))
+            coarse = fine
+            if resolved.all():
+                break
+        return self._results(state, coarse[0], alive, resolved)
+
+    def _grow(self, state: np.ndarray) -> np.ndarray:
+        """Fit on growing windows, so that a poor first guess can follow a long motion."""
+        for share in (0.25, 0.5, 1.0):
+            state = self._fit(state, share)
+        return state
+
+    def _results(self, state, q, alive, resolved) -> list[StartResult]:
+        variance = self._variance(state)
+        far = self._far(q)
+        out = []
+        for s, start in enumerate(self.starts):
+            size = start.t.size
+            status, reason = "ok", ""
+            if not alive[s] or not np.isfinite(self._residual(q[None], self.window)[s, 0]).all():
+                status, reason = "failed", "no motion of the model fits the data before the start"
+            elif far[s]:
+                status, reason = "diverged", "the free run leaves the range of the data or is not finite"
+            elif not resolved[s]:
+                status, reason = "unresolved", "the integration has not converged at the smallest step"
+            values = np.where(np.abs(q[s, :size]) <= _FAR * self._range(), q[s, :size], np.nan)
+            out.append(StartResult(values, variance[s, :size], status, reason))
+        return out
+
+    def _range(self) -> np.ndarray:
+        return np.nanmax(np.abs(self.q), axis=(0, 1)) + self.scale
+
+    def _far(self, q: np.ndarray) -> np.ndarray:
+        """Whether a motion (n_starts, n_samples, n_dof) diverges within its samples."""
+        valid = np.arange(self.t.shape[1]) < np.array([start.t.size for start in self.starts])[:, None]
+        return np.asarray((valid[..., None] & ~(np.abs(q) <= _FAR * self._range())).any(axis=(1, 2)))
+
+    def _flow(self, state: np.ndarray, share: float) -> np.ndarray:
+        """Motions (n_variants, n_starts, n_samples, n_dof) from (n_variants, n_starts, 2 n_dof).
+
+        They are followed over `share` of the window, by RK4 with joint steps, and read off between these by
+        cubic Hermite interpolation.
+        """
+        n, h = self.n_dof, self.window / self.n_steps
+        n_steps = int(np.ceil(self.n_steps * share - 1e-9))
+        nodes = h * np.arange(n_steps + 1)
+        forces = (lambda times: self._forces(times)[:, None]) if self.driven else None
+        q, v = rk4(self.acceleration, state[..., :n], state[..., n:], nodes, substeps=1, forces=forces)
+        k = np.clip((self.t / h).astype(int), 0, n_steps - 1)
+        u = np.clip(self.t / h - k, 0.0, 1.0)[..., None, None]
+        start = np.arange(len(self.starts))[:, None]
+        # Advanced indices come first: (n_starts, n_samples, n_variants, n_dof).
+        q0, q1, v0, v1 = (x[j, :, start] for x in (q, v) for j in (k, k + 1))
+        d = q1 - q0
+        values = q0 + u * (h * v0 + u * (3 * d - h * (2 * v0 + v1) + u * (h * (v0 + v1) - 2 * d)))
+        return np.moveaxis(values, 2, 0)
+
+    def _forces(self, times: np.ndarray) -> np.ndarray:
+        """Forces (n_times, n_starts, n_dof); the same times come again and again."""
+        key = (times.size, float(times[-1]))
+        if key not in self._force_tables:
+            zero = np.zeros((times.size, self.n_dof))
+            tables = [
+                zero if s.forces is None else s.forces(np.minimum(s.begin + times, s.begin + s.t[-1]))
+                for s in self.starts
+            ]
+            self._force_tables[key] = np.stack(tables, axis=1)
+        return self._force_tables[key]
+
+    def _residual(self, q: np.ndarray, upto: float) -> np.ndarray:
+        """(n_starts, n_variants, n_samples · n_dof) residuals in σ, zero where there is no sample."""
+        inside = np.isfinite(self.q) & (self.t <= upto * (1 + 1e-9))[..., None]
+        r = np.where(inside, (q - np.where(inside, self.q, 0.0)) / self.sigma, 0.0)
+        return np.moveaxis(r.reshape(*r.shape[:2], -1), 0, 1)
+
+    def _variants(self, state: np.ndarray) -> np.ndarray:
+        """The states, and then the states with one component shifted."""
+        return np.concatenate([state[None], state[None] + _STEP * np.diag(self.unit)[:, None, :]])
+
+    def _linearised(self, state: np.ndarray, share: float):
+        """Residual (n_starts, m), cost (n_starts,), and Jacobian (n_starts, m, 2 n_dof) in `unit`."""
+        r = self._residual(self._flow(self._variants(state), share), self.window * share)
+        jacobian = np.moveaxis((r[:, 1:] - r[:, :1]) / _STEP, 1, 2)
+        cost = (r[:, 0] ** 2).sum(axis=1)
+        bad = ~((cost < _HUGE) & (np.abs(jacobian) < _HUGE).all(axis=(1, 2)))
+        return (
+            np.where(bad[:, None], 0.0, r[:, 0]),
+            np.where(bad, np.inf, cost),
+            np.where(bad[:, None, None], 0.0, jacobian),
+        )
+
+    def _fit(self, state: np.ndarray, share: float, rounds: int = 8) -> np.ndarray:
+        """Levenberg–Marquardt for all starts side by side; one batch of motions per round."""
+        damping = np.full(len(state), 1e-3)
+        residual, cost, jacobian = self._linearised(state, share)
+        for _ in range(rounds):
+            normal = np.swapaxes(jacobian, 1, 2) @ jacobian
+            diagonal = np.einsum("sii->si", normal)
+            ridge = damping[:, None] * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
+            move = -np.linalg.solve(
+                normal + ridge[:, :, None] * np.eye(self.unit.size),
+                np.einsum("smi,sm->si", jacobian, residual)[..., None],
+            )[..., 0]
+            trial = state + move * self.unit
+            new = self._linearised(trial, share)
+            better = new[1] < cost
+            gain = np.where(better, cost - new[1], 0.0)
+            settled = ~better | (gain <= 1e-3 * np.where(np.isfinite(cost), 1.0, np.inf))
+            state = np.where(better[:, None], trial, state)
+            residual = np.where(better[:, None], new[0], residual)
+            jacobian = np.where(better[:, None, None], new[2], jacobian)
+            cost = np.where(better, new[1], cost)
+            damping = np.where(better, damping * 0.1, damping * 10.0)
+            if (settled & better | (damping > 1e6) | ~np.isfinite(cost)).all():
+                break
+        return state
+
+    def _variance(self, state: np.ndarray) -> np.ndarray:
+        """Variance (n_starts, n_samples, n_dof) in σ² that the error of the fitted state causes."""
+        *_, jacobian = self._linearised(state, 1.0)
+        normal = np.swapaxes(jacobian, 1, 2) @ jacobian
+        diagonal = np.einsum("sii->si", normal)
+        ridge = 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300
+        covariance = np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size))
+        q = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
+        # (n_starts, n_samples, n_dof, 2 n_dof)
+        slope = np.moveaxis((q[1:] - q[:1]) / (_STEP * self.sigma), 0, -1)
+        return np.einsum("spij,sjk,spik->spi", slope, covariance, slope)

@@ -1,0 +1,361 @@
+"""Forecasts of measured motions: where they start, how far off they are, and how far off they may be."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.curve.smoothing import smooth
+from leastaction.data.trajectories import Trajectories
+from leastaction.errors import InputError
+from leastaction.simulation.batch import Acceleration, Start, StartResult, run_starts
+
+__all__ = ["ForecastResult", "ForecastTrace", "forecast"]
+
+Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
+
+# A coordinate needs this many samples in the window for the initial state to be more than a guess.
+_LEAST_SAMPLES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ForecastTrace:
+    """One free run beside the measurements.
+
+    Attributes
+    ----------
+    trial : str
+    origin : float
+        Time at which the free run begins, in seconds.
+    t : ndarray, shape (n_times,)
+        Measured times after the origin, up to the horizon.
+    measured, forecast : ndarray, shape (n_times, n_dof)
+        NaN where a sample is missing, and where the forecast has diverged.
+    rms : ndarray, shape (n_dof,)
+        Root mean square of forecast − measured; inf if diverged, NaN if nothing was measured.
+    expected_rms : ndarray, shape (n_dof,)
+        What `rms` would be, to first order, if the model were exact: measurement noise, and the error of
+        the initial state carried along.
+    valid_time : float
+        Seconds from the origin until the tolerance is first exceeded; the horizon if it never is.
+    status : {"ok", "diverged", "unresolved", "failed"}
+        ``"unresolved"``: the integration has not converged at the smallest step; ``"failed"``: no motion of
+        the model could be fitted to the window.
+    reason : str
+        Empty if ok.
+    """
+
+    trial: str
+    origin: float
+    t: np.ndarray
+    measured: np.ndarray
+    forecast: np.ndarray
+    rms: np.ndarray
+    expected_rms: np.ndarray
+    valid_time: float
+    status: str
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class ForecastResult:
+    """Forecast errors on held-out trials, as `LagrangianModel.validate` returns them.
+
+    Attributes
+    ----------
+    coordinates : tuple of str
+    horizon, window, tolerance : float
+        As used; seconds, seconds, fraction of the standard deviation.
+    noise_std, std : ndarray, shape (n_dof,)
+        Noise of the measurement, and standard deviation of the data over all trials.
+    traces : tuple of ForecastTrace
+        One per start, in the sequence of the trials.
+    skipped : tuple of (str, str)
+        Trials without a start, and why.
+
+    Examples
+    --------
+    >>> from leastaction.data.trajectories import Trajectory
+    >>> t = np.linspace(0.0, 10.0, 201)
+    >>> data = Trajectories([Trajectory(t, np.cos(t), coordinates=["x"])])
+    >>> spring = forecast(lambda q, qdot, forces: -q, data, np.array([0.01]))
+    >>> spring.n_starts, spring.valid_time, bool(spring.rms_over_std < 0.001)
+    (9, 1.0, True)
+    >>> free = forecast(lambda q, qdot, forces: 0 * q, data, np.array([0.01]))
+    >>> bool(free.rms > 10 * free.expected_rms)
+    True
+    """
+
+    coordinates: tuple[str, ...]
+    horizon: float
+    window: float
+    tolerance: float
+    noise_std: np.ndarray
+    std: np.ndarray
+    traces: tuple[ForecastTrace, ...]
+    skipped: tuple[tuple[str, str], ...] = ()
+
+    @cached_property
+    def rms(self) -> np.ndarray:
+        """Error of each coordinate over all starts, shape (n_dof,); inf if one diverged."""
+        return _rms([trace.rms for trace in self.traces])
+
+    @cached_property
+    def expected_rms(self) -> np.ndarray:
+        """What `rms` would be if the model were exact; starts that diverged are left out."""
+        return _rms([trace.expected_rms for trace in self.traces])
+
+    @property
+    def rms_over_noise(self) -> np.ndarray:
+        """`rms` in units of the measurement noise."""
+        return self.rms / self.noise_std
+
+    @property
+    def rms_over_std(self) -> np.ndarray:
+        """`rms` in units of the standard deviation of the data: 1 is no better than the mean."""
+        return self.rms / self.std
+
+    @property
+    def valid_time(self) -> float:
+        """Median of the starts, in seconds."""
+        return float(np.median([trace.valid_time for trace in self.traces]))
+
+    @property
+    def n_starts(self) -> int:
+        """Number of forecasts."""
+        return len(self.traces)
+
+    @property
+    def n_diverged(self) -> int:
+        """Number of forecasts that ended in infinity, or had no initial state."""
+        return sum(trace.status in ("diverged", "failed") for trace in self.traces)
+
+    def by_trial(self) -> dict[str, ForecastResult]:
+        """The same result for each trial on its own."""
+        names = dict.fromkeys(trace.trial for trace in self.traces)
+        common = (self.coordinates, self.horizon, self.window, self.tolerance, self.noise_std, self.std)
+        return {
+            name: ForecastResult(*common, tuple(t for t in self.traces if t.trial == name)) for name in names
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON types, without the traces; null stands for inf and NaN."""
+        return {
+            "coordinates": list(self.coordinates),
+            "horizon": self.horizon,
+            "window": self.window,
+            "tolerance": self.tolerance,
+            "noise_std": _plain(self.noise_std),
+            "std": _plain(self.std),
+            **self._scores(),
+            "trials": [{"trial": name, **part._scores()} for name, part in self.by_trial().items()],
+            "starts": [
+                {
+                    "trial": trace.trial,
+                    "origin": trace.origin,
+                    "rms": _plain(trace.rms),
+                    "expected_rms": _plain(trace.expected_rms),
+                    "valid_time": trace.valid_time,
+                    "status": trace.status,
+                    "reason": trace.reason,
+                }
+                for trace in self.traces
+            ],
+            "skipped": [{"trial": name, "reason": reason} for name, reason in self.skipped],
+        }
+
+    def _scores(self) -> dict[str, Any]:
+        return {
+            "rms": _plain(self.rms),
+            "expected_rms": _plain(self.expected_rms),
+            "rms_over_noise": _plain(self.rms_over_noise),
+            "rms_over_std": _plain(self.rms_over_std),
+            "valid_time": self.valid_time,
+            "n_starts": self.n_starts,
+            "n_diverged": self.n_diverged,
+        }
+
+    def format_rows(self) -> list[tuple[str, ...]]:
+        """Rows of text for a table, the first one the header: one row per coordinate."""
+        rows = [("coordinate", "rms error", "if exact", "/ noise", "/ std")]
+        numbers = (self.rms, self.expected_rms, self.rms_over_noise, self.rms_over_std)
+        rows += [(c, *(f"{x[i]:.3g}" for x in numbers)) for i, c in enumerate(self.coordinates)]
+        return rows
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{c} {x:.3g}" for c, x in zip(self.coordinates, self.rms, strict=True))
+        return (
+            f"<ForecastResult over {self.horizon:g} s, {self.n_starts} starts ({self.n_diverged} diverged): "
+            f"rms error {errors}; valid for {self.valid_time:.3g} s>"
+        )
+
+
+def _rms(values: Sequence[np.ndarray]) -> np.ndarray:
+    """Root mean square down the rows; NaN ("not available") is left out."""
+    stacked = np.array(values)
+    there = ~np.isnan(stacked)
+    total = np.where(there, stacked, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(total.sum(axis=0) / there.sum(axis=0))
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [float(x) if math.isfinite(x) else None for x in values]
+
+
+def forecast(
+    acceleration: Acceleration,
+    data: Trajectories,
+    noise_std: np.ndarray,
+    horizon: float | None = None,
+    window: float | None = None,
+    tolerance: float = 0.4,
+    prescribed: Sequence[int] = (),
+) -> ForecastResult:
+    """Run the forecasts of `LagrangianModel.validate`, which says what the arguments mean.
+
+    `acceleration` is vectorised, ``acceleration(q, qdot, forces)`` -> array of the shape of q, where
+    `forces` has the shape of q or broadcasts to it.  Those on coordinates that are `prescribed` are the
+    accelerations of their smoothed measurements.
+    """
+    horizon, window = _lengths(data, horizon, window)
+    if not _positive(tolerance):
+        raise InputError(f"tolerance is {tolerance!r}; expected a positive number, e.g. 0.4")
+    starts, skipped = _plan(data, horizon, window)
+    if not starts:
+        raise InputError(
+            f"a forecast over {horizon:g} s from a window of {window:g} s needs {_LEAST_SAMPLES} samples of "
+            "each coordinate in the window and some after it; no trial has them (the longest lasts "
+            f"{max(trial.duration for trial in data):g} s). Choose a shorter horizon or window"
+        )
+    std = np.sqrt(np.nanvar(np.concatenate([trial.q for trial in data]), axis=0))
+    curves, estimated = _smoothed(data, starts)
+    state = np.full((len(starts), 2 * data.n_dof), np.nan)
+    if curves:
+        begins = [(curves[start.trial], np.array([start.begin])) for start in starts]
+        state = np.array([np.concatenate([curve(t, nu)[0] for nu in (0, 1)]) for curve, t in begins])
+    if curves and prescribed:
+        starts = [_moved(start, curves[start.trial], list(prescribed)) for start in starts]
+    sigma = np.where(noise_std > 0, noise_std, estimated)
+    # Data without noise, or a coordinate at rest, must not divide by zero.
+    tiny = np.finfo(float).tiny
+    sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
+    results = run_starts(acceleration, starts, state, sigma, np.fmax(std, sigma), window, horizon)
+    limit = tolerance * std + 3.0 * sigma
+    traces = [_trace(data, s, r, sigma, limit, window, horizon) for s, r in zip(starts, results, strict=True)]
+    std = np.fmax(std, tiny)
+    return ForecastResult(
+        data.coordinates, horizon, window, float(tolerance), sigma, std, tuple(traces), tuple(skipped)
+    )
+
+
+def _positive(value: Any) -> bool:
+    number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+    return number and bool(0 < value < math.inf)
+
+
+def _lengths(data: Trajectories, horizon: float | None, window: float | None) -> tuple[float, float]:
+    steps = np.concatenate([np.diff(trial.t) for trial in data])
+    if not steps.size:
+        raise InputError("no trial has more than one time; a forecast needs a motion")
+    step = float(np.median(steps))
+    for label, value in (("horizon", horizon), ("window", window)):
+        if value is not None and not _positive(value):
+            raise InputError(f"{label} is {value!r}; expected a positive number of seconds")
+    shortest = min(trial.duration for trial in data if trial.n_times > 1)
+    if horizon is None:
+        horizon = min(max(1.0, 20 * step), 0.5 * shortest)
+    if window is None:
+        window = max(min(0.5 * horizon, shortest - horizon), 8 * step)
+    return float(horizon), float(window)
+
+
+def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start], list[tuple[str, str]]]:
+    starts, skipped = [], []
+    # Rounding of times such as 0.1 + 0.2 must not cost the last start.
+    slack = 1e-9 * (horizon + window)
+    for k, trial in enumerate(data):
+        count = math.floor((trial.duration - window + slack) / horizon)
+        before = len(starts)
+        for m in range(max(count, 0)):
+            begin = trial.t[0] + m * horizon
+            first, last = np.searchsorted(trial.t, [begin - slack, begin + window + horizon + slack])
+            t = np.maximum(trial.t[first:last] - begin, 0.0)
+            q = trial.q[first:last]
+            seen = np.isfinite(q)
+            enough = seen[t <= window + slack].sum(axis=0) >= _LEAST_SAMPLES
+            if enough.all() and seen[t > window + slack].any():
+                forces = CubicSpline(trial.t, trial.forces) if trial.driven else None
+                starts.append(Start(k, float(begin), t, q, forces))
+        if len(starts) == before:
+            reason = "too short" if count < 1 else "too few samples"
+            skipped.append(
+                (data.names[k], f"{reason} for a window of {window:g} s and a horizon of {horizon:g} s")
+            )
+    return starts, skipped
+
+
+def _smoothed(data: Trajectories, starts: list[Start]) -> tuple[dict[int, Curve], np.ndarray]:
+    """Smoothing splines of the trials that are used, and the noise; none where they cannot be smoothed."""
+    used = sorted({start.trial for start in starts})
+    trials = [data[k] for k in used]
+    spaces = [
+        uniform_space(trial.t[0], trial.t[-1], 0.25 * trial.n_times / trial.duration) for trial in trials
+    ]
+    grid = SplineGrid(spaces)
+    try:
+        fitted = smooth(grid, [trial.t for trial in trials], [trial.q for trial in trials])
+    except np.linalg.LinAlgError:
+        return {}, np.full(data.n_dof, np.nan)
+    parts = zip(spaces, grid.split(fitted.control_points), strict=True)
+    curves = [partial(space.evaluate, control) for space, control in parts]
+    return dict(zip(used, curves, strict=True)), fitted.noise_std
+
+
+def _moved(start: Start, curve: Curve, prescribed: Sequence[int]) -> Start:
+    """The same start, its forces on some coordinates replaced by the accelerations of a curve."""
+
+    def forces(times: np.ndarray) -> np.ndarray:
+        accelerations = curve(times, 2)
+        out = np.zeros_like(accelerations) if start.forces is None else start.forces(times)
+        out[:, prescribed] = accelerations[:, prescribed]
+        return out
+
+    return replace(start, forces=forces)
+
+
+def _trace(
+    data, start: Start, result: StartResult, sigma, limit, window: float, horizon: float
+) -> ForecastTrace:
+    after = start.t > window * (1 + 1e-9)
+    t, measured, run = start.t[after], start.q[after], result.q[after]
+    seen = np.isfinite(measured)
+    error = np.where(seen, run - measured, 0.0)
+    count = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+    diverged = result.status in ("diverged", "failed")
+    if diverged:
+        rms, expected = np.where(np.isnan(count), np.nan, np.inf), np.full(count.shape, np.nan)
+    else:
+        rms = np.sqrt((error**2).sum(axis=0) / count)
+        expected = np.sqrt(np.where(seen, result.variance[after] + 1.0, 0.0).sum(axis=0) / count) * sigma
+    bad = np.flatnonzero((seen & ~(np.abs(error) <= limit)).any(axis=1))
+    valid = horizon if not bad.size else float(t[bad[0] - 1] - window) if bad[0] else 0.0
+    return ForecastTrace(
+        trial=data.names[start.trial],
+        origin=start.begin + window,
+        t=t + start.begin,
+        measured=measured,
+        forecast=run,
+        rms=rms,
+        expected_rms=expected,
+        valid_time=0.0 if result.status == "failed" else valid,
+        status=result.status,
+        reason=result.reason,
+    )

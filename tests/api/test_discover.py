@@ -1,0 +1,379 @@
+"""discover(): systems found again from noisy recordings, whatever the units, gaps and sequence of terms.
+
+The motions come from accelerations written out by hand, so that nothing of the package is its own oracle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from helpers import (
+    CART_LIBRARY,
+    CART_TRUTH,
+    DUFFING_LIBRARY,
+    DUFFING_TRUTH,
+    FRICTION,
+    KINETIC,
+    PENDULUM_LIBRARY,
+    assert_finds,
+    assert_same_model,
+    cart,
+    changed,
+    coefficients_of,
+    duffing,
+    pendulum,
+    record,
+)
+from leastaction.curve.knots import excerpt
+
+
+# ------------------------------------------------------------------------------ round trips
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.01, 0.05])
+def test_duffing_oscillator(noise):
+    model = la.discover(duffing(noise), DUFFING_LIBRARY, KINETIC)
+    if noise:
+        assert_finds(model, DUFFING_TRUTH)
+        np.testing.assert_allclose(model.noise_std, noise, rtol=0.1)
+        np.testing.assert_allclose(model.fit.chi2_per_sample, 1.0, atol=0.15)
+    else:
+        found = coefficients_of(model)
+        assert found == pytest.approx(DUFFING_TRUTH, rel=1e-4)
+    assert model.fit.status == "ok"
+    assert model.fit.warnings == ()
+
+
+def test_another_term_may_be_the_known_one():
+    model = la.discover(duffing(), DUFFING_LIBRARY, {"x**4": -0.2})
+    assert_finds(model, DUFFING_TRUTH)
+
+
+def test_coupled_oscillators():
+    """Two masses, three springs, one of them hardening."""
+
+    def acceleration(q, v, f):
+        x, y = q
+        return np.array([-4.0 * x - (x - y) - 0.5 * x**3, 0.5 * (-6.0 * y - (y - x))])
+
+    starts = [([1.0, -0.5], [0.0, 0.0]), ([0.2, 1.0], [1.0, -1.0]), ([-1.0, 0.4], [0.5, 1.0])]
+    data = record(acceleration, starts, ["x", "y"], duration=6.0, rate=60.0, noise=0.005)
+    library = [
+        "x_dot**2",
+        "y_dot**2",
+        "x_dot*y_dot",
+        "x**2",
+        "y**2",
+        "x*y",
+        "x**4",
+        "y**4",
+        "x",
+        "y",
+        "x**2*y**2",
+        "x*y**3",
+    ]
+    truth = {"x_dot**2": 0.5, "y_dot**2": 1.0, "x**2": -2.5, "y**2": -3.5, "x*y": 1.0, "x**4": -0.125}
+    model = la.discover(data, library, {"x_dot**2": 0.5})
+    assert_finds(model, truth, relative=0.1)
+    assert model.fit.status == "ok"
+
+
+def test_pendulum_with_friction_and_a_known_torque():
+    model = la.discover(pendulum(), PENDULUM_LIBRARY, dissipation=FRICTION)
+    assert_finds(model, {"theta_dot**2": 0.5, "cos(theta)": 9.81, "theta_dot**2/2": 0.15}, relative=0.03)
+    assert [t.expression for t in model.dissipation] == ["theta_dot**2/2"]
+    assert model.fit.status == "ok"
+
+
+def test_viscous_and_coulomb_friction_are_told_apart():
+    data = pendulum(viscous=0.1, coulomb=0.25, noise=0.005, trials=3)
+    model = la.discover(data, PENDULUM_LIBRARY, dissipation=[*FRICTION, "abs(theta_dot)"])
+    assert {t.expression for t in model.terms} == {"theta_dot**2", "cos(theta)"}
+    assert model.fit.status == "ok"
+    viscous, coulomb = sorted(model.dissipation, key=lambda t: "sqrt" in t.expression)
+    assert viscous.expression == "theta_dot**2/2"
+    assert viscous.coefficient == pytest.approx(0.1, abs=4.0 * viscous.standard_error)
+    # |v| is smoothed near v = 0, and the text says so
+    assert coulomb.expression.startswith("sqrt(theta_dot**2 + ")
+    assert coulomb.coefficient == pytest.approx(0.25, abs=4.0 * coulomb.standard_error)
+    assert coulomb.standard_error < 0.02
+    assert any("smoothed" in note for note in model.diagnostics.notes)
+
+
+def test_smoothed_friction_that_is_a_candidate_already():
+    data = pendulum(viscous=0.0)
+    (note,) = (
+        n
+        for n in la.discover(data, PENDULUM_LIBRARY, dissipation=["abs(theta_dot)"]).diagnostics.notes
+        if "is smoothed" in n
+    )
+    scale = note.rpartition(" ")[2]
+    both = ["abs(theta_dot)", f"sqrt(theta_dot**2 + {scale}**2)"]
+    assert la.discover(data, PENDULUM_LIBRARY, dissipation=both).fit.status == "ok"
+
+
+def test_friction_is_not_invented():
+    model = la.discover(pendulum(viscous=0.0), PENDULUM_LIBRARY, dissipation=[*FRICTION, "abs(theta_dot)"])
+    assert_finds(model, {"theta_dot**2": 0.5, "cos(theta)": 9.81})
+
+
+def test_force_on_one_coordinate_only():
+    model = la.discover(cart(), CART_LIBRARY)
+    assert_finds(model, CART_TRUTH, relative=0.01)
+    assert not any(t.known for t in model.terms)
+    assert model.fit.status == "ok"
+
+
+def test_passive_cart_with_a_known_coefficient():
+    model = la.discover(cart(driven=False), CART_LIBRARY, {"cos(theta)": 9.81})
+    assert_finds(model, CART_TRUTH, relative=0.02)
+
+
+def test_found_model_forecasts_a_motion_it_has_not_seen():
+    model = la.discover(duffing(1e-3), DUFFING_LIBRARY, KINETIC)
+    unseen = record(lambda q, v, f: -q - 0.8 * q**3, [([-1.0], [1.7])], ["x"], duration=10.0, noise=0.0)[0]
+    forecast = model.simulate([-1.0], [1.7], unseen.t)
+    np.testing.assert_allclose(forecast.q, unseen.q, rtol=0, atol=0.02)
+
+
+# ----------------------------------------------------------------------------- invariances
+@pytest.fixture(scope="module")
+def duffing_model():
+    return la.discover(duffing(), DUFFING_LIBRARY, KINETIC)
+
+
+@pytest.fixture(scope="module")
+def pendulum_model():
+    return la.discover(pendulum(), PENDULUM_LIBRARY, dissipation=FRICTION)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+def test_unit_of_the_coordinate(duffing_model, unit):
+    model = la.discover(changed(duffing(), q=lambda q: unit * q), DUFFING_LIBRARY, KINETIC)
+    assert_same_model(duffing_model, model, {"x**4": unit**-2.0})
+    np.testing.assert_allclose(model.noise_std, unit * duffing_model.noise_std, rtol=1e-3)
+
+
+@pytest.mark.parametrize("unit", [1.0 / 60.0, 1e3])
+def test_unit_and_origin_of_time(duffing_model, unit):
+    model = la.discover(changed(duffing(), t=lambda t: unit * (t + 100.0)), DUFFING_LIBRARY, KINETIC)
+    assert_same_model(duffing_model, model, {"x**2": unit**-2.0, "x**4": unit**-2.0})
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e5])
+def test_scale_of_the_known_coefficient(duffing_model, factor):
+    model = la.discover(duffing(), DUFFING_LIBRARY, {"x_dot**2": 0.5 * factor})
+    assert_same_model(duffing_model, model, dict.fromkeys(DUFFING_TRUTH, factor))
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e5])
+def test_unit_of_the_forces(pendulum_model, factor):
+    data = changed(pendulum(), forces=lambda f: factor * f)
+    model = la.discover(data, PENDULUM_LIBRARY, dissipation=FRICTION)
+    assert_same_model(pendulum_model, model, dict.fromkeys(coefficients_of(model), factor))
+
+
+def test_factors_in_the_candidates(duffing_model):
+    library = [f"1000*{text}" if k % 2 else f"{text}/1000" for k, text in enumerate(DUFFING_LIBRARY)]
+    model = la.discover(duffing(), library, {"x_dot**2/1000": 500.0})
+    expected = [0.5e3, duffing_model.terms[1].coefficient / 1e3, duffing_model.terms[2].coefficient * 1e3]
+    assert [t.expression for t in model.terms] == ["x_dot**2/1000", "1000*x**2", "x**4/1000"]
+    np.testing.assert_allclose([t.coefficient for t in model.terms], expected, rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_sequence_of_candidates(duffing_model, seed):
+    library = np.random.default_rng(seed).permutation(DUFFING_LIBRARY).tolist()
+    model = la.discover(duffing(), library, KINETIC)
+    assert_same_model(duffing_model, model)
+    assert [t.expression for t in model.terms] == [t for t in library if t in DUFFING_TRUTH]
+
+
+def test_sequence_of_coordinates():
+    a = la.discover(cart(), CART_LIBRARY)
+    data = [
+        la.Trajectory(d.t, d.q[:, ::-1], forces=d.forces[:, ::-1], coordinates=["theta", "x"]) for d in cart()
+    ]
+    b = la.discover(data, CART_LIBRARY)
+    assert_same_model(a, b)
+    np.testing.assert_allclose(b.noise_std[::-1], a.noise_std, rtol=1e-3)
+
+
+def test_sequence_of_trajectories(duffing_model):
+    model = la.discover(list(duffing())[::-1], DUFFING_LIBRARY, KINETIC)
+    assert_same_model(duffing_model, model)
+
+
+def test_null_and_repeated_candidates_are_dropped_and_named(duffing_model):
+    extra = ["x*x_dot", "x**2*x_dot", "1", "x_dot", "2*x**2"]
+    model = la.discover(duffing(), [*DUFFING_LIBRARY, *extra], KINETIC)
+    assert_same_model(duffing_model, model)
+    assert {d.term.text for d in model.diagnostics.dropped} == set(extra)
+
+
+def test_total_time_derivatives_within_candidates_change_nothing(duffing_model):
+    """Gauge: x_dot**2 + 3 x x_dot is the same physics as x_dot**2."""
+    library = ["x_dot**2+3*x*x_dot", "x**2+x_dot", "x**4-x_dot*x**3", *DUFFING_LIBRARY[3:]]
+    model = la.discover(duffing(), library, {library[0]: 0.5})
+    assert [t.expression for t in model.terms] == library[:3]
+    np.testing.assert_allclose(
+        [t.coefficient for t in model.terms], [t.coefficient for t in duffing_model.terms], rtol=1e-6
+    )
+
+
+def test_mirror_image_turns_the_sign_of_odd_terms():
+    def acceleration(q, v, f):
+        return -q - 0.6 * q**2 - 0.8 * q**3
+
+    data = record(acceleration, [([1.5], [0.0]), ([0.4], [2.0])], ["x"], duration=8.0)
+    a = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    b = la.discover(changed(data, q=np.negative), DUFFING_LIBRARY, KINETIC)
+    assert_finds(a, {**DUFFING_TRUTH, "x**3": -0.2})
+    assert_same_model(a, b, {"x**3": -1.0})
+
+
+def test_time_reversal_leaves_mechanics_and_turns_friction_round():
+    a = la.discover(pendulum(driven=False), PENDULUM_LIBRARY, {"theta_dot**2": 0.5}, FRICTION)
+    data = changed(pendulum(driven=False), q=lambda q: q[::-1])
+    b = la.discover(data, PENDULUM_LIBRARY, {"theta_dot**2": 0.5}, FRICTION)
+    assert_finds(a, {"theta_dot**2": 0.5, "cos(theta)": 9.81, "theta_dot**2/2": 0.15})
+    assert not b.dissipation  # friction cannot feed energy in
+    assert b.fit.status == "doubtful"
+    assert any("feed energy in" in text for text in b.fit.warnings)
+
+
+def test_wrapped_angles_are_unwrapped():
+    data = pendulum(speed=7.0)  # goes over the top
+    assert max(np.abs(d.q).max() for d in data) > np.pi
+    wrapped = changed(data, q=lambda q: (q + np.pi) % (2 * np.pi) - np.pi)
+    a = la.discover(data, PENDULUM_LIBRARY, dissipation=FRICTION)
+    b = la.discover(wrapped, PENDULUM_LIBRARY, dissipation=FRICTION, angles=["theta"])
+    assert_finds(a, {"theta_dot**2": 0.5, "cos(theta)": 9.81, "theta_dot**2/2": 0.15})
+    assert_same_model(a, b)
+    assert any("jumps of 2π removed from theta" in note for note in b.diagnostics.notes)
+
+
+# ------------------------------------------------------------------------------ the result
+@pytest.mark.parametrize("degree", [3, 4, 6])
+def test_other_spline_degrees(degree):
+    model = la.discover(duffing(), DUFFING_LIBRARY, KINETIC, degree=degree)
+    assert_finds(model, DUFFING_TRUTH)
+    assert model.diagnostics.grid.degree == degree
+
+
+def test_same_input_same_output(duffing_model):
+    again = la.discover(duffing(), DUFFING_LIBRARY, KINETIC)
+    assert coefficients_of(again) == coefficients_of(duffing_model)
+    np.testing.assert_array_equal(again.covariance, duffing_model.covariance)
+
+
+def test_covariance_follows_the_free_terms(pendulum_model):
+    free = [t for t in (*pendulum_model.terms, *pendulum_model.dissipation) if not t.known]
+    np.testing.assert_allclose(np.sqrt(np.diag(pendulum_model.covariance)), [t.standard_error for t in free])
+    assert np.linalg.eigvalsh(pendulum_model.covariance)[0] > 0
+    np.testing.assert_allclose(pendulum_model.covariance, pendulum_model.covariance.T)
+
+
+def test_known_terms_have_no_error(duffing_model):
+    known = [t for t in duffing_model.terms if t.known]
+    assert [(t.expression, t.coefficient, t.standard_error) for t in known] == [("x_dot**2", 0.5, 0.0)]
+    assert duffing_model.covariance.shape == (2, 2)
+
+
+def test_progress_is_reported_and_data_are_left_alone():
+    data = duffing()
+    before = [(d.t.copy(), d.q.copy()) for d in data]
+    stages = []
+    la.discover(
+        data, DUFFING_LIBRARY, KINETIC, progress=lambda stage, details: stages.append((stage, details))
+    )
+    assert {"prepare", "search", "verify"} <= {stage for stage, _ in stages}
+    last = [details for _, details in stages if "coefficients" in details][-1]
+    assert set(last["coefficients"]) == {"x_dot**2", "x**2", "x**4"}
+    assert last["terms"] == 2
+    for d, (t, q) in zip(data, before, strict=True):
+        np.testing.assert_array_equal(d.t, t)
+        np.testing.assert_array_equal(d.q, q)
+
+
+def test_diagnostics_describe_the_fit(duffing_model):
+    diagnostics = duffing_model.diagnostics
+    curves = diagnostics.curve()
+    for d, curve in zip(diagnostics.trajectories, curves, strict=True):
+        assert np.std(d.q - curve) == pytest.approx(duffing_model.noise_std[0], rel=0.15)
+    (chosen,) = (p for p in diagnostics.path if p.chosen)
+    assert set(chosen.expressions) == {"x**2", "x**4"}
+    assert chosen.bic == 0.0
+    assert all(p.bic >= 0.0 for p in diagnostics.path)
+    assert duffing_model.provenance["data"] == duffing().digest()
+
+
+def test_standard_errors_hold_over_the_whole_pipeline():
+    """Structure found and |z| < 2 as often as it should be, over eight noise realisations."""
+    z = []
+    for seed in range(8):
+        model = la.discover(duffing(0.02, seed=seed), DUFFING_LIBRARY, KINETIC)
+        assert set(coefficients_of(model)) == set(DUFFING_TRUTH), seed
+        z += [
+            (t.coefficient - DUFFING_TRUTH[t.expression]) / t.standard_error
+            for t in model.terms
+            if not t.known
+        ]
+    assert np.mean(np.abs(z) < 2.0) >= 0.75
+    assert np.abs(z).max() < 4.5
+
+
+# ------------------------------------------------------------------------------ long recordings
+def test_long_recordings_are_searched_in_pieces_and_fitted_whole(monkeypatch):
+    data = duffing(0.02)
+    whole = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    monkeypatch.setattr("leastaction.api._ENOUGH", data.n_samples // 3)
+    pieces = la.discover(data, DUFFING_LIBRARY, KINETIC)
+    assert "confirm" in pieces.diagnostics.timings
+    assert pieces.provenance["n_samples"] == data.n_samples
+    assert_finds(pieces, DUFFING_TRUTH)
+    for a, b in zip(whole.terms, pieces.terms, strict=True):
+        assert a.expression == b.expression
+        assert abs(a.coefficient - b.coefficient) <= 0.3 * a.standard_error
+        assert a.standard_error == pytest.approx(b.standard_error, rel=0.05)
+
+
+def test_pieces_are_spread_over_the_recordings_and_keep_their_samples():
+    data = duffing(0.02)
+    pieces = excerpt(data, data.n_samples // 4)
+    assert 0.2 * data.n_samples < pieces.n_samples < 0.35 * data.n_samples
+    assert excerpt(data, data.n_samples) is data
+    for piece in pieces:
+        assert any(np.isin(piece.t, whole.t).all() and np.isin(piece.q, whole.q).all() for whole in data)
+
+
+# ------------------------------------------------------------------------------ forces and friction
+def test_constant_force_offset_is_found():
+    data = la.Trajectories([la.Trajectory(t.t, t.q - 0.3, coordinates=t.coordinates) for t in duffing(0.005)])
+    shifted = la.discover(data, ["x_dot**2", "x**2", "x**4", "x**3"], KINETIC, force_offset="x")
+    assert "x" in {term.expression for term in shifted.terms}
+    with pytest.raises(ValueError, match="force_offset names 'y'"):
+        la.discover(data, ["x_dot**2", "x**2"], KINETIC, force_offset=["y"])
+
+
+def test_friction_that_would_feed_energy_is_left_out():
+    t = np.linspace(0.0, 20.0, 1001)
+    rng = np.random.default_rng(1)
+    grows = np.exp(0.05 * t) * np.cos(2.0 * t) + 0.002 * rng.standard_normal(t.size)
+    model = la.discover(
+        la.Trajectory(t, grows, coordinates=["x"]), ["x_dot**2", "x**2"], {"x_dot**2": 0.5}, ["x_dot**2/2"]
+    )
+    assert not model.dissipation
+    assert model.fit.status == "doubtful"
+    assert any("feed energy in" in text for text in model.fit.warnings)
+
+
+def test_friction_that_was_not_asked_for_is_named():
+    t = np.linspace(0.0, 20.0, 1001)
+    rng = np.random.default_rng(1)
+    decays = np.exp(-0.05 * t) * np.cos(2.0 * t) + 0.002 * rng.standard_normal(t.size)
+    model = la.discover(
+        la.Trajectory(t, decays, coordinates=["x"]), ["x_dot**2", "x**2", "x**4"], {"x_dot**2": 0.5}
+    )
+    assert model.fit.status == "doubtful"
+    assert any("x_dot**2/2 as a candidate for dissipation" in text for text in model.fit.warnings)

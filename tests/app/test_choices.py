@@ -1,0 +1,323 @@
+"""What the app computes without a browser: columns, candidates, path, stick figures; and how it starts."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import app_helpers
+import leastaction as la
+from leastaction import InputError
+from leastaction.app import candidates as _candidates
+from leastaction.app import columns as _columns
+from leastaction.app import jobs as _jobs
+from leastaction.app.candidates import Choice, friction_choices, split_trials
+from leastaction.app.columns import ANGLE, COORDINATE, DEGREES, FORCE, TIME, TRIAL, UNUSED
+from leastaction.app.jobs import Motion
+from leastaction.app.motion import frames, hanging_angles
+from leastaction.app.path import Walk
+from leastaction.model.diagnostics import PathPoint
+from leastaction.model.term import ModelTerm
+from report_helpers import spring
+
+
+def table(header: str, *rows: str) -> _columns.Columns:
+    return _columns.Columns(tuple(header.split(",")), tuple(tuple(row.split(",")) for row in rows))
+
+
+# columns
+
+
+@pytest.mark.parametrize(
+    ("header", "roles"),
+    [
+        ("t,theta1,theta2,tau1,tau2", [TIME, ANGLE, ANGLE, FORCE + "theta1", FORCE + "theta2"]),
+        ("Time (s),x,y,Fx,u_y", [TIME, COORDINATE, COORDINATE, COORDINATE, FORCE + "y"]),
+        ("frame,x,phi_deg,omega,x_dot", [TIME, COORDINATE, DEGREES, UNUSED, UNUSED]),
+        ("trial,t,q,q_force", [TRIAL, TIME, COORDINATE, FORCE + "q"]),
+        ("time,angle,torque", [TIME, ANGLE, FORCE + "angle"]),
+    ],
+)
+def test_roles_are_guessed(header, roles):
+    rows = [",".join(f"{k + 0.1 * i if i else k}" for i in range(header.count(",") + 1)) for k in range(4)]
+    guessed = _columns.guess_roles(table(header, *rows))
+    if header.startswith("frame"):
+        # Nothing is called a time: a count of frames is none either.
+        roles = [UNUSED, TIME, *roles[2:]]
+    assert list(guessed.values()) == roles
+
+
+def test_text_is_no_coordinate():
+    guessed = _columns.guess_roles(table("t,x,remark", "0,1,good", "1,2,bad", "2,2,good"))
+    assert guessed == {"t": TIME, "x": COORDINATE, "remark": UNUSED}
+
+
+def test_a_column_with_a_bad_cell_is_still_a_coordinate():
+    guessed = _columns.guess_roles(table("t,x", "0,1", "1,", "2,oops", "3,4"))
+    assert guessed == {"t": TIME, "x": COORDINATE}
+
+
+def test_any_column_gets_a_name_that_the_grammar_accepts():
+    columns = ["θ 1 (rad)", "2nd", "sin", "x_dot", "x", "x (m)", "t", "", "class", "a-b", "€"]
+    names = _columns.coordinate_names(columns)
+    assert len(set(names.values())) == len(columns)
+    la.Library([f"{name}_dot**2" for name in names.values()], list(names.values()))
+
+
+def test_degrees_become_radians_and_are_unwrapped(tmp_path):
+    angle = np.degrees(np.linspace(0.0, 12.0, 60))
+    wrapped = (angle + 180.0) % 360.0 - 180.0
+    path = tmp_path / "run.csv"
+    path.write_text("t,phi\n" + "\n".join(f"{0.1 * k},{x!r}" for k, x in enumerate(wrapped.tolist())))
+    data = _columns.read(path, {"t": TIME, "phi": DEGREES})
+    assert np.allclose(data[0].q[:, 0], np.linspace(0.0, 12.0, 60))
+    assert data.wraps_removed == {"phi": 2}
+
+
+@pytest.mark.parametrize(
+    ("roles", "text"),
+    [
+        ({"time": TIME, "theta": UNUSED}, "no column is a coordinate"),
+        ({"time": UNUSED, "theta": ANGLE}, "no column is the time"),
+        ({"time": TIME, "run": TIME, "theta": ANGLE}, "both marked as time"),
+        ({"time": TIME, "theta": ANGLE, "tau": FORCE + "phi"}, "no coordinate any more"),
+        ({"time": TIME, "theta": ANGLE}, r"\(trial=\.\.\.\)"),
+    ],
+)
+def test_roles_that_cannot_be_read_say_why(tmp_path, roles, text):
+    path = app_helpers.driven_pendulum(tmp_path / "run.csv")
+    with pytest.raises(InputError, match=text):
+        _columns.read(path, roles)
+
+
+# candidates
+
+
+def test_faults_name_the_line():
+    found = _candidates.faults("x_dot**2\n# all right\nsin(y)\n\n__import__('os')\nx**", ["x"])
+    assert [text.partition(":")[0] for text in found] == ["line 3", "line 5", "line 6"]
+    assert "unknown name 'y'" in found[0]
+
+
+def test_too_many_lines_are_not_read():
+    (text,) = _candidates.faults("x\n" * 2000, ["x"])
+    assert "2000 lines" in text
+
+
+def test_friction_candidates_can_be_read():
+    texts = [text for _, text in friction_choices(["theta1", "x", "phi"])]
+    library = la.Library(["x"], ["theta1", "x", "phi"], dissipation=texts)
+    assert len(library.dissipation) == len(texts) == 10
+
+
+def test_a_passive_system_needs_a_scale():
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice.default(data)
+    assert choice.known == "x_dot**2 = 1"
+    choice.known = ""
+    with pytest.raises(InputError, match="L = 0 solves"):
+        choice.task(data, ["theta"])
+
+
+def test_a_driven_system_needs_none():
+    data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
+    choice = Choice.default(data)
+    assert choice.known == ""
+    task = choice.task(data, ["theta"])
+    assert task.known == {}
+    assert len(task.fitted) == 1
+    assert task.held_out is not None
+
+
+def given_to_discover(task, monkeypatch):
+    given = {}
+
+    def discover(trajectories, library, known, **options):
+        given.update(options, trajectories=trajectories)
+        raise InputError("enough")
+
+    monkeypatch.setattr(la, "discover", discover)
+    with pytest.raises(InputError, match="enough"):
+        _jobs.search(lambda stage, details: None, task)
+    return given
+
+
+def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"], offsets=["theta"], delay=0.1)
+    task = choice.task(data, ["theta"])
+    assert task.restricted(["cos(theta)"], []).forces == task.forces
+    given = given_to_discover(task, monkeypatch)
+    assert (given["prescribed"], given["force_offset"]) == (("x",), ("theta",))
+    assert given["trajectories"] is task.fitted  # nothing to shift
+    choice.prescribed = ["theta"]
+    with pytest.raises(InputError, match="one of the two is enough"):
+        choice.task(data, ["theta"])
+    choice.prescribed, choice.offsets = ["theta", "x"], []
+    with pytest.raises(InputError, match="no equation is left"):
+        choice.task(data, ["theta"])
+
+
+def test_forces_are_shifted_to_when_they_act(monkeypatch):
+    data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
+    choice = Choice(held_out=1, delay=0.05)
+    given = given_to_discover(choice.task(data, ["theta"]), monkeypatch)
+    kept = given["trajectories"][0]
+    assert np.allclose(kept.forces, data[0].forces[:-5])
+    assert np.allclose(kept.q, data[0].q[5:])
+    choice.delay = -1.5
+    with pytest.raises(InputError, match="-1500 ms leaves too little of a trial of 2 s"):
+        choice.task(data, ["theta"])
+
+
+def test_terms_linear_in_the_velocities_can_be_offered():
+    plain, turning = (Choice(gyroscopic=on).library(["x", "y"], []) for on in (False, True))
+    assert "x*y_dot" in [term.text for term in turning]
+    assert {term.text for term in plain} < {term.text for term in turning}
+
+
+def test_a_known_term_that_is_no_candidate_is_refused():
+    choice = Choice(written=True, text="x_dot**2\nx**2", known="x**3 = 1")
+    with pytest.raises(InputError, match="is not among"):
+        choice.known_terms(choice.library(["x"], []), False)
+
+
+def test_known_friction_is_found_among_the_friction():
+    choice = Choice(written=True, text="x_dot**2\nx**2", friction=["x_dot**2/2"], known="x_dot**2/2 = 0.5")
+    assert choice.known_terms(choice.library(["x"], []), False) == {"x_dot**2/2": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("held_out", "every_third", "names"), [(0, False, None), (2, False, "34"), (9, False, "1234")]
+)
+def test_trials_are_held_out(held_out, every_third, names):
+    data = la.Trajectories(la.Trajectory([0.0, 1.0], [0.0, 1.0], name=name) for name in "01234")
+    fitted, held = split_trials(data, held_out, every_third)
+    assert len(fitted) + (len(held) if held else 0) == 5
+    assert (held and "".join(held.names)) == names
+
+
+def test_every_third_trial_is_held_out():
+    data = la.Trajectories(la.Trajectory([0.0, 1.0], [0.0, 1.0], name=name) for name in "01234567")
+    fitted, held = split_trials(data, 0, True)
+    assert held is not None
+    assert ("".join(fitted.names), "".join(held.names)) == ("013467", "25")
+
+
+def test_a_restricted_task_keeps_the_known_terms_and_the_kinds():
+    library = la.Library(
+        ["x_dot**2", "x**2", "x**4"], ["x"], dissipation=["x_dot**2", "abs(x_dot)", "x_dot**2/2"]
+    )
+    data = la.Trajectories([la.Trajectory(np.arange(9.0), np.arange(9.0), coordinates=["x"])])
+    task = _candidates.Task(data, None, library, {"x_dot**2": 1.0, "x_dot**2/2": 0.1})
+    smooth = ["x_dot**2", "sqrt(x_dot**2+9/100)", "x_dot**2/2"]
+    small = task.restricted(["x**4", "sqrt(x_dot**2+9/100)"], smooth)
+    assert [t.text for t in small.library] == ["x_dot**2", "x**4"]
+    assert [t.text for t in small.library.dissipation] == ["x_dot**2/2", "sqrt(x_dot**2+9/100)"]
+    assert small.relevance == 0.0
+    assert small.known == task.known
+
+
+# path and motion
+
+
+def test_walk_has_one_structure_of_each_size():
+    walk = Walk.of(spring())
+    assert [p.n_terms for p in walk.points] == [1, 2, 3]
+    assert walk.chosen == 1
+    assert walk.points[1].expressions == ("x_dot**2", "x**2")
+    assert walk.difference(2) == (["x**4"], [])
+    assert walk.difference(0) == ([], ["x**2"])
+    assert "chose" in walk.verdict(1)
+    assert "prefers the chosen structure by 893" in walk.verdict(0)
+
+
+def test_walk_says_when_the_criterion_would_have_taken_more():
+    walk = Walk((PathPoint(("x",), 0.0, 0.0, True), PathPoint(("x", "x**2"), -50.0, -40.0)))
+    assert "prefers this one by 40" in walk.verdict(1)
+    assert Walk.of(la.LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.0)])).points == ()
+
+
+def pendulum(*terms: tuple[str, float]) -> la.LagrangianModel:
+    names = ["a", "b"] if any("b" in text.replace("abs", "") for text, _ in terms) else ["a"]
+    kinetic = [ModelTerm(f"{name}_dot**2", 1.0) for name in names]
+    return la.LagrangianModel(names, [*kinetic, *(ModelTerm(text, value) for text, value in terms)])
+
+
+@pytest.mark.parametrize(
+    ("terms", "down", "joined"),
+    [
+        ([("cos(a)", 9.8)], [0.0], False),
+        ([("cos(a)", -9.8)], [math.pi], False),
+        ([("sin(a)", 9.8)], [math.pi / 2], False),
+        ([("cos(a)", -9.8), ("cos(b)", 5.0), ("a_dot*b_dot*cos(a-b)", 0.5)], [math.pi, 0.0], False),
+        ([("cos(a)", 9.8), ("cos(a+b)", 5.0), ("a_dot*b_dot*cos(b)", 0.5)], [0.0, 0.0], True),
+        ([("a**2", -1.0)], None, False),
+    ],
+)
+def test_down_is_where_the_potential_is_lowest(terms, down, joined):
+    found, relative = hanging_angles(pendulum(*terms))
+    assert relative == joined
+    assert found == (down if down is None else pytest.approx(down))
+
+
+def test_without_gravity_the_middle_of_the_motion_is_down():
+    t = np.linspace(0.0, 2 * np.pi, 201)
+    q = np.pi + 0.5 * np.sin(t)[:, None]
+    shown = frames(Motion("one", True, t, q, q, 1.0), pendulum(("a**2", -1.0)))
+    assert not shown["down"]
+    assert np.abs(shown["measured"]).max() == pytest.approx(0.5, abs=0.01)
+
+
+def test_frames_follow_the_links():
+    t = np.linspace(0.0, 1.0, 2001)
+    q = np.column_stack([np.pi + t, 0.5 * t])
+    measured, forecast = q.copy(), q.copy()
+    measured[5:9, 1] = np.nan
+    forecast[1500:] = np.nan
+    motion = Motion("one", True, t, measured, forecast, 1.0)
+    model = pendulum(("cos(a)", -9.8), ("cos(a+b)", -2.0))
+    shown = frames(motion, model)
+    assert len(shown["t"]) == len(shown["measured"]) == len(shown["forecast"]) <= 900
+    assert shown["down"]
+    assert shown["forecast"][-1] is None
+    # The second link turns with the first one.
+    assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
+    assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
+
+
+# start
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_nothing_but_the_app_imports_nicegui():
+    code = (
+        "import sys, leastaction\n"
+        "import leastaction.app\n"
+        "from leastaction.cli import main\n"
+        "try:\n    main(['{}'])\nexcept SystemExit:\n    pass\n"
+        "assert 'nicegui' not in sys.modules, 'imported'"
+    )
+    for option in ("--help", "--version"):
+        result = run_python(code.format(option))
+        assert result.returncode == 0, result.stderr
+
+
+def test_without_the_extra_one_line_says_what_to_install():
+    code = "import sys; sys.modules['nicegui'] = None; from leastaction.cli import main; main(['app'])"
+    result = run_python(code)
+    assert result.returncode == 2
+    assert (
+        result.stderr.strip()
+        == "error: the app needs NiceGUI; install it with: pip install 'leastaction[app]'"
+    )
+    assert result.stdout == ""

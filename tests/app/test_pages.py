@@ -1,0 +1,208 @@
+"""The pages and the server without a browser: NiceGUI's simulated user, and the guards on their own."""
+
+from __future__ import annotations
+
+import asyncio
+import warnings
+
+import pytest
+
+import app_helpers
+from leastaction import InputError
+
+with warnings.catch_warnings():
+    # What other packages say about each other while they are imported is not ours to mend.
+    warnings.simplefilter("ignore")
+    pytest.importorskip("nicegui", reason="the app needs NiceGUI: pip install 'leastaction[app]'")
+    from nicegui.testing.user_simulation import user_simulation
+
+import socket
+
+from leastaction.app import page as _page
+from leastaction.app import server as _server
+
+
+def simulate(script) -> None:
+    """Run a script with a simulated user on a page of the app."""
+
+    async def main() -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            async with user_simulation(_page.root) as user:
+                try:
+                    await user.open("/")
+                    await user.should_see("Or a measured example", retries=100)
+                    await script(user)
+                finally:
+                    _page.close_sessions()
+
+    asyncio.run(main())
+
+
+def session_of_page():
+    (session,) = _page._sessions.values()
+    return session
+
+
+async def open_candidates(user, example: str):
+    """From the first page to the candidates of an example; returns the session."""
+    user.find(marker=f"example-{example}").click()
+    await user.should_see("What was measured", retries=100)
+    user.find(marker="continue").click()
+    return session_of_page()
+
+
+async def until(condition, seconds: float = 60.0) -> None:
+    for _ in range(round(seconds / 0.05)):
+        if condition():
+            return
+        await asyncio.sleep(0.05)
+    raise AssertionError("this has not happened in time")
+
+
+def test_from_an_example_to_a_result():
+    async def script(user) -> None:
+        await open_candidates(user, "single")
+        await user.should_see("8 candidates, 2 for friction; 3 trials fitted, 1 held out", retries=50)
+        user.find(marker="discover").click()
+        await user.should_see("Searching", retries=50)
+        await until(lambda: session_of_page().found)
+        await user.should_see("How many terms?", retries=50)
+        await user.should_see("5 free terms. This is the structure that leastaction chose.")
+        user.find(marker="report").click()
+        response = await user.download.next(timeout=30)
+        assert response.content.startswith(b"<!DOCTYPE html>")
+        user.find(marker="model").click()
+        response = await user.download.next(timeout=30)
+        assert b'"schema"' in response.content
+
+    simulate(script)
+
+
+def test_faults_are_lines_in_the_page():
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        await user.should_see("8 expressions, all readable", retries=50)
+        user.find(marker="text").clear().type("theta_dot**2\ncos(nothing)")
+        await user.should_see("line 2: cannot read 'cos(nothing)'", retries=50)
+        await user.should_see("1 line among the candidates cannot be read")
+        assert session.job is None
+        user.find(marker="step-data").click()
+        await user.should_see("The data", retries=50)
+        session.roles["theta"] = "not used"
+        session.read()
+        user.find(marker="step-data").click()
+        await user.should_see("no column is a coordinate yet", retries=50)
+
+    simulate(script)
+
+
+def test_a_coordinate_may_be_moved_by_something_unmeasured():
+    async def script(user) -> None:
+        session = await open_candidates(user, "double")
+        await user.should_see("Moved by something that was not measured", retries=50)
+        first, second = session.data.coordinates
+        user.find(marker=f"prescribed-{first}").click()
+        await until(lambda: session.choice.prescribed)
+        assert session.choice.task(session.data, session.angles).forces.prescribed == (first,)
+        user.find(marker=f"prescribed-{second}").click()
+        await user.should_see("no equation is left", retries=50)
+
+    simulate(script)
+
+
+def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        session.open_upload("run.csv", app_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
+        user.find(marker="step-candidates").click()
+        await user.should_see("Unknown constant force", retries=50)
+        user.find(marker="offsets-theta").click()
+        await until(lambda: session.choice.offsets == ["theta"])
+        user.find(marker="delay").clear().type("20")
+        await until(lambda: session.choice.delay == pytest.approx(0.02))
+        user.find(marker="delay").clear().type("20000")
+        await user.should_see("a delay of 20000 ms leaves too little", retries=50)
+        session.open_example("double")
+        session.choice.written = False
+        user.find(marker="step-data").click()
+        user.find(marker="step-candidates").click()
+        await user.should_see("also terms linear in the velocities", retries=50)
+        user.find(marker="gyroscopic").click()
+        await until(lambda: session.choice.gyroscopic)
+
+    simulate(script)
+
+
+def test_cancelling_keeps_the_page():
+    async def script(user) -> None:
+        await open_candidates(user, "double")
+        await user.should_see("What may the Lagrangian be made of?", retries=50)
+        user.find(marker="discover").click()
+        await user.should_see("Searching", retries=50)
+        user.find(marker="cancel").click()
+        await user.should_see("Data and candidates are as they were", retries=50)
+        assert session_of_page().job.state == "cancelled"
+        user.find(marker="back").click()
+        await user.should_see("16 candidates, 5 for friction; 18 trials fitted, 8 held out", retries=50)
+
+    simulate(script)
+
+
+def answer(
+    *messages: dict, headers: tuple[tuple[bytes, bytes], ...] = ()
+) -> tuple[int, dict[bytes, bytes], int]:
+    """Status, headers and number of bytes that the application behind the guard has read."""
+    seen = 0
+    queue, sent = list(messages), []
+
+    async def application(scope, receive, send) -> None:
+        nonlocal seen
+        while True:
+            message = await receive()
+            if message["type"] == "http.disconnect":
+                break
+            seen += len(message.get("body", b""))
+            if not message.get("more_body"):
+                break
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+
+    async def receive() -> dict:
+        return queue.pop(0)
+
+    async def send(message: dict) -> None:
+        sent.append(message)
+
+    scope = {"type": "http", "headers": list(headers)}
+    asyncio.run(_server.Guard(application)(scope, receive, send))
+    return sent[0]["status"], dict(sent[0]["headers"]), seen
+
+
+def test_answers_forbid_other_hosts():
+    status, headers, _ = answer({"type": "http.request"}, headers=((b"host", b"127.0.0.1:8137"),))
+    policy = headers[b"content-security-policy"].decode()
+    assert status == 200
+    assert "connect-src 'self' ws://127.0.0.1:8137;" in policy
+    sources = policy.replace("ws://127.0.0.1:8137", "")
+    assert "//" not in sources
+    assert "*" not in sources
+
+
+def test_large_bodies_are_refused(monkeypatch):
+    monkeypatch.setattr(_server, "MOST_BYTES", 1_000)
+    assert answer(headers=((b"content-length", b"9999999"),))[0] == 413
+    assert answer(headers=((b"content-length", b"-1"),))[0] == 413
+    part = {"type": "http.request", "body": b"x" * 400_000, "more_body": True}
+    # Without a length: reading ends as soon as it is too much.
+    assert answer(*[part] * 9)[2] <= 1_001_000
+
+
+def test_a_free_port_is_found_and_a_taken_one_named():
+    with socket.socket() as taken:
+        taken.bind((_server.HOST, 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"port {port} is in use"):
+            _server.free_port(port)
+    assert _server.free_port(port) == port
+    assert _server.free_port(None) in _server._PORTS

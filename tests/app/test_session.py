@@ -1,0 +1,213 @@
+"""The app's worker process and its session: cancelling, failures, uploads, from a file to the downloads."""
+
+from __future__ import annotations
+
+import gzip
+import time
+
+import pytest
+
+import app_helpers
+import leastaction as la
+from leastaction import InputError
+from leastaction.app import session as _session
+from leastaction.app.candidates import Choice
+from leastaction.app.columns import ANGLE, COORDINATE, FORCE, TIME, TRIAL, UNUSED
+from leastaction.app.session import EXAMPLES, Session, in_words
+from leastaction.app.worker import Worker
+
+
+def wait(job, seconds: float = 60.0):
+    end = time.monotonic() + seconds
+    while job.state == "running" and time.monotonic() < end:
+        time.sleep(0.02)
+    return job
+
+
+@pytest.fixture
+def worker():
+    worker = Worker()
+    yield worker
+    worker.close()
+
+
+@pytest.fixture
+def session():
+    session = Session()
+    yield session
+    session.close()
+    assert not session.folder.exists()
+
+
+# worker
+
+
+def test_a_job_reports_and_returns(worker):
+    job = wait(worker.start(app_helpers.count_to, 5))
+    assert (job.state, job.result, job.stage, job.details) == ("done", 5, "count", {"terms": 4.0})
+    assert [name for name, _ in job.stages] == ["count"]
+    first = worker._process.pid
+    assert wait(worker.start(app_helpers.count_to, 2)).result == 2
+    assert worker._process.pid == first
+
+
+def test_cancel_stops_the_process_at_once_and_the_next_job_runs(worker):
+    job = worker.start(app_helpers.sleep, 600.0)
+    while job.stage != "asleep":
+        time.sleep(0.02)
+    process = worker._process
+    began = time.monotonic()
+    worker.cancel()
+    assert time.monotonic() - began < 5.0
+    assert job.state == "cancelled"
+    assert not worker.busy
+    assert not process.is_alive()
+    assert wait(worker.start(app_helpers.count_to, 3)).result == 3
+    assert job.state == "cancelled"
+
+
+def test_a_new_job_replaces_the_old_one(worker):
+    first = worker.start(app_helpers.sleep, 600.0)
+    second = wait(worker.start(app_helpers.count_to, 1))
+    assert (first.state, second.state) == ("cancelled", "done")
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "text"),
+    [
+        (app_helpers.fail, ("no such\ncolumn",), "no such column"),
+        (app_helpers.break_down, (), "a fault of leastaction itself: KeyError"),
+        (app_helpers.die, (), "stopped unexpectedly"),
+        (app_helpers.count_to, (lambda: None,), "a fault of leastaction itself"),
+    ],
+)
+def test_failures_are_one_line(worker, function, arguments, text):
+    job = wait(worker.start(function, *arguments))
+    assert job.state == "failed"
+    assert text in job.message
+    assert "\n" not in job.message
+    assert wait(worker.start(app_helpers.count_to, 1)).result == 1
+
+
+# session
+
+
+def test_from_upload_to_download(session, tmp_path):
+    path = app_helpers.driven_pendulum(tmp_path / "my run.csv")
+    session.open_upload("my run.csv", path.read_bytes())
+    assert list(session.roles.values()) == [TRIAL, TIME, ANGLE, FORCE + "theta"]
+    assert session.title == "my_run.csv"
+    assert session.data is not None
+    assert session.data.driven
+    assert session.smooth().noise_std[0] > 0
+    session.choice.size = "compact"
+    session.choice.friction = ["theta_dot**2/2"]
+    job = wait(session.discover())
+    assert job.message == ""
+    assert session.collect()
+    found = session.current
+    assert found is session.best
+    free = {t.expression: t.coefficient for t in found.model.terms}
+    assert set(free) == {"theta_dot**2", "cos(theta)"}
+    assert free["cos(theta)"] == pytest.approx(9.81, rel=0.02)
+    assert found.motion is not None
+    assert found.motion.held_out
+    assert session.walk.points[session.place].chosen
+    assert "<!DOCTYPE html>" in session.write_report()
+    (tmp_path / "model.json").write_text(session.write_model(), encoding="utf-8")
+    assert la.load(tmp_path / "model.json").to_dict() == found.model.to_dict()
+    larger = session.walk.chosen + 1
+    job = wait(session.go_to(larger))
+    assert job.state == "done", job.message
+    assert session.collect()
+    model = session.current.model
+    kept = {t.expression for t in (*model.terms, *model.dissipation)}
+    # What the data do not support is dropped again; nothing else can come in.
+    assert {"theta_dot**2", "cos(theta)"} <= kept <= set(session.walk.points[larger].expressions)
+    assert session.place == larger
+    assert session.go_to(session.walk.chosen) is None
+    assert session.current is found
+
+
+def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):
+    session.open_example("single")
+    with pytest.raises(InputError, match="no text table"):
+        session.open_upload("photo.png", b"\x89PNG")
+    with pytest.raises(InputError, match="binary data"):
+        session.open_upload("photo.csv", b"\x89PNG\0\0")
+    with pytest.raises(InputError, match="damaged gzip"):
+        session.open_upload("a.csv.gz", b"\x1f\x8b\x08nothing")
+    assert session.title == EXAMPLES["single"][0]
+    assert session.data is not None
+
+
+def test_a_bad_cell_is_named_without_the_temporary_folder(session):
+    session.open_upload(
+        "run.csv", b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(60)) + b"60,oops\n"
+    )
+    assert session.data is None
+    assert session.fault.startswith("run.csv, line 62, column 'x': 'oops' is not a number")
+    session.roles["x"] = UNUSED
+    session.read()
+    assert "no column is a coordinate" in session.fault
+
+
+@pytest.mark.parametrize("name", ["../../etc/passwd.csv", "..\\..\\a.csv", "/abs.csv", "<b>.csv", "....csv"])
+def test_the_name_of_an_upload_stays_in_the_folder(session, name):
+    session.open_upload(name, b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(9)))
+    assert session._path.resolve().parent == session.folder.resolve()
+
+
+def test_uploads_are_limited(session, monkeypatch):
+    monkeypatch.setattr(_session, "MOST_BYTES", 1_000_000)
+    with pytest.raises(InputError, match="larger than 1 MB"):
+        session.open_upload("a.csv", b"x" * 1_000_001)
+    with pytest.raises(InputError, match="when it is unpacked"):
+        session.open_upload("a.csv.gz", gzip.compress(b"0" * 3_000_000))
+    assert list(session.folder.iterdir()) == []
+
+
+def test_other_roles_bring_other_candidates_only_if_they_must(session, tmp_path):
+    path = app_helpers.driven_pendulum(tmp_path / "run.csv")
+    session.open_upload("run.csv", path.read_bytes())
+    session.choice.size = "compact"
+    session.roles["theta"] = COORDINATE
+    session.read()
+    assert session.choice.size == "compact"
+    session.roles["tau"] = UNUSED
+    session.read()
+    assert session.choice == Choice(known="theta_dot**2 = 1", held_out=1)
+
+
+def test_cancel_leaves_the_session_usable(session):
+    session.open_example("double")
+    job = session.discover()
+    while job.stage == "":
+        time.sleep(0.02)
+    session.stop()
+    assert job.state == "cancelled"
+    assert not session.collect()
+    assert session.found == {}
+    session.open_example("single")
+    assert wait(session.discover()).state == "done"
+    assert session.collect()
+
+
+def test_data_that_support_nothing_say_so(session):
+    session.open_upload("still.csv", b"t,x\n" + b"".join(b"%g,1\n" % (0.01 * k) for k in range(200)))
+    job = wait(session.discover())
+    assert job.state == "failed"
+    assert job.message
+    assert "Traceback" not in job.message
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("say so with angles=['theta']", "mark theta as an angle"),
+        ("give the column (trial=...)", "give the column (as the trial)"),
+        ("two\nlines\x1b[31m", "two lines [31m"),
+    ],
+)
+def test_messages_speak_of_the_page(text, expected):
+    assert in_words(text) == expected

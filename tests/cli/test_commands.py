@@ -1,0 +1,515 @@
+"""The command line: what the commands write and print."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+import leastaction as la
+from leastaction import systems
+from leastaction.cli import demo as _demo
+from leastaction.cli import demonstrate as _demonstrate
+from leastaction.cli import generate as _generate
+from leastaction.cli import options as _options
+from leastaction.cli import program
+from leastaction.cli import show as _show
+from leastaction.cli import text as _text
+from leastaction.model.term import FitSummary, ModelTerm
+
+COMMANDS = ("app", "discover", "simulate", "validate", "export", "generate", "demo")
+LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
+
+
+def run(*args, code: int = 0):
+    result = CliRunner().invoke(program, [str(a) for a in args])
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    return result
+
+
+def shell(*args, **options):
+    # Whatever the caller's terminal is, the output must not depend on it.
+    env = {k: v for k, v in os.environ.items() if k not in ("FORCE_COLOR", "COLUMNS", "LEASTACTION_DEBUG")}
+    return subprocess.run(
+        [sys.executable, "-m", "leastaction", *map(str, args)],
+        capture_output=True, text=True, encoding="utf-8", env=env, timeout=60, **options,
+    )  # fmt: skip
+
+
+def model_file(path, terms, coordinates=("x",), **fit):
+    model = la.LagrangianModel(coordinates, [ModelTerm(*term) for term in terms], **fit)
+    model.save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    """Data of a driven pendulum, and what discover makes of them."""
+    folder = tmp_path_factory.mktemp("cli")
+    data = systems.generate("single_pendulum", noise=0.02, trials=3, duration=4.0, seed=0)
+    la.write_csv(folder / "run.csv", data)
+    (folder / "library.txt").write_text(LIBRARY, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(work):
+    """Output and directory of one discovery."""
+    result = run(
+        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force",
+        "--library", work / "library.txt", "--angles", "theta", "--hold-out", 1,
+        "--output", work / "deep" / "found",
+    )  # fmt: skip
+    return result, work / "deep" / "found"
+
+
+@pytest.fixture
+def model(found):
+    return found[1] / "model.json"
+
+
+def test_discover_writes_model_and_report(found):
+    result, folder = found
+    assert sorted(p.name for p in folder.iterdir()) == ["model.json", "report.html"]
+    document = json.loads((folder / "model.json").read_text(encoding="utf-8"))
+    assert document["schema"] == 1
+    assert document["fit"]["status"] == "ok"
+    values = {term["expression"]: term["coefficient"] for term in document["terms"]}
+    assert values == pytest.approx({"theta_dot**2": 0.5, "cos(theta)": 9.81}, rel=0.03)
+    report = (folder / "report.html").read_text(encoding="utf-8")
+    assert "leastaction discover" in report
+    assert result.stderr == ""
+
+
+def test_discover_prints_the_table(found):
+    result, folder = found
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("L = 0.5")
+    header = next(line for line in lines if line.startswith("term"))
+    assert header.split() == ["term", "coefficient", "95", "%", "interval", "z"]
+    row = next(line for line in lines if line.startswith("theta_dot**2"))
+    assert re.fullmatch(r"theta_dot\*\*2 +0\.\d+ ± 0\.0\d+ +0\.\d+ … 0\.\d+ +\d+", row)
+    assert "fit: ok" in result.stdout
+    assert "left out before the fit: 1 candidate (1 without effect)" in result.stdout
+    assert "in 1 trial, 0 diverged" in result.stdout
+    assert lines[-2:] == [f"model: {folder / 'model.json'}", f"report: {folder / 'report.html'}"]
+    assert "\x1b" not in result.output
+
+
+def test_discover_is_the_same_through_the_shell(work, found):
+    result = shell(
+        "discover", "run.csv", "--coordinates", "theta", "--forces", "theta=theta_force",
+        "--library", "library.txt", "--angles", "theta", "--hold-out", "single_pendulum-2",
+        "--output", "again", cwd=work,
+    )  # fmt: skip
+    assert (result.returncode, result.stderr) == (0, "")
+    models = [json.loads((p / "model.json").read_text(encoding="utf-8")) for p in (found[1], work / "again")]
+    assert models[0] == models[1]
+    assert result.stdout.splitlines()[:-2] == found[0].stdout.splitlines()[:-2]
+
+
+def test_discover_replaces_an_earlier_result_and_keeps_other_files(work, tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    for name in ("model.json", "report.html", "notes.txt"):
+        (folder / name).write_text("old", encoding="utf-8")
+    # The columns have other names than the coordinate; friction and a known term; two files.
+    frame = pd.read_csv(work / "run.csv").rename(columns={"theta": "Angle (rad)"})
+    for k in range(2):
+        frame[frame.trial == f"single_pendulum-{k}"].to_csv(tmp_path / f"{k}.csv", index=False)
+    result = run(
+        "discover", tmp_path / "0.csv", tmp_path / "1.csv", "--coordinates", "theta=Angle (rad)", "--forces",
+        "theta_force", "--angles", "theta", "--known", "cos(theta) = 9.81", "--dissipation",
+        "theta_dot**2/2, abs(theta_dot)", "--seed", 3, "--output", folder,
+    )  # fmt: skip
+    assert (folder / "notes.txt").read_text(encoding="utf-8") == "old"
+    loaded = la.load(folder / "model.json")
+    assert {t.expression: t.coefficient for t in loaded.terms if t.known} == {"cos(theta)": 9.81}
+    assert "cos(theta)    9.81 (known)" in result.stdout
+    assert "old" not in (folder / "report.html").read_text(encoding="utf-8")[:10]
+
+
+def test_discover_shows_a_doubtful_model(work, tmp_path):
+    result = run(
+        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force",
+        "--library", work / "library.txt", "--known", "cos(theta)=1", "--angles", "theta",
+        "--output", tmp_path / "out",
+    )  # fmt: skip
+    # The known coefficient is too small by a factor of ten, so no inertia fits the known force.
+    assert la.load(tmp_path / "out" / "model.json").fit.status == "doubtful"
+    assert "fit: DOUBTFUL" in result.stdout
+    assert "\nWARNING: " in result.stdout
+    assert result.stderr.startswith("warning: the fit is doubtful: ")
+
+
+def test_hold_out_takes_the_last_trials_or_names(work):
+    from leastaction.cli.discover import _split
+
+    data = la.read(work / "run.csv", ["theta"])
+    names = data.names
+    for text, held in (
+        ("2", names[1:]),
+        (f"{names[0]}, {names[2]}", (names[0], names[2])),
+        (f"{names[1]},", names[1:2]),
+    ):
+        fitted, out = _split(data, text)
+        assert out is not None
+        assert out.names == held
+        assert set(fitted.names) == set(names) - set(held)
+    assert _split(data, None) == (data, None)
+
+
+def test_a_forecast_that_fails_does_not_cost_the_model(work, tmp_path, monkeypatch):
+    def refuse(self, trajectories):
+        raise la.InputError("too short")
+
+    monkeypatch.setattr(la.LagrangianModel, "validate", refuse)
+    result = run(
+        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force",
+        "--library", work / "library.txt", "--hold-out", 1, "--output", tmp_path / "out",
+    )  # fmt: skip
+    assert result.stderr == "warning: no forecast of the trials held out: too short\n"
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz"])
+def test_simulate(tmp_path, suffix):
+    spring = model_file(tmp_path / "spring.json", [("x_dot**2", 0.5), ("x**2", -2.0)])
+    out = tmp_path / f"run.{suffix}"
+    result = run("simulate", spring, "--initial", "x = 1", "--duration", "0.3", "--rate", 10, "-o", out)
+    assert result.stderr == "note: x_dot not given in --initial: 0\n"
+    assert result.stdout == f"4 samples over 0.3 s: {out}\n"
+    text = (gzip.decompress(out.read_bytes()) if suffix.endswith("gz") else out.read_bytes()).decode()
+    assert text.splitlines()[0] == "t,x,x_dot"
+    frame = pd.read_csv(out)
+    t = np.arange(4) / 10
+    np.testing.assert_array_equal(frame["t"], t)
+    np.testing.assert_allclose(frame["x"], np.cos(2 * t), atol=1e-8)
+    np.testing.assert_allclose(frame["x_dot"], -2 * np.sin(2 * t), atol=1e-8)
+
+
+def test_simulate_writes_nothing_when_the_motion_stops(tmp_path):
+    runaway = model_file(tmp_path / "runaway.json", [("x_dot**2", 0.5), ("x**4", 1.0)])
+    result = run(
+        "simulate", runaway, "--initial", "x=1, x_dot=0", "--duration", 50, "--rate", 10,
+        "-o", tmp_path / "a" / "b.csv", code=1,
+    )  # fmt: skip
+    assert "the motion stops: " in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["runaway.json"]
+
+
+def test_simulate_says_that_a_model_is_doubtful(tmp_path):
+    fit = FitSummary("doubtful", warnings=("no match",))
+    path = model_file(tmp_path / "spring.json", [("x_dot**2", 0.5), ("x**2", -2.0)], fit=fit)
+    result = run(
+        "simulate", path, "--initial", "x=1,x_dot=0", "--duration", 1, "--rate", 10, "-o", tmp_path / "r.csv"
+    )
+    assert result.stderr == "warning: the model is doubtful: no match\n"
+
+
+def test_validate(work, model, tmp_path):
+    result = run(
+        "validate",
+        model,
+        work / "run.csv",
+        "--forces",
+        "theta_force",
+        "--horizon",
+        0.5,
+        "--json",
+        tmp_path / "e.json",
+    )
+    assert result.stdout.startswith("forecasts over 0.5 s: ")
+    document = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
+    assert document["horizon"] == 0.5
+    assert document["coordinates"] == ["theta"]
+    assert document["rms_over_noise"][0] < 2
+    # Forces that are known but not given make the model look bad.
+    without = run(
+        "validate", model, work / "run.csv", "--coordinates", "theta", "--time", "t", "--trial", "trial"
+    )
+    assert "theta" in without.stdout
+
+
+def test_force_delay_shifts_the_forces(work):
+    def options(delay):
+        return _options.DataOptions.of(
+            [str(work / "run.csv")], "theta", "t", None, "theta_force", None, force_delay=delay
+        ).read()
+
+    shifted = la.delay.shift_forces(options(None), 0.02)
+    for ours, theirs in zip(options("0.02"), shifted, strict=True):
+        assert np.array_equal(ours.t, theirs.t)
+        assert np.array_equal(ours.forces, theirs.forces)
+
+
+def test_validate_puts_coordinates_in_the_order_of_the_model():
+    options = _options.DataOptions.of(["f.csv"], "b, a = col", "t", None, "tau_b", None).in_order_of(
+        ("a", "b")
+    )
+    assert list(options.coordinates.items()) == [("a", "col"), ("b", "b")]
+    assert options.forces == {"b": "tau_b"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        ("sympy", "lagrangian = "),
+        ("latex", r"\dot{\theta}"),
+        ("python", "def acceleration"),
+        ("c", "math.h"),
+        ("casadi", "import casadi"),
+        ("matlab", "function model = out()"),
+    ],
+)
+def test_export(model, tmp_path, kind, text):
+    run("export", model, "--format", kind, "--output", tmp_path / "sub" / "out.m")
+    assert text in (tmp_path / "sub" / "out.m").read_text(encoding="utf-8")
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler")
+@pytest.mark.parametrize("kind", ["fmu2", "fmu3"])
+def test_export_of_an_fmu(model, tmp_path, kind):
+    result = run("export", model, "--format", kind, "--output", tmp_path / "pendulum.fmu")
+    assert result.stdout.startswith(f"{kind}: ")
+    assert zipfile.ZipFile(tmp_path / "pendulum.fmu").testzip() is None
+
+
+def test_generate_and_the_command_that_it_proposes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    args = ("generate", "single_pendulum", "--trials", 2, "--duration", 4, "--noise", 0.02, "--seed", 5, "-o")
+    result = run(*args, "a.csv.gz")
+    run(*args, "b.csv.gz")
+    assert (tmp_path / "a.csv.gz").read_bytes() == (tmp_path / "b.csv.gz").read_bytes()
+    read = la.read("a.csv.gz", ["theta"], forces={"theta": "theta_force"})
+    made = systems.generate("single_pendulum", noise=0.02, trials=2, duration=4.0, seed=5)
+    assert read.digest() == made.digest()
+    command = shlex.split(result.stdout.splitlines()[-1].removeprefix("next: "))
+    assert command[0] == "leastaction"
+    run(*command[1:])
+    assert (tmp_path / "found" / "model.json").exists()
+
+
+def test_generate_passes_its_options_on(tmp_path):
+    options = ("--noise", 0.01, "--noise-convention", "absolute", "--missing", 0.1, "--irregular")
+    result = run(
+        "generate",
+        "cart_spring_pendulum",
+        "--trials",
+        1,
+        "--duration",
+        1,
+        "--rate",
+        50,
+        *options,
+        "-o",
+        tmp_path / "c.csv",
+    )
+    made = systems.generate(
+        "cart_spring_pendulum", noise=0.01, noise_convention="absolute", trials=1, duration=1.0, rate=50.0,
+        missing=0.1, irregular=True,
+    )  # fmt: skip
+    assert la.read(tmp_path / "c.csv", ["x", "theta"]).digest() == made.digest()
+    assert "--known 'cos(theta)=9.81'" in result.stdout
+
+
+def test_generate_names_all_systems():
+    assert (systems.names(), systems.further_names()) == (_generate.SYSTEMS, _generate.FURTHER)
+    text = " ".join(run("generate", "--help").stdout.split())
+    assert all(name in text for name in (*systems.names(), *systems.further_names()))
+
+
+def test_demo(tmp_path):
+    result = run("demo", "--system", "single", "--output", tmp_path / "demo")
+    rows = {line.split("  ")[0]: line for line in result.stdout.splitlines()}
+    assert "-128.58" in rows["cos(theta)"]
+    assert "%" in rows["cos(theta)"]
+    errors = [float(rows[name].split()[2]) for name in ("found model", "published model")]
+    assert errors[0] < errors[1]
+    assert result.stdout.splitlines()[-1] == f"report: {tmp_path / 'demo' / 'report.html'}"
+    assert {p.name for p in (tmp_path / "demo").iterdir()} == {"model.json", "report.html"}
+    assert "forecast" in (tmp_path / "demo" / "report.html").read_text(encoding="utf-8").lower()
+
+
+@pytest.mark.parametrize("name", ["double", "single"])
+def test_demo_data_and_published_models(name):
+    demo = _demo.DEMOS[name]
+    data = _demonstrate.load_demo_data(demo)
+    held = data[_demo.HELD_OUT]
+    assert 0 < len(held) <= len(data) / 3
+    m1, m2, a1, a2, l1, g = 0.0938440, 0.137596, 0.108565, 0.116779, 0.172719, 9.80858
+    double = np.array(
+        [
+            (4.37529e-4 + m1 * a1**2 + m2 * l1**2) / 2,
+            (1.268829e-3 + m2 * a2**2) / 2,
+            m2 * l1 * a2,
+            -(m1 * a1 + m2 * l1) * g,
+            -m2 * a2 * g,
+        ]
+    )
+    expected = double / double[0] if name == "double" else [1, -128.58]
+    np.testing.assert_allclose(list(demo.published.values()), expected, rtol=3e-5)
+    assert set(demo.published) <= set(demo.candidates)
+    assert set(demo.published_dissipation) <= set(demo.dissipation)
+    assert set(demo.known) <= set(demo.candidates)
+    library = la.Library(demo.candidates, demo.coordinates, dissipation=demo.dissipation)
+    assert not library.reduced(keep=[library[0]]).dropped
+    # Hanging at rest is where the published model has its stable equilibrium.
+    like = la.LagrangianModel(demo.coordinates, [ModelTerm(demo.candidates[0], 1.0)])
+    published = _demonstrate.published_model(demo, like)
+    hanging = np.full(len(demo.coordinates), np.pi)
+    pulled = published.acceleration(hanging + 0.1, 0 * hanging)
+    assert np.abs(published.acceleration(hanging, 0 * hanging)).max() < 1e-9
+    assert pulled[0] < 0
+
+
+def test_help_is_fast_and_has_examples():
+    script = """
+import sys
+from leastaction.cli import program
+for args in (["--help"], ["--version"], *([name, "--help"] for name in sys.argv[1:])):
+    try:
+        program.main(args)
+    except SystemExit as end:
+        assert end.code == 0, args
+heavy = {"numpy", "scipy", "sympy", "pandas", "matplotlib", "jinja2", "rich"} & set(sys.modules)
+assert not heavy, heavy
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script, *COMMANDS], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Example:\n    leastaction ") == len(COMMANDS) + 1
+    assert set(program.commands) == set(COMMANDS)
+
+
+def test_examples_in_the_help_parse():
+    for name in COMMANDS:
+        text = run(name, "--help").stdout.split("Example:\n")[1].strip().replace("\\\n", " ")
+        words = shlex.split(text)
+        assert words[:2] == ["leastaction", name]
+        program.commands[name].make_context(name, words[2:])
+
+
+def test_no_arguments_show_the_help_and_version_is_that_of_the_package():
+    from importlib.metadata import version
+
+    assert run().stdout == run("-h").stdout
+    assert run("--version").stdout == f"leastaction {version('leastaction')}\n"
+    assert shell("--version").stdout == f"leastaction {version('leastaction')}\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are different there")
+def test_interrupt_leaves_nothing_behind(tmp_path):
+    command = [sys.executable, "-m", "leastaction", "demo", "--output", "out"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()  # the discovery begins now, and takes seconds
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert errors == "interrupted: nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+ROWS = [
+    ("term", "coefficient", "95 % interval", "z"),
+    ("theta1_dot*theta2_dot*cos(theta1 - theta2)*[red]", "0.98408 ± 0.00018", "0.98373 … 0.98443", "5359"),
+    ("x", "1 (known)", "", ""),
+]
+
+
+@pytest.mark.parametrize("width", [20, 40, 62, 80, 200])
+def test_table_in_a_terminal_never_cuts_a_number(monkeypatch, width):
+    out = Terminal()
+    monkeypatch.setattr(sys, "stdout", out)
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("TERM", "xterm")
+    _show.show_table(ROWS, {2: "friction"})
+    text = re.sub(r"\x1b\[[0-9;]*m", "", out.getvalue())
+    for cell in ROWS[1][1:]:
+        assert cell in text
+    assert "".join(c for c in ROWS[1][0] if c != " ") in re.sub(r"\s+", "", text) or width in (62, 80)
+    if width >= 62:
+        assert max(map(len, text.splitlines())) <= width
+
+
+def test_table_in_a_pipe_is_plain(capsys):
+    _show.show_table(ROWS, {2: "friction"})
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].startswith(ROWS[1][0] + "  0.98408 ± 0.00018  0.98373 … 0.98443  5359")
+    assert lines[2] == "friction"
+    assert all(line == line.rstrip() for line in lines)
+
+
+def test_progress_shows_in_a_terminal_only(monkeypatch, capsys):
+    with _show.live_progress("prepare") as report:
+        report("select", {"terms": 5})
+    assert capsys.readouterr().err == ""
+    err = Terminal()
+    monkeypatch.setattr(sys, "stderr", err)
+    monkeypatch.setenv("TERM", "xterm")
+    with _show.live_progress("prepare") as report:
+        report("search", {"terms": 4, "evidence": -np.inf})
+        report("select", {"terms": np.int64(5), "evidence": np.float64(12.34)})
+    assert "choosing terms: 5 terms, evidence 12.3" in err.getvalue()
+
+
+def test_describe_knows_the_stages_of_discover():
+    said = [
+        _show.describe(stage, details)
+        for stage, details in (
+            ("prepare", {}), ("search", {"terms": 1, "evidence": 1.0}), ("knots", {"knots_per_second": 16.2}),
+            ("verify", {}), ("other", {"loss": "0.1"}),
+        )
+    ]  # fmt: skip
+    assert said == [
+        "preparing", "searching the weak form: 1 term, evidence 1.0", "refining knots: 16 knots per second",
+        "verifying", "other: loss 0.1",
+    ]  # fmt: skip
+
+
+def test_errors_of_coefficients_end_at_their_second_digit():
+    Term = ModelTerm
+    shown = [
+        _show.with_error(term)
+        for term in (
+            Term("x", 0.557712, 0.0012),
+            Term("x", -117.71, 0.2),
+            Term("x", 2.0, known=True),
+            Term("x", 2.0, np.nan),
+        )
+    ]
+    assert shown == ["0.5577 ± 0.0012", "-117.71 ± 0.20", "2 (known)", "2"]
+
+
+def test_parsers_of_options():
+    assert _options.name_list(" a, b ") == ["a", "b"]
+    assert _options.column_map("tau1,,tau3") == ["tau1", "", "tau3"]
+    assert _options.column_map("a=tau 1, b = x=y") == {"a": "tau 1", "b": "x=y"}
+    assert _options.assignments("theta=1, theta_dot=-.5e1") == {"theta": 1.0, "theta_dot": -5.0}
+    assert _options.known_coefficients(["cos(theta)=9.81", "x = 2"]) == {"cos(theta)": 9.81, "x": 2.0}
+    options = _options.DataOptions.of(["f.csv"], "a,b", "t", None, ",tau", "b")
+    assert (options.forces, options.angles) == ({"b": "tau"}, ("b",))
+    assert _text.shown("a\x1bb\n") == "a?b?"

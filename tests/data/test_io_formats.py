@@ -1,0 +1,292 @@
+"""Parquet, NPZ and MAT files, and data frames."""
+
+import builtins
+import datetime
+
+import h5py
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as parquet
+import pytest
+from scipy.io import savemat
+
+from leastaction import io
+from leastaction.errors import DataError, InputError
+
+NAN = float("nan")
+T = np.arange(12) / 10
+COLUMNS = {
+    "t": np.tile(T[:6], 2),
+    "a": np.sin(COLUMN := np.arange(12.0)),
+    "b": np.where(COLUMN == 3, NAN, COLUMN),
+    "u": COLUMN % 3,
+    "trial": np.repeat([4, 2], 6),
+}
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return io.from_frame(pd.DataFrame(COLUMNS), ["a", "b"], forces={"b": "u"})
+
+
+def check(runs, expected):
+    assert runs.names == expected.names == ("4", "2")
+    assert runs.digest() == expected.digest()
+    assert runs[0].forces[:, 0].tolist() == [0.0] * 6
+
+
+def frames(columns):
+    """The same table in several libraries; a missing sample as NaN, null and pandas.NA."""
+    table = pd.DataFrame(columns)
+    nullable = table.assign(b=table["b"].astype("Int64"), trial=table["trial"].astype(str))
+    objects = table.assign(b=table["b"].astype(object).where(table["b"].notna(), None))
+    lists = {name: [None if x != x else x for x in values.tolist()] for name, values in columns.items()}
+    return {
+        "pandas": table,
+        "pandas nullable": nullable,
+        "pandas object": objects,
+        "pandas index": table.set_index(table.index[::-1]),
+        "pandas float trials": table.assign(trial=table["trial"].astype(float)),
+        "pandas categories": nullable.assign(trial=nullable["trial"].astype("category")),
+        "polars": pl.DataFrame(lists),
+        "polars lazy": pl.DataFrame(columns).lazy(),
+        "polars float32": pl.DataFrame(lists).with_columns(pl.col("b").cast(pl.Float32)),
+        "arrow": pa.table(lists),
+    }
+
+
+@pytest.mark.parametrize("kind", list(frames(COLUMNS)))
+def test_data_frames(kind, expected):
+    check(io.from_frame(frames(COLUMNS)[kind], ["a", "b"], forces={"b": "u"}), expected)
+
+
+def without(**changes):
+    columns = {name: list(values) for name, values in COLUMNS.items()} | changes
+    return {name: values for name, values in columns.items() if values is not None}
+
+
+@pytest.mark.parametrize("library", [pd.DataFrame, pl.DataFrame])
+@pytest.mark.parametrize(
+    ("columns", "error", "message"),
+    [
+        (
+            without(a=None),
+            InputError,
+            r"data frame has no column 'a' \(coordinate a\); its columns are t, b, u",
+        ),
+        (without(a=["1"] * 12), InputError, r"row 0 .*column 'a': '1' is not a number"),
+        (without(a=[True] * 12), InputError, r"column 'a': True is not a number"),
+        (without(t=[datetime.datetime(2024, 1, 1)] * 12), InputError, "times to seconds"),
+        (without(t=[None, *T[1:]]), InputError, r"row 0 .*column 't': the time is missing"),
+        (without(u=[0.0] * 11 + [None]), InputError, r"row 11 .*column 'u': the force is missing"),
+        (without(a=[0.0] * 5 + [np.inf] * 7), InputError, r"row 5 .*infinite"),
+        (without(trial=[None] * 12), InputError, r"row 0 .*name of the trial is missing"),
+        (without(trial=[1] * 5 + [2] * 6 + [1]), InputError, r"row 6 .*|row 11 .*goes on"),
+        (without(trial=None), InputError, r"row 6 .*time 0.0 goes backwards"),
+        (without(t=list(T), trial=[1] * 8 + [2] * 4), DataError, "trial '2': there are only 4"),
+        ({name: [] for name in COLUMNS}, InputError, "has no data"),
+    ],
+)
+def test_bad_data_frames(library, columns, error, message):
+    with pytest.raises(error, match=message):
+        io.from_frame(library(columns), ["a", "b"], forces={"b": "u"})
+
+
+def test_frames_with_odd_columns():
+    table = pd.DataFrame([[0.0] * 3] * 6, columns=["t", "a", "a"])
+    with pytest.raises(InputError, match="two columns are called 'a'"):
+        io.from_frame(table, ["a"])
+    with pytest.raises(InputError, match="it has no named columns"):
+        io.from_frame(pd.DataFrame([[0.0] * 3] * 6), ["a"])
+    for bad in (None, {"t": [1]}, [1, 2], "run.csv", pl.Series([1.0])):
+        with pytest.raises(InputError, match="is not a"):
+            io.from_frame(bad, ["a"])
+
+
+# --- Parquet ----------------------------------------------------------------------------------------
+
+
+def test_parquet(tmp_path, expected):
+    pd.DataFrame(COLUMNS | {"no number": ["x"] * 12}).to_parquet(tmp_path / "run.parquet")
+    check(io.read(tmp_path / "run.parquet", ["a", "b"], forces=[None, "u"]), expected)
+    single = pd.DataFrame(COLUMNS).drop(columns="trial").iloc[:6].rename(columns={"a": "angle.a"})
+    single.to_parquet(tmp_path / "one.PARQUET")
+    assert io.read(tmp_path / "one.PARQUET", {"a": "angle.a"}).names == ("one",)
+
+
+def test_bad_parquet(tmp_path):
+    path = tmp_path / "run.parquet"
+    parquet.write_table(pa.table(COLUMNS), path)
+    with pytest.raises(InputError, match=r"run.parquet has no column 'c'"):
+        io.read_parquet(path, ["c"])
+    data = path.read_bytes()
+    for content, message in [
+        (b"", "is empty"),
+        (b"t,a\n0,1\n", "not a Parquet file"),
+        (data[:-20], "damaged"),
+        (data[:4] + bytes(200) + data[204:], "damaged"),
+    ]:
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=message):
+            io.read_parquet(path, ["a"])
+    with pytest.raises(InputError, match="no such file"):
+        io.read_parquet(tmp_path / "none.parquet", ["a"])
+
+
+@pytest.mark.parametrize(
+    ("module", "suffix", "extra"), [("pyarrow", "parquet", "parquet"), ("h5py", "mat", "mat73")]
+)
+def test_missing_extras_are_named(tmp_path, monkeypatch, module, suffix, extra):
+    path = tmp_path / f"run.{suffix}"
+    path.write_bytes(b"PAR1" if suffix == "parquet" else b"MATLAB 7.3 MAT-file")
+    original = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name.split(".")[0] == module:
+            raise ImportError(name)
+        return original(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(InputError, match=rf"pip install 'leastaction\[{extra}\]'"):
+        io.read(path, ["a"])
+
+
+# --- NPZ and MAT ------------------------------------------------------------------------------------
+
+
+def write_npz(path, variables):
+    np.savez_compressed(path, **variables)
+
+
+def write_mat(path, variables):
+    savemat(path, variables, oned_as="column")
+
+
+def write_mat73(path, variables):
+    """As MATLAB does: every array two-dimensional and transposed, a class beside it."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            array = np.atleast_2d(np.asarray(value))
+            if array.dtype.kind in "OU":
+                texts = [
+                    file.create_dataset(f"#refs#/{name}{k}", data=[[ord(c)] for c in x])
+                    for k, x in enumerate(value)
+                ]
+                for text in texts:
+                    text.attrs["MATLAB_class"] = np.bytes_("char")
+                item = file.create_dataset(name, data=[[text.ref for text in texts]], dtype=h5py.ref_dtype)
+                item.attrs["MATLAB_class"] = np.bytes_("cell")
+            else:
+                item = file.create_dataset(name, data=array if np.ndim(value) < 2 else array.T)
+                item.attrs["MATLAB_class"] = np.bytes_("double")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: PCWIN64".ljust(124) + b"\0\2IM")
+
+
+WRITERS = {"npz": write_npz, "mat": write_mat, "mat73": write_mat73}
+
+
+@pytest.fixture(params=list(WRITERS))
+def save(request, tmp_path):
+    """Return a function that writes variables to a file of one kind and returns its path."""
+
+    def write(variables):
+        path = tmp_path / f"run.{request.param[:3]}"
+        WRITERS[request.param](path, variables)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("texts", [False, True])
+def test_variables(save, expected, texts):
+    trials = np.array([str(x) for x in COLUMNS["trial"]], dtype=object if texts else str)
+    variables = COLUMNS | {
+        "trial": trials.astype(str) if texts else COLUMNS["trial"],
+        "other": np.zeros((2, 3)),
+    }
+    check(io.read(save(variables), ["a", "b"], forces={"b": "u"}), expected)
+
+
+def test_rows_and_columns_are_vectors(save):
+    path = save({"time": T[:, np.newaxis], "x": T[np.newaxis, :] ** 2})
+    runs = io.read(path, ["x"], time="time")
+    assert runs.names == ("run",)
+    np.testing.assert_array_equal(runs[0].q[:, 0], T**2)
+
+
+def test_matrix_q(save):
+    q = np.column_stack([T, T**2])
+    path = save({"t": T, "q": q, "u": T})
+    runs = io.read(path, ["x", "y"], forces=["u"])
+    np.testing.assert_array_equal(runs[0].q, q)
+    np.testing.assert_array_equal(runs[0].forces[:, 0], T)
+    with pytest.raises(InputError, match=r"variable 'q': it has shape \(12, 2\), but .* \(12, 3\)"):
+        io.read(path, ["x", "y", "z"])
+    path = save({"t": T, "q": q.T})
+    with pytest.raises(InputError, match="looks transposed"):
+        io.read(path, ["x", "y"])
+    assert io.read(save({"t": T, "q": T}), ["x"])[0].n_dof == 1
+    assert io.read(save({"t": T, "q": T}), ["q"])[0].n_dof == 1
+
+
+def test_one_trial_name_for_all(save):
+    assert io.read(save({"t": T, "x": T, "trial": np.array([7])}), ["x"]).names == ("7",)
+
+
+@pytest.mark.parametrize(
+    ("variables", "message"),
+    [
+        ({"t": T}, r"has no variable 'x' \(coordinate x\); its variables are t"),
+        ({"t": T, "x": T[:-1]}, r"variable 'x': it has 11 values, but the time 't' has 12"),
+        ({"t": T, "x": T, "trial": T[:-1]}, "variable 'trial': it has 11 values"),
+        ({"t": T, "x": np.ones((3, 4))}, r"variable 'x': it has shape \([34], [34]\)"),
+        ({"t": T[::-1], "x": T}, r"row 1 .*column 't': time 1.0 goes backwards"),
+        ({"t": T, "x": np.full(12, np.inf)}, "row 0 .*infinite"),
+        ({"t": T, "x": np.array(["a"] * 12)}, "variable 'x'"),
+        ({"t": np.full(12, NAN), "x": T}, "time is missing"),
+    ],
+)
+def test_bad_variables(save, variables, message):
+    path = save(variables)
+    with pytest.raises(InputError, match=message) as caught:
+        io.read(path, ["x"])
+    assert path.name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_complex_numbers_are_refused(tmp_path):
+    for suffix, write in (("npz", write_npz), ("mat", write_mat)):
+        write(tmp_path / f"run.{suffix}", {"t": T, "x": T + 1j})
+        with pytest.raises(InputError, match="variable 'x' has type complex128"):
+            io.read(tmp_path / f"run.{suffix}", ["x"])
+
+
+def test_few_samples(save):
+    with pytest.raises(DataError, match="only 4 sample"):
+        io.read(save({"t": T[:4], "x": T[:4]}), ["x"])
+
+
+def test_pickled_objects_are_not_loaded(tmp_path):
+    np.savez(tmp_path / "run.npz", t=T, x=np.array([{}] * 12, dtype=object))
+    with pytest.raises(InputError, match="variable 'x': it holds pickled objects"):
+        io.read(tmp_path / "run.npz", ["x"])
+
+
+def test_damaged_files(save):
+    path = save({"t": T, "x": T})
+    data = path.read_bytes()
+    for content in (b"", b"junk" * 100, data[: len(data) // 2], data[:200]):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=path.name) as caught:
+            io.read(path, ["x"])
+        assert "\n" not in str(caught.value)
+
+
+def test_npy_file_is_no_npz(tmp_path):
+    np.save(tmp_path / "run.npy", T)
+    (tmp_path / "run.npy").rename(tmp_path / "run.npz")
+    with pytest.raises(InputError, match="not an NPZ file"):
+        io.read_npz(tmp_path / "run.npz", ["x"])

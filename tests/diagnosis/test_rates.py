@@ -1,0 +1,356 @@
+"""Measured velocities and accelerations: kept, fitted, and doubted where they are no derivatives."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers import with_rates
+from leastaction import InputError, Trajectories, Trajectory, delay, discover, smooth, systems
+from leastaction.curve.knots import excerpt, lay_knots
+from leastaction.diagnosis.rates import doubts_about_rates
+from leastaction.metrics import cramer_rao_bound
+
+
+@pytest.fixture(autouse=True)
+def _warnings_are_errors():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        yield
+
+
+def run(n: int = 40, **fields) -> Trajectory:
+    t = np.linspace(0.0, 4.0, n)
+    q = np.column_stack([np.sin(t), np.cos(2.0 * t)])
+    given = {
+        "velocities": np.column_stack([np.cos(t), np.full(n, np.nan)]),
+        "accelerations": -np.column_stack([np.sin(t), 4.0 * np.cos(2.0 * t)]),
+    }
+    return Trajectory(t, q, np.ones_like(q), ["x", "theta"], "one", **{**given, **fields})
+
+
+# -------------------------------------------------------------------------------- trajectories
+@pytest.mark.parametrize(
+    ("rates", "text"),
+    [
+        (np.zeros((39, 2)), "velocities has 39 rows, but t has 40 times"),
+        (np.zeros((40, 3)), r"velocities has 3 column\(s\), but q has 2.*NaN where nothing is measured"),
+        (np.zeros((2, 40)), "it looks transposed"),
+        (np.full((40, 2), np.inf), r"'one': velocities\[0, 0\] is infinite; use NaN"),
+        (np.full((40, 2), "1"), "real numbers are expected"),
+    ],
+)
+def test_wrong_rates_are_refused(rates, text):
+    with pytest.raises(InputError, match=text):
+        run(velocities=rates)
+
+
+def test_rates_are_read_only_copies_and_given_by_keyword_only():
+    given = np.zeros((40, 2))
+    item = run(velocities=given)
+    given += 1.0
+    assert item.velocities is not None
+    assert not item.velocities.any()
+    with pytest.raises(ValueError, match="read-only"):
+        item.velocities[0, 0] = 1.0
+    with pytest.raises(TypeError):
+        Trajectory(item.t, item.q, None, None, "", given)  # type: ignore[misc]
+    assert Trajectory([0.0, 1.0], [0.0, 1.0], velocities=[1.0, 1.0]).velocities.shape == (2, 1)  # type: ignore[union-attr]
+
+
+def same(one: Trajectory, other: Trajectory, rows=slice(None)) -> None:
+    for field in ("t", "velocities", "accelerations"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field)[rows], err_msg=field)
+
+
+def test_rates_stay_with_their_trajectory():
+    item = run()
+    same(pickle.loads(pickle.dumps(item)), item)
+    set_ = Trajectories([item, item.changed(name="two")])
+    same(set_[1:][0], item)
+    same(set_.select("two")[0], item)
+    same(set_.unwrap("theta")[0], item)
+    same(item.rows(slice(3, 9)), item, slice(3, 9))
+    same(delay.shift_forces(item, 0.3)[0], item, item.t >= 0.3)
+    long = run(4000)
+    pieces = excerpt(Trajectories([long]), 2000)
+    assert len(pieces) > 1
+    for piece in pieces:
+        same(piece, long, np.isin(long.t, piece.t))
+
+
+def test_channels_of_a_set():
+    item = run()
+    plain = item.changed(velocities=None, accelerations=None, name="two")
+    rates = Trajectories([item, plain]).rates
+    assert [r.label(item.coordinates) for r in rates] == [
+        "velocity of x",
+        "acceleration of x",
+        "acceleration of theta",
+    ]
+    assert [np.isfinite(v).sum() for v in rates[0].values] == [40, 0]
+    assert Trajectories([plain]).rates == ()
+    assert "velocities, accelerations" in repr(item)
+    assert "velocities" not in repr(item.changed(velocities=np.full((40, 2), np.nan)))
+
+
+def test_digest_counts_rates_that_are_measured():
+    item, nothing = run(), np.full((40, 2), np.nan)
+    bare = item.changed(velocities=None, accelerations=None)
+    digests = [
+        Trajectories([x]).digest()
+        for x in (bare, item, item.changed(accelerations=None), item.changed(velocities=item.accelerations))
+    ]
+    assert len(set(digests)) == 4
+    assert Trajectories([bare.changed(velocities=nothing)]).digest() == digests[0]
+    swapped = bare.changed(velocities=item.accelerations), bare.changed(accelerations=item.accelerations)
+    assert Trajectories([swapped[0]]).digest() != Trajectories([swapped[1]]).digest()
+
+
+# ------------------------------------------------------------------------------------- the fit
+def estimates(model):
+    free = [term for term in model.terms if not term.known]
+    return {t.expression: t.coefficient for t in free}, {t.expression: t.standard_error for t in free}
+
+
+def test_rates_that_are_not_measured_change_nothing():
+    system = systems.get("double_pendulum")
+    data = systems.generate(system, noise=0.05, trials=2, duration=6.0, seed=2)
+    blank = Trajectories(x.changed(velocities=x.q * np.nan, accelerations=x.q * np.nan) for x in data)
+    one, other = (discover(d, system.library) for d in (data, blank))
+    assert one.diagnostics is not None
+    assert other.diagnostics is not None
+    assert estimates(one) == estimates(other)
+    assert one.provenance == other.provenance
+    np.testing.assert_array_equal(one.diagnostics.control_points, other.diagnostics.control_points)
+    assert other.diagnostics.rate_noise_std == {}
+
+
+def test_velocities_reach_the_bound_without_bias():
+    """Standard errors shrink by the factor that the Cramér–Rao bound allows, and tell the truth."""
+    system = systems.get("cart_spring_pendulum")
+    scores = []
+    for seed in range(4):
+        truth = systems.simulate_truth(system, trials=2, duration=6.0, seed=seed)
+        sigma = systems.noise_std(system, truth, 0.05)
+        spread = np.std(np.concatenate([m.qdot for m in truth]), axis=0)
+        data = with_rates(system, truth, sigma, velocity=0.01, seed=seed)
+        model = discover(data, system.library, known=system.known)
+        found, errors = estimates(model)
+        assert model.fit.status == "ok", model.fit.warnings
+        assert set(found) == set(system.free)
+        bound = cramer_rao_bound(system, truth, sigma, velocity_noise_std=0.01 * spread)
+        alone = cramer_rao_bound(system, truth, sigma)
+        assert np.all(bound.standard_errors < 0.5 * alone.standard_errors)
+        found_errors = np.array([errors[k] for k in bound.terms])
+        np.testing.assert_allclose(found_errors, bound.standard_errors, rtol=0.15)
+        scores.append([(found[k] - system.lagrangian[k]) / errors[k] for k in found])
+        assert model.diagnostics is not None
+        noise = np.array(list(model.diagnostics.rate_noise_std.values()))
+        np.testing.assert_allclose(noise, 0.01 * spread, rtol=0.1)
+        np.testing.assert_allclose(model.noise_std, sigma, rtol=0.15)
+        assert model.fit.chi2_per_sample == pytest.approx(1.0, abs=0.1)
+        assert f"velocity of theta: noise {noise[1]:.3g}" in model.diagnostics.notes
+    assert np.sqrt(np.mean(np.square(scores))) < 1.6
+
+
+def test_accelerations_are_fitted_too():
+    system = systems.get("magnetic_pendulum")
+    truth = systems.simulate_truth(system, trials=1, duration=10.0, seed=1)
+    sigma = systems.noise_std(system, truth, 0.1)
+    models = [
+        discover(with_rates(system, truth, sigma, acceleration=level, seed=1), system.library, system.known)
+        for level in (None, 0.02)
+    ]
+    (_, wide), (found, narrow) = map(estimates, models)
+    assert models[1].fit.status == "ok", models[1].fit.warnings
+    assert set(found) == set(system.free)
+    assert all(narrow[k] < 0.5 * wide[k] for k in found if k in wide)
+    assert np.sqrt(np.mean([((found[k] - system.lagrangian[k]) / narrow[k]) ** 2 for k in found])) < 2.0
+
+
+def thinned(item: Trajectory, keep_every: int) -> Trajectory:
+    rows = np.arange(item.n_times) % keep_every == 0
+    return item.changed(q=np.where(rows[:, None], item.q, np.nan))
+
+
+def test_a_slow_camera_and_a_fast_gyroscope():
+    """Positions twice a second show nothing of the motion; with fast velocities they are enough."""
+    system = systems.get("cart_spring_pendulum")
+    truth = systems.simulate_truth(system, trials=2, duration=10.0, seed=1)
+    data = with_rates(system, truth, systems.noise_std(system, truth, 0.02), velocity=0.02, seed=1)
+    slow = Trajectories(x.changed(velocities=None).rows(slice(None, None, 50)) for x in data)
+    alone = discover(slow, system.library, known=system.known)
+    assert alone.fit.status == "doubtful"
+    assert set(estimates(alone)[0]) != set(system.free)
+    model = discover(Trajectories(thinned(x, 50) for x in data), system.library, known=system.known)
+    found, errors = estimates(model)
+    assert model.fit.status == "ok", model.fit.warnings
+    assert set(found) == set(system.free)
+    assert all(errors[k] < 0.01 * abs(found[k]) for k in found)
+    assert all(abs(found[k] - system.lagrangian[k]) < 5.0 * errors[k] for k in found)
+
+
+def test_the_papers_method_says_that_it_leaves_rates_out():
+    system = systems.get("single_pendulum")
+    truth = systems.simulate_truth(system, trials=1, duration=4.0, seed=0)
+    data = with_rates(system, truth, 0.01, velocity=0.01)
+    options = {"iterations": 200, "check_every": 100, "threshold": 0.0}
+    models = [
+        discover(d, system.library, method="adam", options=options) for d in (data, data.without_rates())
+    ]
+    assert estimates(models[0])[0] == estimates(models[1])[0]
+    said = [[n for n in m.diagnostics.notes if "positions alone" in n] for m in models if m.diagnostics]
+    assert [len(notes) for notes in said] == [1, 0]
+
+
+# --------------------------------------------------------------------------------- smoothing
+def test_smoothing_follows_rates_and_finds_their_noise(rng):
+    t = np.linspace(0.0, 10.0, 1001)
+    q = np.sin(2.0 * t) + 0.2 * rng.standard_normal(t.size)
+    v = 2.0 * np.cos(2.0 * t) + 0.02 * rng.standard_normal(t.size)
+    plain, rated = (smooth(Trajectory(t, q, **given))[0] for given in ({}, {"velocities": v}))
+    errors = [np.std(m.qdot[:, 0] - 2.0 * np.cos(2.0 * t)) for m in (plain, rated)]
+    assert errors[1] < 0.1 * errors[0]
+    assert rated.noise_std[0] == pytest.approx(0.2, rel=0.1)
+    found = lay_knots(Trajectories([Trajectory(t, q, velocities=v)]), 5).smooth
+    assert found.rate_std == pytest.approx([0.02], rel=0.1)
+
+
+def test_replicates_of_a_curve_with_rates_scatter_as_it_errs(rng):
+    t = np.linspace(0.0, 10.0, 501)
+    exact = np.sin(2.0 * t)
+    q, v = exact + 0.2 * rng.standard_normal(501), 2.0 * np.cos(2.0 * t) + 0.1 * rng.standard_normal(501)
+    found = lay_knots(Trajectories([Trajectory(t, q, velocities=v)]), 5).smooth
+    design = found.grid.design([t])
+    again = np.array([design @ p[:, 0] for p in found.replicates(40, rng, np.zeros(1))])
+    error = np.std(design @ found.control_points[:, 0] - exact)
+    assert 0.4 < error / np.mean(again.std(axis=0)) < 2.5
+
+
+# ------------------------------------------------------------------------------- plausibility
+def doubts(data: Trajectories) -> list[str]:
+    return doubts_about_rates(data, lay_knots(data, 5).smooth)
+
+
+@pytest.fixture(scope="module")
+def two_arms() -> Trajectories:
+    system = systems.get("double_pendulum")
+    truth = systems.simulate_truth(system, trials=2, duration=8.0, seed=3)
+    return with_rates(system, truth, systems.noise_std(system, truth, 0.05), 0.03, 0.05, seed=3)
+
+
+def altered(data: Trajectories, field: str, change) -> Trajectories:
+    out = []
+    for item in data:
+        rates = getattr(item, field).copy()
+        rates[:, 0] = change(rates[:, 0])
+        out.append(item.changed(**{field: rates}))
+    return Trajectories(out)
+
+
+@pytest.mark.parametrize(
+    ("field", "change", "text"),
+    [
+        ("velocities", np.degrees, r"velocity of theta1 is 57\.\d times .* \(degrees per second\?\)"),
+        ("velocities", np.negative, r"velocity of theta1 is -\S+ times .* \(the opposite sign\?\)"),
+        ("velocities", lambda v: -np.degrees(v), "degrees per second, with the opposite sign"),
+        ("velocities", lambda v: 1.1 * v, r"velocity of theta1 is 1\.1\d* times"),
+        ("velocities", lambda v: v + 0.5, r"velocity of theta1 has an offset of 0\.\d+"),
+        (
+            "accelerations",
+            lambda a: a / 9.81,
+            r"acceleration of theta1 is 0\.10\d times .* \(multiples of g\?\)",
+        ),
+        ("velocities", lambda v: np.roll(v, 180), "velocity of theta1 (hardly follows|is .* times)"),
+    ],
+)
+def test_a_channel_that_is_no_derivative_is_named(two_arms, field, change, text):
+    found = doubts(altered(two_arms, field, change))
+    assert len(found) == 1
+    assert found[0].startswith("the measured ")
+    assert re.search(text, found[0]), found[0]
+
+
+def test_a_channel_that_is_one_is_not_doubted(two_arms):
+    assert doubts(two_arms) == []
+    assert doubts(altered(two_arms, "velocities", lambda v: 1.03 * v)) == []
+    sign = np.random.default_rng(0).choice([-1, 0, 1], 801, p=[0.005, 0.99, 0.005])  # glitches
+    assert doubts(altered(two_arms, "velocities", lambda v: np.where(sign, 50.0 * sign, v))) == []
+    assert doubts(two_arms.without_rates()) == []
+
+
+def test_a_dead_sensor_is_named(two_arms):
+    dead = altered(two_arms, "velocities", lambda v: 0.0 * v)
+    assert doubts(dead) == ["the measured velocity of theta1 is constant: leave it out"]
+    model = discover(dead, systems.get("double_pendulum").library)
+    assert model.fit.status == "doubtful"
+    assert set(estimates(model)[0]) == set(systems.get("double_pendulum").free)
+
+
+@pytest.mark.parametrize("name", ["spherical_spring_pendulum", "spherical_pendulum", "magnetic_pendulum"])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+def test_violent_motions_and_noise_are_no_reason_for_doubt(name, noise):
+    """A smoothed curve would be too flat where these turn."""
+    system = systems.get(name)
+    truth = systems.simulate_truth(system, trials=2, duration=8.0, seed=1)
+    assert (
+        doubts(with_rates(system, truth, systems.noise_std(system, truth, noise), 0.01, 0.05, seed=1)) == []
+    )
+
+
+def test_a_wrong_unit_makes_the_model_doubtful_and_no_worse(two_arms):
+    library = systems.get("double_pendulum").library
+    wrong = Trajectories(x.changed(velocities=np.degrees(x.velocities), accelerations=None) for x in two_arms)
+    model, plain = (discover(d, library) for d in (wrong, two_arms.without_rates()))
+    assert model.fit.status == "doubtful"
+    assert sum("degrees per second?" in text for text in model.fit.warnings) == 2
+    (found, errors), (expected, _) = estimates(model), estimates(plain)
+    assert found.keys() == expected.keys()
+    assert all(abs(found[k] - expected[k]) < errors[k] for k in found)
+
+
+# ---------------------------------------------------------------------------------- the bound
+def test_bound_from_velocities():
+    system = systems.get("single_pendulum")
+    truth = systems.simulate_truth(system, trials=1, duration=3.0, rate=50.0, seed=1)
+    both = cramer_rao_bound(system, truth, 0.05, velocity_noise_std=0.02)
+    none = cramer_rao_bound(system, truth, 0.05, velocity_noise_std=np.inf)
+    alone = cramer_rao_bound(system, truth, 0.05)
+    np.testing.assert_array_equal(none.covariance, alone.covariance)
+    assert np.linalg.eigvalsh(alone.covariance - both.covariance).min() > 0.0
+    # the same velocities twice are velocities with half the variance
+    halved = cramer_rao_bound(system, truth, 1e6, velocity_noise_std=0.02 / np.sqrt(2.0))
+    once = cramer_rao_bound(system, truth, 1e6, velocity_noise_std=0.02)
+    np.testing.assert_allclose(2.0 * halved.covariance, once.covariance, rtol=1e-6)
+    (motion,) = truth
+    seen = Trajectory(motion.t, motion.q, velocities=np.where(motion.t[:, None] < 1.5, motion.qdot, np.nan))
+    part = cramer_rao_bound(system, truth, 0.05, velocity_noise_std=0.02, observed=Trajectories([seen]))
+    assert np.all(both.standard_errors < part.standard_errors)
+    assert np.all(part.standard_errors < alone.standard_errors)
+    with pytest.raises(InputError, match="velocity_noise_std"):
+        cramer_rao_bound(system, truth, 0.05, velocity_noise_std=0.0)
+
+
+def test_velocity_bound_agrees_with_finite_differences():
+    system = systems.get("cart_spring_pendulum")
+    truth = systems.simulate_truth(system, trials=1, duration=2.0, rate=50.0, seed=2)
+    (motion,), n, terms = truth, system.n_dof, system.free
+
+    def seen(change):
+        step = dict(zip(terms, change[2 * n :], strict=True))
+        other = replace(system, lagrangian={k: c + step.get(k, 0.0) for k, c in system.lagrangian.items()})
+        start = np.concatenate([motion.q[0], motion.qdot[0]]) + change[: 2 * n]
+        result = other.simulate(start[:n], start[n:], motion.t, motion.drive, rtol=1e-12, atol=1e-12)
+        return np.concatenate([result.q / 0.1, result.qdot / 0.05], axis=1).ravel()
+
+    steps = 1e-5 * np.eye(2 * n + len(terms))
+    jacobian = np.stack([(seen(s) - seen(-s)) / 2e-5 for s in steps], axis=1)
+    expected = np.linalg.inv(jacobian.T @ jacobian)[2 * n :, 2 * n :]
+    bound = cramer_rao_bound(system, truth, 0.1, velocity_noise_std=0.05)
+    np.testing.assert_allclose(bound.covariance, expected, rtol=1e-3, atol=1e-4 * np.abs(expected).max())

@@ -1,0 +1,237 @@
+"""What a result says of itself when the question was wrong: the likely cause, by name and by number."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from helpers import PENDULUM_LIBRARY, changed, pendulum, record
+from leastaction import systems
+from leastaction.diagnosis.missing_terms import common_terms
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.selection.coarse_restart import forecast_error
+from leastaction.selection.kinetic_seeds import kinetic_bases
+from leastaction.selection.prepare import prepare
+from leastaction.selection.select import select_structure
+
+
+def doubts(data, library, **options) -> str:
+    model = la.discover(data, library, **options)
+    assert model.fit.status == "doubtful"
+    return "\n".join(model.fit.warnings)
+
+
+def driven(name: str = "double_pendulum", **change):
+    data = systems.generate(name, noise=0.01, trials=3, duration=10.0, seed=3)
+    return la.Trajectories([change_one(t, **change) for t in data]), systems.compact_library(name)
+
+
+def change_one(t, delay: float = 0.0, scale: float = 1.0, swap: bool = False):
+    forces = scale * np.stack([np.interp(t.t + delay, t.t, f) for f in t.forces.T], axis=1)
+    return la.Trajectory(t.t, t.q, forces[:, ::-1] if swap else forces, t.coordinates)
+
+
+def test_the_undisturbed_question_is_answered():
+    assert la.discover(*driven()).fit.status == "ok"
+
+
+def test_delayed_forces():
+    # recorded 30 ms before they act
+    text = doubts(*driven(delay=0.03))
+    (found,) = re.findall(r"seem to act about (\d+) ms later", text)
+    assert 20 <= float(found) <= 40
+
+
+def test_scaled_forces():
+    text = doubts(*driven(scale=0.7), known={"theta1_dot**2": 1.0})
+    assert (
+        "known coefficient of theta1_dot**2 may be wrong: set free it becomes 0.7" in text or "forces" in text
+    )
+
+
+def test_exchanged_forces():
+    assert "swapped" in doubts(*driven(swap=True))
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+@pytest.mark.parametrize(
+    ("name", "lacking"),
+    [
+        ("single_pendulum", "cos(theta)"),
+        ("double_pendulum", "theta1_dot*theta2_dot*cos(theta1-theta2)"),
+        ("cart_spring_pendulum", "x_dot*theta_dot*cos(theta)"),
+    ],
+)
+def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
+    # imitators follow a pendulum without cos(theta) to a tenth of a per cent
+    data = systems.generate(name, noise=noise, trials=5, duration=20.0, seed=8)
+    texts = [t.text for t in systems.compact_library(name).terms if t.text != lacking]
+    library = la.Library(texts, data.coordinates, angles=systems.get(name).angles)
+    assert f"lack {lacking}: with it" in doubts(data, library, known=systems.get(name).known)
+
+
+@pytest.mark.parametrize("n", [1, 3, 5, 11])
+def test_common_terms_that_are_tried(n):
+    names = [f"q{i}" for i in range(n)]
+    library = la.Library([*(f"{q}_dot**2" for q in names), *(f"cos({q})" for q in names)], names)
+    tried = {t.text for t in common_terms(EulerLagrange(library.terms, library.coordinates), "compact")}
+    assert {"q0_dot**2*cos(q0)", "sin(q0)"} <= tried
+    assert not tried & {t.text for t in library.terms}
+    assert len(tried) < 130
+
+
+def test_generated_libraries_lack_nothing_common():
+    library = la.Library.mechanical(["x", "theta"], angles=["theta"], gyroscopic=True)
+    assert not common_terms(EulerLagrange(library.terms, library.coordinates), "standard")
+
+
+def measured(acceleration, names: list[str], noise: float, drive: float = 0.0) -> la.Trajectories:
+    """Three recordings of q̈ = acceleration(q, q̇, f), with forces of two tones each if there is a drive."""
+    rng, shape = np.random.default_rng(5), (3, 2, len(names))
+    starts, pace, phase = rng.normal(size=shape), rng.uniform(0.5, 3.0, shape), rng.uniform(0.0, 6.0, shape)
+
+    def force(k, t):
+        return drive * np.sin(np.multiply.outer(t, pace[k]) + phase[k]).sum(axis=1)
+
+    forcing = force if drive else None
+    return record(acceleration, list(starts), names, duration=10.0, noise=noise, forcing=forcing)
+
+
+def two_masses(q, v, f):
+    """A relative damper of 0.4 between masses of 1 and 0.5."""
+    spring = 2.0 * (q[0] - q[1]) + 0.4 * (v[0] - v[1])
+    return np.array([f[0] - 3.0 * q[0] - spring, 2.0 * (f[1] + spring)])
+
+
+@pytest.mark.parametrize("offered", [(), ("x_dot**2/2", "y_dot**2/2")])
+def test_a_damper_between_two_coordinates_is_named(offered):
+    library = la.Library.mechanical(["x", "y"], size="compact")
+    text = doubts(measured(two_masses, ["x", "y"], 0.03, 0.8), library, dissipation=offered)
+    (found,) = re.findall(r"about ([\d.]+)[^:]*: give \(x_dot-y_dot\)\*\*2/2 as a candidate", text)
+    assert float(found) == pytest.approx(0.4, rel=0.1)
+    assert text.count("friction seems to act") == 1
+
+
+def in_water(q, v, f):
+    return f - 9.81 * np.sin(q) - 0.3 * v * np.abs(v)
+
+
+@pytest.mark.parametrize("offered", [(), ("theta_dot**2/2", "abs(theta_dot)")])
+def test_drag_is_named(offered):
+    text = doubts(measured(in_water, ["theta"], 0.03, 2.0), PENDULUM_LIBRARY, dissipation=offered)
+    assert "give abs(theta_dot)**3/3 as a candidate" in text
+    assert text.count("friction seems to act") == 1
+    assert "the forces seem" not in text
+
+
+def test_a_constant_force_is_named():
+    def pushed(q, v, f):
+        return 0.4 - 9.81 * np.sin(q)
+
+    data = measured(pushed, ["theta"], 0.03)
+    text = doubts(data, ["theta_dot**2", "cos(theta)"], known={"theta_dot**2": 0.5})
+    assert "seems to lack theta: with it, 2 free terms" in text
+    assert "theta by itself is a constant force on it (force_offset)" in text
+
+
+def in_a_magnetic_field(q, v, f):
+    """L = ½(ẋ² + ẏ²) + 1.5 x ẏ − 2 x² − 3 y² − ½ x⁴."""
+    return np.array([1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]])
+
+
+def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():
+    # no structure of the others is near enough to the law for one more term to lead there
+    data = measured(in_a_magnetic_field, ["x", "y"], 0.05)
+    texts = ["x_dot**2", "y_dot**2", "x_dot*y_dot", "x**2", "y**2", "x*y", "x**4", "y**4"]
+    given = {"x_dot**2": 0.5}
+    assert "the library seems to lack x*y_dot: with it, 5 free terms" in doubts(data, texts, known=given)
+    model = la.discover(data, [*texts, "x*y_dot"], known=given)
+    assert model.fit.status == "ok"
+    found = {t.expression: t for t in model.terms}
+    assert set(found) == {"x_dot**2", "y_dot**2", "x**2", "y**2", "x**4", "x*y_dot"}
+    assert abs(found["x*y_dot"].coefficient - 1.5) < 4.0 * found["x*y_dot"].standard_error
+
+
+def test_nothing_lacks_where_no_common_term_is_needed():
+    data = systems.generate("double_well", noise=0.05, trials=4, duration=20.0, seed=2)
+    library = ["x_dot**2", "x_dot**4", "x**4", "x**2", "x**6"]  # compact libraries stop at x**2
+    model = la.discover(data, library, dissipation=["x_dot**2/2", "abs(x_dot)"])
+    assert model.fit.status == "ok", model.fit.warnings
+
+
+@pytest.mark.parametrize("wrong", [0.55, 0.6, 1.0])
+def test_wrong_known_coefficient_is_given_its_value(wrong):
+    text = doubts(pendulum(driven=True, viscous=0.0), PENDULUM_LIBRARY, known={"theta_dot**2": wrong})
+    (found,) = re.findall(r"theta_dot\*\*2 may be wrong: set free it becomes ([\d.]+)", text)
+    assert float(found) == pytest.approx(0.5, rel=0.05)
+
+
+def test_slow_sampling():
+    data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=20.0, rate=3.0, seed=3)
+    assert "sampling is too slow" in doubts(data, systems.compact_library("double_pendulum"))
+
+
+def test_an_angle_that_was_not_declared():
+    t = np.linspace(0.0, 20.0, 2001)
+    turning = 5.0 * t + np.sin(t)
+    wrapped = (turning + np.pi) % (2 * np.pi) - np.pi
+    data = la.Trajectory(t, wrapped, coordinates=["theta"])
+    assert "angles=['theta']" in doubts(data, ["theta_dot**2", "cos(theta)"], known={"theta_dot**2": 0.5})
+
+
+def test_an_angle_in_degrees():
+    data = changed(pendulum(driven=False), q=np.rad2deg)
+    text = doubts(data, PENDULUM_LIBRARY, known={"theta_dot**2": 0.5})
+    assert re.search(r"theta covers \d+ within a recording: sines and cosines want radians", text)
+
+
+def test_rivals_come_with_the_experiment_that_separates_them():
+    data = changed(pendulum(driven=False), q=lambda q: 0.02 * q)
+    text = doubts(
+        data, ["theta_dot**2", "cos(theta)", "cos(2*theta)", "theta**2"], known={"theta_dot**2": 0.5}
+    )
+    assert "cannot tell" in text
+    (angle,) = re.findall(r"through theta = (-?[\d.e-]+)", text)[:1]
+    reach = max(np.abs(t.q).max() for t in data)
+    assert abs(float(angle)) > 1.5 * reach  # farther out than recorded
+
+
+def test_kinetic_bases_hold_every_coordinate():
+    data = systems.generate("spherical_pendulum", noise=0.0, trials=2, duration=5.0, seed=0)
+    library = systems.large_library("spherical_pendulum")
+    prepared = prepare(data, library, None, [], None, 5)
+    workspace = prepared.workspace(EulerLagrange(prepared.columns, library.coordinates))
+    bases = kinetic_bases(workspace, prepared.knots.smooth)
+    texts = [{prepared.columns[int(workspace.free[m])].text for m in base} for base in bases]
+    assert {"theta_dot**2", "phi_dot**2*sin(theta)**2"} in texts
+    assert all(
+        any("theta_dot**2" in t for t in base) and any("phi_dot**2" in t for t in base) for base in texts
+    )
+
+
+def test_free_runs_tell_a_right_model_from_a_wrong_one():
+    data = pendulum(driven=False)
+    prepared = prepare(data, la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}, [], None, 5)
+    workspace = prepared.workspace(EulerLagrange(prepared.columns, ("theta",)))
+    found = select_structure(workspace, prepared.knots.smooth, lambda stage, details: None).structure
+    right = forecast_error(workspace, found, 1.0)
+    found.coefficients[:] *= np.where(np.isnan(prepared.known), 0.5, 1.0)
+    assert forecast_error(workspace, found, 1.0) > 3.0 * right
+
+
+@pytest.mark.parametrize(
+    ("candidates", "known", "named", "not_named"),
+    [
+        (["cos(theta1)", "cos(theta2)"], {"theta1_dot**2": 2.0}, "may be wrong", "seems to lack"),
+        (["cos(theta1)"], {"theta1_dot**2": 1.0}, "seems to lack cos(theta2)", "may be wrong"),
+    ],
+)
+def test_the_likelier_of_a_wrong_coefficient_and_a_missing_term_is_named(candidates, known, named, not_named):
+    data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=15.0, seed=2)
+    kinetic = [t.text for t in systems.compact_library("double_pendulum") if "_dot" in t.text]
+    text = doubts(data, [*kinetic, *candidates], known=known)
+    assert named in text
+    assert not_named not in text

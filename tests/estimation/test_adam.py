@@ -1,0 +1,213 @@
+"""The paper's method: gradients against finite differences, its options, and what it finds."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import leastaction as la
+from helpers import DUFFING_LIBRARY, DUFFING_TRUTH, KINETIC, duffing, pendulum, record
+from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.estimation.adam import AdamProblem, descend
+from leastaction.estimation.joint import Physics
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+QUICK = {"iterations": 2000, "threshold_from": 800, "check_every": 200, "learning_rate_coefficients": 1e-2}
+
+
+def problem(force=True, missing=False, **options) -> AdamProblem:
+    """Two coupled coordinates on a coarse spline, with every kind of derivative in the equations."""
+    rng = np.random.default_rng(0)
+    times = [np.linspace(0.0, 2.0, 41), np.linspace(1.0, 2.5, 31)]
+    values = [rng.standard_normal((t.size, 2)) for t in times]
+    if missing:
+        values[0][5:9, 1] = np.nan
+    library = la.Library(["a_dot**2", "b_dot**2", "a_dot*b_dot*cos(a-b)", "cos(a)", "a**2*b"], ["a", "b"])
+    physics = Physics(
+        EulerLagrange(library.terms, ("a", "b")), np.array([True, True, True, True, False]), None
+    )
+    grid = SplineGrid([uniform_space(t[0], t[-1], 4.0, 3) for t in times])
+    push = (lambda k, t: np.column_stack([np.sin(t + k), np.cos(t)])) if force else None
+    settings = la.AdamOptions(collocation=1.0, curvature_weight=0.02, physics_weight=0.3, **options)
+    return AdamProblem(grid, times, values, physics, push, settings, rng)
+
+
+def state(at: AdamProblem):
+    rng = np.random.default_rng(1)
+    return rng.standard_normal((at.grid.n_ctrl, 2)), rng.standard_normal(5)
+
+
+@pytest.mark.parametrize(("force", "missing"), [(True, False), (False, True)])
+def test_gradients_match_finite_differences(force, missing):
+    at = problem(force, missing)
+    points, values = state(at)
+    everything = slice(0, at.n_collocation)
+    _, by_point = at.data_part(points)
+    _, more, by_value = at.equation_part(points, values, everything)
+    by_point = by_point + more
+    rng, h = np.random.default_rng(2), 1e-6
+    for _ in range(5):
+        dp, dv = rng.standard_normal(points.shape), rng.standard_normal(values.shape)
+        ahead, behind = (at.loss(points + s * h * dp, values + s * h * dv) for s in (1, -1))
+        predicted = np.sum(by_point * dp) + by_value @ dv
+        assert (ahead - behind) / (2 * h) == pytest.approx(predicted, rel=1e-6)
+
+
+def test_taylor_remainder_falls_with_the_square_of_the_step():
+    at = problem()
+    points, values = state(at)
+    _, by_point = at.data_part(points)
+    _, more, _ = at.equation_part(points, values, slice(0, at.n_collocation))
+    direction = np.random.default_rng(3).standard_normal(points.shape)
+    slope, here = np.sum((by_point + more) * direction), at.loss(points, values)
+    remainders = [
+        abs(at.loss(points + h * direction, values) - here - h * slope) for h in (1e-2, 5e-3, 2.5e-3)
+    ]
+    assert np.log2(remainders[0] / remainders[1]) == pytest.approx(2.0, abs=0.1)
+    assert np.log2(remainders[1] / remainders[2]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_regression_makes_the_gradient_vanish_and_leaves_known_coefficients():
+    at = problem()
+    points, values = state(at)
+    best = at.regress(points, values)
+    _, _, by_value = at.equation_part(points, best, slice(0, at.n_collocation))
+    assert np.abs(by_value[:4]).max() < 1e-10
+    assert best[4] == values[4]
+
+
+def test_known_coefficients_and_pinned_ends_stay():
+    at = problem(pin_ends=True, iterations=20, check_every=20)
+    points, values = state(at)
+    fit = descend(at, points, values, np.random.default_rng(0), lambda _: None)
+    assert fit.coefficients[4] == values[4]
+    ends = at.ends
+    assert len(ends) == 4
+    np.testing.assert_array_equal(fit.control_points[ends], points[ends])
+    assert not np.array_equal(fit.control_points, points)
+
+
+def test_thresholded_coefficients_stay_at_zero():
+    at = problem(
+        threshold=0.5, threshold_from=10, check_every=10, iterations=40, learning_rate_coefficients=1e-3
+    )
+    points, _ = state(at)
+    start = np.array([2.0, 2.0, 0.1, 2.0, 1.0])
+    seen: list[dict] = []
+    fit = descend(at, points, start, np.random.default_rng(0), seen.append)
+    assert fit.coefficients[2] == 0.0
+    assert [s["terms"] for s in seen] == [3, 3, 3, 3]
+
+
+def test_finds_the_law_without_noise():
+    model = la.discover(duffing(noise=0.0), DUFFING_LIBRARY, KINETIC, method="adam", options=QUICK)
+    found = {t.expression: t.coefficient for t in model.terms}
+    assert set(found) == set(DUFFING_TRUTH)
+    for name, value in DUFFING_TRUTH.items():
+        assert found[name] == pytest.approx(value, rel=0.02)
+    free = [t for t in model.terms if not t.known]
+    assert all(np.isnan(t.standard_error) for t in free)
+
+
+def test_finds_a_driven_pendulum_without_noise():
+    library = ["theta_dot**2", "cos(theta)", "sin(theta)", "cos(2*theta)"]
+    model = la.discover(pendulum(viscous=0.0, noise=0.0), library, method="adam", options=QUICK)
+    found = {t.expression: t.coefficient for t in model.terms}
+    assert set(found) == {"theta_dot**2", "cos(theta)"}
+    assert found["cos(theta)"] == pytest.approx(9.81, rel=0.02)
+
+
+def test_given_start():
+    start = {"x_dot**2": 7.0, "x**2": -0.5, "x**4": -0.2}
+    model = la.discover(
+        duffing(noise=0.0), DUFFING_LIBRARY, KINETIC, method="adam",
+        options={**QUICK, "iterations": 400, "threshold_from": 200, "start_coefficients": start},
+    )  # fmt: skip
+    assert {t.expression: t.coefficient for t in model.terms} == pytest.approx(DUFFING_TRUTH, rel=0.02)
+    with pytest.raises(la.InputError, match="'y' is not a candidate"):
+        la.discover(
+            duffing(), DUFFING_LIBRARY, KINETIC, method="adam", options={"start_coefficients": {"y": 1.0}}
+        )
+
+
+def test_same_seed_same_answer():
+    data = record(lambda q, v, f: -q, [([1.0], [0.0])], ["x"], duration=6.0, noise=0.01)
+    short = {**QUICK, "iterations": 200, "check_every": 100, "threshold_from": 100}
+    models = [
+        la.discover(data, ["x_dot**2", "x**2"], KINETIC, method="adam", options=short, seed=s)
+        for s in (1, 1, 2)
+    ]
+    values = [[t.coefficient for t in m.terms] for m in models]
+    assert values[0] == values[1] != values[2]
+
+
+@pytest.mark.parametrize("check_every", [50, 1000])  # the last iteration is checked in any case
+def test_a_descent_that_was_cut_short_is_doubtful(check_every):
+    short = {"iterations": 100, "check_every": check_every, "threshold": 0.0}
+    model = la.discover(duffing(), DUFFING_LIBRARY, KINETIC, method="adam", options=short)
+    assert model.fit.status == "doubtful"
+    assert any("converge" in w for w in model.fit.warnings)
+
+
+def test_model_without_standard_errors_can_be_saved_shown_and_reported(tmp_path):
+    short = {"iterations": 200, "check_every": 100, "threshold": 0.0}
+    model = la.discover(duffing(), DUFFING_LIBRARY[:4], KINETIC, method="adam", options=short)
+    model.save(tmp_path / "m.json")
+    again = la.load(tmp_path / "m.json")
+    assert [t.coefficient for t in again.terms] == [t.coefficient for t in model.terms]
+    assert again.table().shape == model.table().shape
+    la.write_report(model, tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert ">nan<" not in text
+    assert json.loads((tmp_path / "m.json").read_text())["provenance"]["options"]["adam"]["iterations"] == 200
+
+
+def test_threshold_above_every_coefficient_is_explained():
+    with pytest.raises(la.DataError, match=r"below the threshold 1000.*lower"):
+        la.discover(
+            pendulum(), ["theta_dot**2", "cos(theta)"], method="adam",
+            options={"threshold": 1000.0, "threshold_from": 1, "check_every": 10, "iterations": 50},
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"speed": 1}, "option 'speed' is unknown.*learning_rate_curve"),
+        ({"threshold": -1.0}, "threshold is -1.0"),
+        ({"iterations": 0}, "iterations is 0"),
+        ({"iterations": 2.5}, "whole number"),
+        ({"batch": True}, "batch is True"),
+        ({"start_curve": "straight"}, "start_curve is 'straight'.*smooth"),
+        ({"physics_weight": float("nan")}, "physics_weight is nan"),
+        ({"knots_per_second": 0.0}, "knots_per_second is 0"),
+    ],
+)
+def test_bad_options(options, message):
+    with pytest.raises(la.InputError, match=message):
+        la.discover(duffing(), DUFFING_LIBRARY, KINETIC, method="adam", options=options)
+
+
+def test_options_belong_to_adam():
+    with pytest.raises(la.InputError, match="no options"):
+        la.discover(duffing(), DUFFING_LIBRARY, KINETIC, options={"threshold": 0.1})
+
+
+def test_command_line(tmp_path):
+    from leastaction.cli import program
+
+    la.write_csv(tmp_path / "run.csv", duffing(noise=0.0))
+    (tmp_path / "library.txt").write_text("x_dot**2\nx**2\nx**4\n")
+    arguments = ["discover", str(tmp_path / "run.csv"), "--coordinates", "x", "--known", "x_dot**2=0.5"]
+    arguments += ["--library", str(tmp_path / "library.txt"), "--output", str(tmp_path / "out")]
+    arguments += ["--trial", "trial", "--method", "adam", "--option", "iterations=400", "--option"]
+    done = CliRunner().invoke(program, [*arguments, "check_every=100"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "out" / "report.html").exists()
+    done = CliRunner().invoke(program, [*arguments, "haste=1"])
+    assert done.exit_code == 2
+    assert "haste" in done.output

@@ -1,0 +1,323 @@
+from __future__ import annotations
+
+import ctypes
+import subprocess
+import zipfile
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from export_models import COMPILER, MODELS, states
+from leastaction.errors import InputError
+from leastaction.exporters import compile as _compile
+from leastaction.exporters.fmu import source_files
+from leastaction.model.model import LagrangianModel, ModelTerm
+
+fmpy = pytest.importorskip("fmpy")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+VERSIONS = (2, 3)
+
+
+class Slave:
+    """An FMU of a model in initialisation mode, with one face for both versions."""
+
+    def __init__(self, model, version, folder):
+        path = folder / "found model.fmu"
+        la.export(model, f"fmu{version}", path)
+        self.said: list[str] = []
+        self.version = version
+        self.description = fmpy.read_model_description(path)
+        unzipped = fmpy.extract(path, folder / "unzipped")
+        self.fmu = fmpy.instantiate_fmu(
+            unzipped, self.description, "CoSimulation", logger=lambda *a: self.said.append(a[-1].decode())
+        )
+        self.references = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.begin()
+
+    def begin(self):
+        if self.version == 2:
+            self.fmu.setupExperiment(startTime=0.0)
+        self.fmu.enterInitializationMode()
+
+    def set(self, names, values):
+        write = self.fmu.setReal if self.version == 2 else self.fmu.setFloat64
+        write([self.references[name] for name in names], [float(x) for x in values])
+
+    def get(self, names):
+        read = self.fmu.getReal if self.version == 2 else self.fmu.getFloat64
+        return np.array(read([self.references[name] for name in names]))
+
+    def step(self, time, size):
+        return self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+
+
+def names(model, ending):
+    return [f"{c}{ending}" for c in model.coordinates]
+
+
+@pytest.fixture(params=VERSIONS)
+def version(request):
+    return request.param
+
+
+@pytest.fixture
+def slave(request, version, tmp_path):
+    made = []
+
+    def make(model):
+        made.append(Slave(model, version, tmp_path))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.fmu.freeInstance()
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["odd", "driven", "passive", "swapped"])
+def test_accelerations_and_energy_agree(name, slave):
+    model = MODELS[name]()
+    one = slave(model)
+    for q, v, f in states(model):
+        given = [*names(model, ""), *names(model, "_dot"), *names(model, "_force")]
+        one.set(given, [*q, *v, *f])
+        np.testing.assert_allclose(one.get(given), [*q, *v, *f])
+        qddot = one.get(names(model, "_dot_dot"))
+        np.testing.assert_allclose(qddot, model.acceleration(q, v, f), rtol=1e-11, atol=1e-11)
+        np.testing.assert_allclose(one.get(["energy"])[0], model.energy(q, v), rtol=1e-11, atol=1e-11)
+
+
+@needs_compiler
+def test_description_is_valid(version, tmp_path):
+    for name in ("odd", "driven"):
+        path = tmp_path / f"{name}.fmu"
+        content = la.export(MODELS[name](), f"fmu{version}", path)
+        assert path.read_bytes() == content
+        assert fmpy.validation.validate_fmu(str(path)) == []
+        description = fmpy.read_model_description(path)
+        assert description.modelName == name
+        assert fmpy.platform in fmpy.supported_platforms(path) or version == 3
+        with zipfile.ZipFile(path) as archive:
+            assert archive.testzip() is None
+            assert [p for p in archive.namelist() if p.startswith("binaries/")] == [
+                f"binaries/{_compile.platform_name(version)}/{name}{fmpy.sharedLibraryExtension}"
+            ]
+
+
+def held(model, q0, qdot0, t, forces):
+    """Reference: the simulation, with the force of the begin of each interval held over it."""
+    q, v = [np.array(q0)], [np.array(qdot0)]
+    for k in range(len(t) - 1):
+        push = forces[k]
+        run = model.simulate(q[-1], v[-1], t[k : k + 2], lambda time, push=push: push, rtol=1e-11, atol=1e-11)
+        q.append(run.q[-1])
+        v.append(run.qdot[-1])
+    return np.hstack([q, v])
+
+
+@needs_compiler
+def test_driven_motion_is_the_simulation(version, tmp_path):
+    model = MODELS["driven"]()
+    path = tmp_path / "double.fmu"
+    la.export(model, f"fmu{version}", path)
+    t = np.arange(151) * 0.02
+    forces = np.column_stack([3.0 * np.sin(4.0 * t), np.cos(2.5 * t)])
+    columns = [("time", float), ("theta1_force", float), ("theta2_force", float)]
+    result = fmpy.simulate_fmu(
+        str(path),
+        stop_time=3.0,
+        output_interval=0.02,
+        start_values={"theta1": 0.8, "theta2": -0.4, "theta1_dot": 0.5},
+        input=np.array([(a, *b) for a, b in zip(t, forces, strict=True)], dtype=columns),
+        output=["theta1", "theta2", "theta1_dot", "theta2_dot"],
+    )
+    expected = held(model, [0.8, -0.4], [0.5, 0.0], t, forces)
+    found = np.column_stack([result[name] for name in result.dtype.names])
+    np.testing.assert_allclose(found[:, 0], t, atol=1e-12)
+    np.testing.assert_allclose(found[:, 1:], expected, atol=2e-7)
+    free = model.simulate([0.8, -0.4], [0.5, 0.0], t)
+    assert np.abs(free.q - found[:, 1:3]).max() > 0.1
+
+
+@needs_compiler
+def test_passive_motion_conserves_energy_and_is_the_simulation(version, tmp_path):
+    model = MODELS["passive"]()
+    path = tmp_path / "cart.fmu"
+    la.export(model, f"fmu{version}", path)
+    result = fmpy.simulate_fmu(
+        str(path), stop_time=5.0, output_interval=0.05, start_values={"x": 0.3, "theta": 1.2}
+    )
+    run = model.simulate([0.3, 1.2], [0.0, 0.0], np.linspace(0.0, 5.0, 101))
+    np.testing.assert_allclose(np.column_stack([result["x"], result["theta"]]), run.q, atol=1e-8)
+    np.testing.assert_allclose(np.column_stack([result["x_dot"], result["theta_dot"]]), run.qdot, atol=1e-8)
+    assert np.ptp(result["energy"]) < 1e-9
+
+
+@needs_compiler
+def test_error_falls_with_the_fourth_power_of_max_step(slave):
+    model = MODELS["passive"]()
+    one = slave(model)
+    run = model.simulate([0.3, 1.2], [0.0, 0.0], [0.0, 1.0], rtol=1e-12, atol=1e-12)
+    errors = []
+    for step in (0.01, 0.005):
+        one.set(["x", "theta", "max_step"], [0.3, 1.2, step])
+        one.fmu.exitInitializationMode()
+        one.step(0.0, 1.0)
+        errors.append(np.abs(one.get(["x_dot", "theta_dot"]) - run.qdot[-1]).max())
+        one.fmu.reset()
+        assert one.get(["x", "theta", "max_step"]).tolist() == [0.0, 0.0, 1e-3]
+        one.begin()
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.2)
+
+
+@needs_compiler
+def test_coefficients_are_parameters(slave):
+    model = MODELS["driven"]()
+    one = slave(model)
+    starts = {v.name: float(v.start) for v in one.description.modelVariables if v.causality == "parameter"}
+    assert starts.pop("max_step") == 1e-3
+    assert list(starts.values()) == [t.coefficient for t in (*model.terms, *model.dissipation)]
+    changed = LagrangianModel(
+        model.coordinates,
+        [ModelTerm(t.expression, 1.1 * t.coefficient) for t in model.terms],
+        [ModelTerm(t.expression, 0.5 * t.coefficient) for t in model.dissipation],
+    )
+    one.set(starts, [t.coefficient for t in (*changed.terms, *changed.dissipation)])
+    q, v = [0.3, 0.8], [-0.5, 0.7]
+    one.set(["theta1", "theta2", "theta1_dot", "theta2_dot"], [*q, *v])
+    np.testing.assert_allclose(one.get(names(model, "_dot_dot")), changed.acceleration(q, v), rtol=1e-11)
+    # They may be changed between two steps as well.
+    one.fmu.exitInitializationMode()
+    one.step(0.0, 0.1)
+    one.set(["lagrangian_1"], [changed.terms[0].coefficient * 2])
+    assert one.get(["lagrangian_1"])[0] == changed.terms[0].coefficient * 2
+
+
+@needs_compiler
+def test_a_stored_state_is_restored(slave):
+    one = slave(MODELS["passive"]())
+    outputs = ["x", "theta", "x_dot", "theta_dot", "time"]
+    one.set(["x", "theta"], [0.3, 1.2])
+    one.fmu.exitInitializationMode()
+    one.step(0.0, 0.3)
+    stored, before = (one.fmu.getFMUstate if one.version == 2 else one.fmu.getFMUState)(), one.get(outputs)
+    one.step(0.3, 0.2)
+    after = one.get(outputs)
+    assert (after != before).all()
+    assert after[-1] == 0.5
+    (one.fmu.setFMUstate if one.version == 2 else one.fmu.setFMUState)(stored)
+    np.testing.assert_array_equal(one.get(outputs), before)
+    one.step(0.3, 0.2)
+    np.testing.assert_array_equal(one.get(outputs), after)
+    (one.fmu.freeFMUstate if one.version == 2 else one.fmu.freeFMUState)(stored)
+
+
+@needs_compiler
+def test_what_must_not_be_done_is_refused_with_a_reason(slave):
+    one = slave(MODELS["passive"]())
+    refused = fmpy.fmi1.FMICallException
+
+    def refuses(says, call, *args):
+        one.said.clear()
+        with pytest.raises(refused):
+            call(*args)
+        assert says in " ".join(one.said)
+
+    refuses("computed and cannot be set", one.set, ["energy"], [1.0])
+    refuses("computed and cannot be set", one.set, ["x_dot_dot"], [1.0])
+    refuses("must be positive", one.set, ["max_step"], [0.0])
+    refuses("not a finite number", one.set, ["x"], [np.nan])
+    refuses("after the initialisation only", one.step, 0.0, 0.1)
+    one.fmu.exitInitializationMode()
+    refuses("before the end of the initialisation only", one.set, ["x"], [1.0])
+    refuses("out of turn", one.fmu.exitInitializationMode)
+    refuses("step size must be positive", one.step, 0.0, -0.1)
+    refuses("make max_step larger", one.step, 0.0, 1e9)
+    one.references["nothing"] = 1000
+    refuses("no variable of this value reference", one.get, ["nothing"])
+
+
+@needs_compiler
+def test_a_motion_that_cannot_be_followed_is_refused_and_left_where_it_was(slave):
+    runaway = LagrangianModel(["x"], [ModelTerm("x_dot**2", 0.5), ModelTerm("x**4", 0.5)])
+    one = slave(runaway)
+    one.set(["x"], [1.0])
+    one.fmu.exitInitializationMode()
+    one.step(0.0, 0.1)
+    before = one.get(["x", "x_dot", "time"])
+    with pytest.raises(fmpy.fmi1.FMICallException):
+        one.step(0.1, 10.0)
+    assert "cannot be followed" in one.said[-1]
+    np.testing.assert_array_equal(one.get(["x", "x_dot", "time"]), before)
+
+
+@needs_compiler
+def test_another_token_is_refused(version, tmp_path):
+    path = tmp_path / "a.fmu"
+    la.export(MODELS["free"](), f"fmu{version}", path)
+    description = fmpy.read_model_description(path)
+    if version == 2:
+        description.guid = "{other}"
+    else:
+        description.guid = description.instantiationToken = "{other}"
+    unzipped = fmpy.extract(path, tmp_path / "a")
+    said = []
+    with pytest.raises(Exception, match="Failed to instantiate"):
+        fmpy.instantiate_fmu(unzipped, description, logger=lambda *a: said.append(a[-1].decode()))
+    assert "do not belong together" in said[0]
+
+
+def test_variables_make_way_for_coordinates(version):
+    terms = [ModelTerm("energy_dot**2", 0.5), ModelTerm("x_force_dot**2", 1.0), ModelTerm("x_dot**2", 0.5)]
+    model = LagrangianModel(["energy", "x_force", "x"], terms)
+    from leastaction.exporters.fmu_description import variables
+
+    listed = [v.name for v in variables(model, 1e-3)]
+    assert len(set(listed)) == len(listed)
+    assert listed[1:7] == ["energy", "x_force", "x", "energy_dot", "x_force_dot", "x_dot"]
+    assert {"energy_", "x_force_"} <= set(listed)
+
+
+def test_fast_systems_get_shorter_steps():
+    from leastaction.exporters.fmu import _max_step
+
+    spring = MODELS["free"]()
+    fast = LagrangianModel(["x"], spring.terms, provenance={"knots_per_second": 1e6})
+    assert _max_step(spring) == 1e-3
+    assert _max_step(fast) == pytest.approx(1e-7)
+
+
+@needs_compiler
+@pytest.mark.parametrize("name", ["odd", "driven", "free"])
+def test_sources_compile_without_a_warning(name, version, tmp_path):
+    for path, text in source_files(MODELS[name](), version, "model", "{token}").items():
+        (tmp_path / path).write_text(text, encoding="utf-8")
+    options = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wshadow", "-Werror", "-O1", "-c"]
+    units = sorted(p.name for p in tmp_path.glob("*.c"))
+    subprocess.run([COMPILER, *options, *units], cwd=tmp_path, check=True, capture_output=True, timeout=60)
+
+
+@needs_compiler
+def test_library_exports_the_interface_only(version, tmp_path):
+    path = tmp_path / "a.fmu"
+    la.export(MODELS["free"](), f"fmu{version}", path)
+    with zipfile.ZipFile(path) as archive:
+        (binary,) = [p for p in archive.namelist() if p.startswith("binaries/")]
+        library = ctypes.CDLL(archive.extract(binary, tmp_path))
+    assert hasattr(library, f"fmi{version}DoStep")
+    for name in ("motion_step", "leastaction_acceleration", "a_motion_step", "a_leastaction_acceleration"):
+        assert not hasattr(library, name)
+
+
+def test_no_compiler(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(InputError, match=r"no C compiler on the PATH .*install one"):
+        la.export(MODELS["free"](), "fmu2", tmp_path / "a.fmu")
+    assert not (tmp_path / "a.fmu").exists()
+
+
+@needs_compiler
+def test_compiler_that_fails():
+    with pytest.raises(InputError, match=r"the C compiler .* failed: .*error"):
+        _compile.compile_library({"a.c": "int a(void) { return nothing; }\n"})

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import ctypes
+import subprocess
+
+import numpy as np
+import pytest
+import sympy as sp
+from click.testing import CliRunner
+
+from export_models import COMPILER, MODELS, states
+from leastaction.cli import program
+from leastaction.errors import InputError
+from leastaction.exporters.formats import FORMATS
+from leastaction.exporters.write import export
+from leastaction.model.model import LagrangianModel, ModelTerm
+
+
+@pytest.fixture(params=MODELS, scope="module")
+def model(request):
+    return MODELS[request.param]()
+
+
+def test_python_agrees(model):
+    namespace = {}
+    exec(export(model, "python"), namespace)
+    for q, v, f in states(model):
+        a = namespace["acceleration"](q.tolist(), v.tolist(), f.tolist())
+        np.testing.assert_allclose(a, model.acceleration(q, v, f), rtol=1e-12, atol=1e-12)
+        a = namespace["acceleration"](q.tolist(), v.tolist())
+        np.testing.assert_allclose(a, model.acceleration(q, v), rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(namespace["energy"](q, v), model.energy(q, v), rtol=1e-12, atol=1e-12)
+
+
+def compiled(model, folder):
+    source, library = folder / "model.c", folder / "model.so"
+    export(model, "c", source)
+    assert source.read_text("ascii").startswith("/*\n * Equations of motion")
+    options = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", "-shared", "-fPIC"]
+    subprocess.run(
+        [COMPILER, *options, "-o", library, source, "-lm"], check=True, capture_output=True, timeout=60
+    )
+    library = ctypes.CDLL(str(library))
+    library.leastaction_energy.restype = ctypes.c_double
+    return library
+
+
+def pointer(array):
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_c_agrees(model, tmp_path):
+    library = compiled(model, tmp_path)
+    for q, v, f in states(model):
+        a = np.empty(model.n_dof)
+        library.leastaction_acceleration(pointer(q), pointer(v), pointer(f), pointer(a))
+        np.testing.assert_allclose(a, model.acceleration(q, v, f), rtol=1e-12, atol=1e-12)
+        library.leastaction_acceleration(pointer(q), pointer(v), None, pointer(a))
+        np.testing.assert_allclose(a, model.acceleration(q, v), rtol=1e-12, atol=1e-12)
+        energy = library.leastaction_energy(pointer(q), pointer(v))
+        np.testing.assert_allclose(energy, model.energy(q, v), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_singular_mass_matrix_gives_nan(tmp_path):
+    model = LagrangianModel(["x", "y"], [ModelTerm("x**2*x_dot**2", 1.0), ModelTerm("y_dot**2", 1.0)])
+    namespace = {}
+    exec(export(model, "python"), namespace)
+    assert np.isnan(namespace["acceleration"]([0.0, 0.0], [0.0, 0.0])).all()
+    zero, a = np.zeros(2), np.zeros(2)
+    compiled(model, tmp_path).leastaction_acceleration(pointer(zero), pointer(zero), None, pointer(a))
+    assert np.isnan(a).all()
+
+
+def test_sympy_reads_back_equal(model):
+    namespace = {}
+    exec(export(model, "sympy"), namespace)
+    assert sp.simplify(namespace["lagrangian"] - model.lagrangian) == 0
+    assert sp.simplify(namespace["dissipation_function"] - model.dissipation_function) == 0
+
+
+def test_sympy_script_with_names_of_its_own():
+    model = LagrangianModel(["sympy", "lagrangian"], [ModelTerm("sympy_dot**2*cos(lagrangian/3)", 0.5)])
+    namespace = {}
+    exec(export(model, "sympy"), namespace)
+    assert namespace["lagrangian_"] == model.lagrangian
+
+
+def test_latex():
+    text = export(MODELS["free"](), "latex")
+    assert text == "% Written by leastaction; needs amsmath.\n\\[\nL = 1.5 \\, \\dot{x}^{2}\n\\]\n"
+
+
+@pytest.mark.parametrize("format", [name for name in FORMATS if not name.startswith("fmu")])
+def test_text_is_written_to_the_path(format, tmp_path):
+    text = export(MODELS["single"](), format, tmp_path / "out.m")
+    assert (tmp_path / "out.m").read_bytes().decode() == text
+    assert text.endswith("\n")
+
+
+def test_every_format_has_a_line_in_the_help():
+    result = CliRunner().invoke(program, ["export", "--help"])
+    assert result.exit_code == 0
+    listed = [
+        line.split()[0] for line in result.output.splitlines() if line.split()[:1] and line[:4] == "    "
+    ]
+    assert [name for name in listed if name in FORMATS] == list(FORMATS)
+
+
+def test_wrong_use():
+    with pytest.raises(
+        InputError, match=r"expected one of sympy, latex, python, c, .* did you mean 'python'"
+    ):
+        export(MODELS["free"](), "Pythn")
+    with pytest.raises(InputError, match="expected a LagrangianModel"):
+        export("model.json", "c")
+    with pytest.raises(InputError, match="a path is expected, not 3"):
+        export(MODELS["free"](), "matlab", 3)

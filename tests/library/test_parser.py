@@ -1,0 +1,314 @@
+"""The expression parser: what it reads, what it refuses, and that what it writes reads back."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import pytest
+import sympy
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from leastaction.errors import InputError
+from leastaction.identifiers import FUNCTION_NAMES
+from leastaction.library import format_expression, parse_expression
+from leastaction.library.reduction import same_functions
+from leastaction.library.scanner import FUNCTIONS
+
+NAMES = ["theta", "theta_dot", "x", "x_dot", "φ", "φ_dot"]
+VALUES = {"theta": 0.61, "theta_dot": -1.3, "x": 1.7, "x_dot": 0.45, "φ": -0.8, "φ_dot": 0.9}
+X, THETA = sympy.Symbol("x", real=True), sympy.Symbol("theta", real=True)
+
+
+def read(text: str, **parameters: float) -> sympy.Expr:
+    return parse_expression(text, NAMES, parameters)
+
+
+def value(expr: sympy.Expr) -> float:
+    result = expr.evalf(17, subs={sympy.Symbol(name, real=True): v for name, v in VALUES.items()})
+    return float(result) if result.is_Float or result.is_Rational else math.nan
+
+
+# --- what it reads -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("x", X),
+        (" x ** 2 ", X**2),
+        ("-x**2", -(X**2)),
+        ("0.5*x", X / 2),
+        ("1e-3", sympy.Rational(1, 1000)),
+        (".25 + 1.", sympy.Rational(5, 4)),
+        ("1/3", sympy.Rational(1, 3)),
+        ("x**-2", X**-2),
+        ("x**2**3", X**8),
+        ("2-3-4", sympy.Integer(-5)),
+        ("12/3/2*x", 2 * X),
+        ("x**0.5", sympy.sqrt(X)),
+        ("sqrt(x**2)", abs(X)),
+        ("sin (theta)", sympy.sin(THETA)),
+        ("tan(x + pi/2)", -1 / sympy.tan(X)),
+        ("abs(exp(sqrt(x)))", sympy.exp(sympy.sqrt(X))),
+        ("x--+x", 2 * X),
+        ("x\n + 1", X + 1),
+    ],
+)
+def test_reads(text, expected):
+    assert read(text) == expected
+
+
+def test_symbols_are_real_and_unicode_is_normalised():
+    assert read("φ_dot") == sympy.Symbol("φ_dot", real=True)
+    # mathematical italic theta and full-width digits are compatibility forms
+    assert parse_expression("𝜃*２", ["θ"]) == 2 * sympy.Symbol("θ", real=True)
+
+
+def test_parameters_become_exact_numbers():
+    assert read("m*x**2/2", m=3) == sympy.Rational(3, 2) * X**2
+    assert read("g*x", g=9.81) == sympy.Rational(981, 100) * X
+    assert read("x**n", n=2) == X**2
+    with pytest.raises(InputError, match="parameter 'm'"):
+        read("m*x", m=math.inf)
+    with pytest.raises(InputError, match="parameter 'm'"):
+        read("m*x", m="a")  # type: ignore[arg-type]
+
+
+def test_long_decimals_become_floats_and_short_ones_are_exact():
+    assert read("0.1 + 0.2") == sympy.Rational(3, 10)
+    assert read("0.12345678901234567").is_Float
+
+
+def test_functions_are_those_of_the_name_check():
+    assert set(FUNCTIONS) == FUNCTION_NAMES
+    for name in FUNCTIONS:
+        read(f"{name}(x)")
+
+
+# --- what it refuses ---------------------------------------------------------------------------------
+
+REFUSED = [
+    ("", "empty expression"),
+    ("  ", "empty expression"),
+    ("x^2", r"column 2.*use \*\* for powers"),
+    ("x²", r"column 2.*use \*\* for powers"),
+    ("x×2", r"use \* to multiply"),
+    ("x−1", "use - for minus"),
+    ("2x", r"column 2: an operator is missing; write \* to multiply"),
+    ("x y", "column 3: an operator is missing"),
+    ("thta", "unknown name 'thta'; did you mean 'theta'"),
+    ("theta_dt**2", "did you mean 'theta_dot'"),
+    ("foo", "unknown name 'foo'; expected a coordinate"),
+    ("ln(x)", "did you mean 'log'"),
+    ("Sin(x)", "did you mean 'sin'"),
+    ("gamma(x)", "unknown function 'gamma'; expected one of the functions"),
+    ("x(2)", "is not a function"),
+    ("cos", "cos needs an argument"),
+    ("cos()", r"unexpected '\)'"),
+    ("cos(x, x)", "takes one argument"),
+    ("cos(x=1)", "not an equation"),
+    ("(x", "never closed"),
+    ("x)", "never opened"),
+    ("x+", "column 3: it ends too early"),
+    ("*x", r"unexpected '\*'"),
+    ("x//2", "unexpected '/'"),
+    ("012", "leading zeros"),
+    ("0x10", "operator is missing"),
+    ("1j", "operator is missing"),
+    ("1/0", "column 3: division by zero"),
+    ("x/(1-1)", "division by zero"),
+    ("x/(x-x)", "division by zero"),
+    ("0**-1", "division by zero"),
+    ("log(0)", "not a finite real number"),
+    ("log(-2)", "not a finite real number"),
+    ("sqrt(-1)*x", "not a finite real number"),
+    ("sqrt(-x**2)", "not a finite real number"),
+    ("tan(pi/2)", "not a finite real number"),
+    ("x**x", "exponent must be a number"),
+    ("2**theta", "exponent must be a number"),
+    ("x**33", r"exponent is out of range; expected \|n\| <= 32"),
+    ("(x**32)**2", "power is out of range"),
+    ("1e13", "number is out of range"),
+    ("1e-31", "number is out of range"),
+    ("1e400", "number is out of range"),
+    ("1e10*x*1e10", "out of range"),
+    ("(1e6*x)**32", "out of range"),
+    ("exp(100)", "out of range"),
+    ("__import__('os')", "unknown function '__import__'"),
+    ("x.real", "column 2: unexpected '.'"),
+    ("x[0]", "unexpected"),
+    ("lambda: 1", "unknown name 'lambda'"),
+    ("x if 1 else 2", "'if' is not allowed"),
+    ("'x'", "unexpected"),
+    ("x\x00", "unexpected"),
+    ("x < 1", "unexpected '<'"),
+    ("True", "unknown name 'True'"),
+    ("nan", "unknown name 'nan'"),
+    ("x" * 3000, "at most 2000"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED)
+def test_refuses_in_one_line(text, message):
+    with pytest.raises(InputError, match=message) as caught:
+        read(text)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "2**9999999",
+        "9**9**9**9**9",
+        "x**2**2**2**2**2**2**2",
+        "exp(10**12*log(2))",
+        "exp(x + 10**12*log(2))",
+        "exp(10**12*log(2*x))",
+        "exp(exp(exp(exp(10))))",
+        "((2*x)**32)**32",
+        "(" * 900 + "x" + ")" * 900,
+        "sin(" * 400 + "x" + ")" * 400,
+        "-" * 1900 + "x",
+        "x" + "+x" * 900,
+        "x" + "**-x" * 450,
+        "9" * 1990,
+        "(" * 1999,
+    ],
+)
+def test_refuses_bombs_quickly(text):
+    start = time.perf_counter()
+    with pytest.raises(InputError):
+        read(text)
+    assert time.perf_counter() - start < 2.0
+
+
+def test_limits_leave_room_for_real_expressions():
+    assert read("(" * 50 + "x" + ")" * 50) == X
+    assert read("+".join(["x"] * 250)) == 250 * X
+    assert read("-" * 50 + "x") == X
+    nested = "x"
+    for _ in range(28):
+        nested = f"sin({nested} + 1)"
+    assert read(nested).free_symbols == {X}
+
+
+def test_not_text():
+    with pytest.raises(InputError, match="expected an expression as text"):
+        parse_expression(3, NAMES)  # type: ignore[arg-type]
+
+
+# --- random expressions ------------------------------------------------------------------------------
+
+numbers = st.one_of(
+    st.integers(0, 999).map(str), st.decimals(0, 50, places=3).map(str), st.sampled_from(["1e-3", "2.5E2"])
+)
+atoms = st.one_of(
+    st.sampled_from(NAMES).map(lambda name: (name, VALUES[name])),
+    st.just(("pi", math.pi)),
+    numbers.map(lambda text: (text, float(text))),
+)
+REAL = {
+    "sin": math.sin,
+    "cos": math.cos,
+    "tan": math.tan,
+    "exp": math.exp,
+    "log": math.log,
+    "sqrt": math.sqrt,
+    "abs": abs,
+}
+
+
+def _apply(function, *arguments):
+    try:
+        result = function(*arguments)
+        return result if isinstance(result, float) and abs(result) < 1e100 else math.nan
+    except (ValueError, OverflowError, ZeroDivisionError):
+        return math.nan
+
+
+def _extend(children):
+    sums = st.tuples(children, st.sampled_from("+-*/"), children).map(
+        lambda p: (f"({p[0][0]}){p[1]}({p[2][0]})", _apply(_BINARY[p[1]], p[0][1], p[2][1]))
+    )
+    calls = st.tuples(st.sampled_from(sorted(REAL)), children).map(
+        lambda p: (f"{p[0]}({p[1][0]})", _apply(REAL[p[0]], p[1][1]))
+    )
+    powers = st.tuples(children, st.sampled_from([-3, -1, 0.5, 1.5, 2, 3])).map(
+        lambda p: (f"({p[0][0]})**{p[1]}", _apply(math.pow, p[0][1], p[1]))
+    )
+    negatives = children.map(lambda p: (f"-({p[0]})", -p[1]))
+    return st.one_of(sums, calls, powers, negatives)
+
+
+_BINARY = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+}
+expressions = st.recursive(atoms, _extend, max_leaves=8)
+relaxed = settings(
+    max_examples=150, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much]
+)
+
+
+@relaxed
+@given(expressions)
+def test_value_agrees_with_direct_evaluation(case):
+    text, expected = case
+    assume(math.isfinite(expected) and abs(expected) < 1e8)
+    try:
+        expr = read(text)
+    except InputError:
+        return  # a constant part that is out of range, or has no real value
+    assert value(expr) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@relaxed
+@given(expressions)
+def test_what_is_written_reads_back(case):
+    try:
+        expr = read(case[0])
+    except InputError:
+        return
+    again = parse_expression(format_expression(expr), NAMES)
+    # SymPy has two forms of a few constants, such as sqrt(10)*10**(1/4): equal numbers are enough there.
+    assert again == expr or same_functions(again, [expr], NAMES[::2]) == [0]
+    assert parse_expression(format_expression(again), NAMES) == again
+
+
+def read_or_refused(text: str) -> bool:
+    try:
+        return isinstance(parse_expression(text, ["x", "x_dot", "θ", "θ_dot"]), sympy.Expr)
+    except InputError as error:
+        return "\n" not in str(error)
+
+
+@relaxed
+@given(st.text(alphabet="xyθ_dot0123456789.eE+-*/()^,= sincoexplg\u00b2\n'[]", max_size=60))
+def test_any_text_is_read_or_refused(text):
+    assert read_or_refused(text)
+
+
+@settings(max_examples=150)
+@given(st.text(max_size=100))
+def test_unicode_noise_is_read_or_refused(text):
+    assert read_or_refused(text)
+
+
+# --- writing -----------------------------------------------------------------------------------------
+
+
+def test_format_spells_our_grammar():
+    assert format_expression(abs(X) ** 3) == "x**2*abs(x)"
+    assert format_expression(sympy.E * X) == "exp(1)*x"
+    assert format_expression(sympy.Float(0.1) * X) == "x/10"
+
+
+@pytest.mark.parametrize("expr", [sympy.sinh(X), sympy.I * X, sympy.oo * X, X**X, sympy.nan, sympy.sign(X)])
+def test_format_refuses_what_the_grammar_lacks(expr):
+    with pytest.raises(InputError, match="cannot write"):
+        format_expression(expr)

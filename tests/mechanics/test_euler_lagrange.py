@@ -1,0 +1,307 @@
+"""The Euler–Lagrange operator against SymPy's own, finite differences, and its invariances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import sympy as sp
+from sympy.calculus.euler import euler_equations
+
+from helpers import euler_lagrange, finite_difference
+from leastaction.mechanics.euler_lagrange import Points
+
+ONE = ["x"]
+TWO = ["theta1", "theta2"]
+THREE = ["r", "theta", "phi"]
+
+LAGRANGIAN = {
+    "x": [
+        "x_dot**2",
+        "x**2",
+        "x",
+        "x_dot",
+        "x*x_dot",
+        "cos(x)",
+        "x_dot**4",
+        "x_dot**3*x",
+        "exp(-x)*x_dot**2",
+        "log(2+x**2)",
+        "sqrt(1+x_dot**2)",
+        "1/(1+x**2)",
+        "tan(x/3)*x_dot**2",
+        "x**5",
+        "3/2*sin(2*x)**2",
+        "x_dot**2/x",
+    ],
+    "theta1 theta2": [
+        "theta1_dot**2",
+        "theta1_dot*theta2_dot",
+        "theta1_dot*theta2_dot*cos(theta1-theta2)",
+        "theta1_dot*theta2_dot*sin(theta1-theta2)",
+        "theta1_dot**2*cos(theta2)**2",
+        "cos(theta1+2*theta2)",
+        "theta1*theta2_dot",
+        "theta2*theta1_dot-theta1*theta2_dot",
+        "theta1**2*theta2**2*theta1_dot**2",
+        "1/sqrt((1-theta1)**2+theta2**2+9/100)",
+        "exp(theta1*theta2)",
+    ],
+    "r theta phi": [
+        "r_dot**2",
+        "r**2*theta_dot**2",
+        "r**2*sin(theta)**2*phi_dot**2",
+        "r*cos(theta)",
+        "r_dot*theta_dot*phi_dot",
+        "sin(theta)*phi_dot**2*r_dot",
+        "r*theta*phi",
+        "1/r",
+    ],
+}
+CASES = [(coordinates.split(), text) for coordinates, texts in LAGRANGIAN.items() for text in texts]
+DISSIPATION = [
+    (ONE, "x_dot**2/2"),
+    (ONE, "x**2*x_dot**2"),
+    (ONE, "x_dot**4"),
+    (ONE, "sqrt(x_dot**2+1/10000)"),
+    (ONE, "abs(x_dot)"),
+    (ONE, "abs(x_dot)**3"),
+    (TWO, "(theta1_dot-theta2_dot)**2/2"),
+    (TWO, "theta1_dot*theta2_dot"),
+    (THREE, "sin(theta)**2*phi_dot**2"),
+]
+
+
+def states(n_dof: int, n_points: int = 9, seed: int = 0) -> list[np.ndarray]:
+    """q > 0 keeps powers and logarithms defined; q̇ and q̈ have both signs."""
+    rng = np.random.default_rng([seed, n_dof])
+    q = rng.uniform(0.3, 1.4, (n_points, n_dof))
+    return [q, rng.uniform(-2.0, 2.0, (n_points, n_dof)), rng.uniform(-3.0, 3.0, (n_points, n_dof))]
+
+
+def on_paths(coordinates, text):
+    """The expression on unknown functions of time, and the replacement that turns a jet into symbols."""
+    t = sp.Symbol("t")
+    paths = [sp.Function(c)(t) for c in coordinates]
+    names = {c: sp.Symbol(c, real=True) for c in coordinates}
+    names |= {f"{c}_dot": sp.Symbol(f"{c}_dot", real=True) for c in coordinates}
+    expr = sp.sympify(text, locals=names)
+    swap = {names[c]: path for c, path in zip(coordinates, paths, strict=True)}
+    swap |= {names[f"{c}_dot"]: path.diff(t) for c, path in zip(coordinates, paths, strict=True)}
+    symbols = [sp.Symbol(f"s{nu}_{i}", real=True) for nu in range(3) for i in range(len(coordinates))]
+    jet = [path.diff(t, nu) if nu else path for nu in (2, 1, 0) for path in paths]
+    back = dict(
+        zip(jet, [symbols[nu * len(paths) + i] for nu in (2, 1, 0) for i in range(len(paths))], strict=True)
+    )
+    return expr.xreplace(swap), paths, t, symbols, back
+
+
+def to_symbols(expr, back):
+    for derivative, symbol in back.items():  # highest derivatives first
+        expr = expr.subs(derivative, symbol)
+    return expr
+
+
+@pytest.mark.parametrize(("coordinates", "text"), CASES)
+def test_operator_agrees_with_sympy(coordinates, text):
+    lagrangian, paths, t, symbols, back = on_paths(coordinates, text)
+    # SymPy leaves out equations such as 0 = 0: a kinetic energy of its own keeps all of them there
+    anchor = sum(sp.Rational(7, 10) * path.diff(t) ** 2 for path in paths)
+    equations = euler_equations(lagrangian + anchor, paths, t)
+    sides = [-to_symbols(e.lhs.doit(), back) for e in equations]
+    q, qdot, qddot = states(len(coordinates))
+    arguments = [block[:, i] for block in (q, qdot, qddot) for i in range(len(coordinates))]
+    expected = [np.broadcast_to(sp.lambdify(symbols, side)(*arguments), len(q)) for side in sides]
+    found = euler_lagrange([text], coordinates).strong(Points(q, qdot, qddot))[0]
+    scale = max(np.abs(expected).max(), 1.0)
+    np.testing.assert_allclose(found + 1.4 * qddot.T, expected, rtol=1e-10, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize(("coordinates", "text"), DISSIPATION)
+def test_dissipation_column_is_the_gradient_in_the_rates(coordinates, text):
+    columns = euler_lagrange([], coordinates, [text])
+    q, qdot, qddot = states(len(coordinates))
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    function = sp.lambdify([sp.Symbol(n, real=True) for n in names], on_symbols(text, names))
+
+    def potential(rates):
+        return function(*q.T, *rates.reshape(qdot.shape).T)
+
+    steps = finite_difference(potential, qdot.ravel(), 1e-4).reshape(len(q), len(q), -1)
+    expected = np.stack([steps[k, k] for k in range(len(q))])
+    np.testing.assert_allclose(columns.strong(Points(q, qdot, qddot))[0].T, expected, rtol=1e-7, atol=1e-7)
+    # the weak form carries the force with the other sign: ∫ (χ̇ p + χ (∂L/∂q − ∂ψ/∂q̇)) dt = 0
+    weak = columns.weak(Points(q, qdot))
+    np.testing.assert_array_equal(weak[0], 0.0)
+    np.testing.assert_allclose(weak[1, 0].T, -expected, rtol=1e-7, atol=1e-7)
+    assert not columns.mass_matrix(Points(q, qdot), np.ones(1)).any()
+
+
+def on_symbols(text, names):
+    return sp.sympify(text, locals={n: sp.Symbol(n, real=True) for n in names})
+
+
+def everything_on(space):
+    """Coordinates and all columns of one of the three configuration spaces."""
+    names = space.split()
+    friction = [text for c, text in DISSIPATION if c == names]
+    return names, euler_lagrange(LAGRANGIAN[space], names, friction)
+
+
+@pytest.mark.parametrize("space", LAGRANGIAN)
+def test_jacobian_against_finite_differences(space):
+    coordinates, columns = everything_on(space)
+    n = len(coordinates)
+    blocks = states(n, 4)
+    coefficients = np.random.default_rng(1).standard_normal(len(columns))
+    jacobian = columns.jacobian(Points(*blocks), coefficients)
+    for k in range(len(blocks[0])):
+        here = np.concatenate([b[k] for b in blocks])
+
+        def residual(state):
+            return np.tensordot(coefficients, columns.strong(Points(*state.reshape(3, 1, n))), 1)[:, 0]
+
+        expected = finite_difference(residual, here, 1e-4)
+        found = np.zeros((n, 3 * n))
+        for (nu, i, j), value in jacobian.items():
+            found[i, nu * n + j] = np.broadcast_to(value, len(blocks[0]))[k]
+        np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("space", LAGRANGIAN)
+def test_taylor_remainder_falls_with_the_square(space):
+    coordinates, columns = everything_on(space)
+    n = len(coordinates)
+    blocks = states(n, 6)
+    rng = np.random.default_rng(2)
+    step = [rng.standard_normal(b.shape) for b in blocks]
+    coefficients = rng.standard_normal(len(columns))
+
+    def residual(h):
+        moved = [b + h * s for b, s in zip(blocks, step, strict=True)]
+        return np.tensordot(coefficients, columns.strong(Points(*moved)), 1)
+
+    slope = np.zeros((n, len(blocks[0])))
+    for (nu, i, j), value in columns.jacobian(Points(*blocks), coefficients).items():
+        slope[i] += value * step[nu][:, j]
+    remainders = [np.abs(residual(h) - residual(0.0) - h * slope).max() for h in (1e-3, 1e-4)]
+    assert 1.9 < np.log10(remainders[0] / remainders[1]) < 2.1
+
+
+@pytest.mark.parametrize("space", LAGRANGIAN)
+def test_mass_matrix_is_what_multiplies_the_accelerations(space):
+    coordinates, columns = everything_on(space)
+    q, qdot, qddot = states(len(coordinates))
+    coefficients = np.random.default_rng(3).standard_normal(len(columns))
+    mass = columns.mass_matrix(Points(q, qdot), coefficients)
+    np.testing.assert_allclose(mass, mass.transpose(0, 2, 1), rtol=1e-12, atol=1e-12)
+    with_, without = (
+        np.tensordot(coefficients, columns.strong(Points(q, qdot, a)), 1)
+        for a in (qddot, np.zeros_like(qddot))
+    )
+    np.testing.assert_allclose(np.einsum("pij,pj->ip", mass, qddot), with_ - without, rtol=1e-9, atol=1e-9)
+    each = np.stack([columns.mass_of(k, Points(q, qdot)) for k in range(len(columns))])
+    np.testing.assert_allclose(np.tensordot(coefficients, each, 1), mass, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("space", LAGRANGIAN)
+def test_strong_form_is_the_time_derivative_of_the_weak_one(space):
+    """dp/dt − F along a smooth path, p and F from the weak form."""
+    coordinates, columns = everything_on(space)
+    n = len(coordinates)
+    t0 = np.linspace(0.0, 1.0, 7)
+    phase = np.arange(n)
+
+    def path(t):
+        angle = 1.3 * t[:, None] + phase
+        return [1.2 + 0.4 * np.sin(angle), 0.52 * np.cos(angle), -0.676 * np.sin(angle)]
+
+    h = 1e-4
+    rate = np.zeros((len(columns), n, t0.size))
+    for weight, shift in ((8.0, h), (-8.0, -h), (-1.0, 2 * h), (1.0, -2 * h)):
+        q, qdot, _ = path(t0 + shift)
+        rate += weight / (12.0 * h) * columns.weak(Points(q, qdot))[0]
+    q, qdot, qddot = path(t0)
+    expected = rate - columns.weak(Points(q, qdot))[1]
+    found = columns.strong(Points(q, qdot, qddot))
+    # |u| is meant to lose its kink: as a dissipation function it has none in E
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("coordinates", "gauge"),
+    [
+        (ONE, "x"),
+        (ONE, "sin(x)*exp(x)"),
+        (ONE, "log(1+x**2)"),
+        (TWO, "theta1*theta2"),
+        (TWO, "sin(theta1-theta2)*theta1**2"),
+        (TWO, "1/sqrt((1-theta1)**2+theta2**2+9/100)"),
+        (THREE, "r**2*sin(theta)*cos(phi)"),
+    ],
+)
+def test_total_time_derivatives_have_no_effect(coordinates, gauge):
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    expr = on_symbols(gauge, names)
+    rates = [sp.Symbol(f"{c}_dot", real=True) for c in coordinates]
+    total = sum(expr.diff(sp.Symbol(c, real=True)) * v for c, v in zip(coordinates, rates, strict=True))
+    columns = euler_lagrange([str(total)], coordinates)
+    points = Points(*states(len(coordinates)))
+    np.testing.assert_allclose(columns.strong(points), 0.0, rtol=0, atol=1e-12)
+    for value in columns.jacobian(points, np.ones(1)).values():
+        np.testing.assert_allclose(value, 0.0, rtol=0, atol=1e-10)
+    np.testing.assert_array_equal(columns.mass_matrix(points, np.ones(1)), 0.0)
+
+
+def test_constants_have_no_effect():
+    columns = euler_lagrange(["7", "x_dot**2"], ONE)
+    points = Points(*states(1))
+    np.testing.assert_array_equal(columns.strong(points)[0], 0.0)
+    np.testing.assert_array_equal(columns.weak(Points(*states(1)[:2]))[:, 0], 0.0)
+    assert not columns.subset([0]).jacobian(points, np.ones(1))
+
+
+def test_absolute_values_lose_their_kink():
+    """Derivatives of |u| are taken on either side of the kink: no delta function, no NaN at u = 0."""
+    columns = euler_lagrange(["abs(x)", "abs(x_dot)", "x*abs(x)", "abs(x)*x_dot**2"], ONE, ["abs(x_dot)"])
+    x = np.array([[-1.5], [0.0], [2.0]])
+    v = np.array([[1.0], [0.0], [-2.0]])
+    a = np.array([[0.5], [1.0], [3.0]])
+    strong = columns.strong(Points(x, v, a))[:, 0]
+    assert np.isfinite(strong).all()
+    x, v, a = x[:, 0], v[:, 0], a[:, 0]
+    np.testing.assert_allclose(strong[0], -np.sign(x))
+    np.testing.assert_allclose(strong[1], 0.0)
+    np.testing.assert_allclose(strong[2], -2.0 * np.abs(x))
+    np.testing.assert_allclose(strong[3], 2.0 * np.abs(x) * a + np.sign(x) * v**2)
+    np.testing.assert_allclose(strong[4], np.sign(v))
+    for value in columns.jacobian(Points(*(u[:, None] for u in (x, v, a))), np.ones(5)).values():
+        assert np.isfinite(value).all()
+
+
+def test_undefined_candidates_give_nan_without_noise():
+    columns = euler_lagrange(["log(x)*x_dot**2", "sqrt(x)", "x_dot**2"], ONE)
+    q = np.array([[-1.0], [1.0]])
+    strong = columns.strong(Points(q, np.ones((2, 1)), np.ones((2, 1))))
+    assert np.isnan(strong[0, 0, 0])
+    assert np.isnan(strong[1, 0, 0])
+    assert np.isfinite(strong[:, 0, 1]).all()
+    assert np.isfinite(strong[2]).all()
+
+
+def test_subsets_follow_the_given_sequence():
+    columns = euler_lagrange(LAGRANGIAN["theta1 theta2"], TWO, ["theta1_dot*theta2_dot"])
+    points = Points(*states(2))
+    everything = columns.strong(points)
+    order = [11, 3, 0, 7]
+    np.testing.assert_array_equal(columns.subset(order).strong(points), everything[order])
+    np.testing.assert_array_equal(columns.strong(points, order), everything[order])
+    assert [t.text for t in columns.subset(order).terms] == [columns.terms[k].text for k in order]
+
+
+def test_columns_do_not_depend_on_the_name_or_place_of_a_coordinate():
+    text = "{a}_dot*{b}_dot*cos({a}-{b})+{a}**2*{b}_dot**2"
+    q, qdot, qddot = states(2)
+    plain = euler_lagrange([text.format(a="a", b="b")], ["a", "b"]).strong(Points(q, qdot, qddot))
+    swapped = euler_lagrange([text.format(a="y", b="x")], ["x", "y"])
+    turned = swapped.strong(Points(q[:, ::-1], qdot[:, ::-1], qddot[:, ::-1]))
+    np.testing.assert_allclose(turned[:, ::-1], plain, rtol=1e-12, atol=1e-12)

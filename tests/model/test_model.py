@@ -1,0 +1,381 @@
+from __future__ import annotations
+
+import json
+import pickle
+import time
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from leastaction import io, systems
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import InputError
+from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
+from leastaction.model.notation import rounded
+
+
+def model_of(system, dissipation=()):
+    terms = [ModelTerm(k, c, known=k in system.known) for k, c in system.lagrangian.items()]
+    return LagrangianModel(system.coordinates, terms, dissipation)
+
+
+def spring(**options):
+    terms = [ModelTerm("x_dot**2", 0.5, known=True), ModelTerm("x**2", -2.0, 0.01)]
+    return LagrangianModel(["x"], terms, **options)
+
+
+def states(system, n_points):
+    rng = np.random.default_rng(1)
+    return np.moveaxis(np.array([system.initial(rng) for _ in range(n_points)]), 1, 0)
+
+
+@pytest.mark.parametrize("name", systems.names())
+def test_mechanics_agree_with_the_systems_own(name):
+    system = systems.get(name)
+    model = model_of(system)
+    q, v = states(system, 6)
+    f = np.cos(q)
+    np.testing.assert_allclose(
+        model.acceleration(q, v, f), system.acceleration(q, v, f), rtol=1e-12, atol=1e-12
+    )
+    np.testing.assert_allclose(model.energy(q, v), system.energy(q, v), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(model.mass_matrix(q), system.mass_matrix(q), rtol=1e-12)
+    np.testing.assert_array_equal(model.acceleration(q[2], v[2]), model.acceleration(q, v)[2])
+
+
+def test_leading_dimensions_are_kept_and_broadcast():
+    model = model_of(systems.get("double_pendulum"))
+    q, v = np.random.default_rng(0).normal(size=(2, 3, 4, 2))
+    assert model.acceleration(q, v).shape == (3, 4, 2)
+    assert model.energy(q, v).shape == (3, 4)
+    assert model.mass_matrix(q).shape == (3, 4, 2, 2)
+    np.testing.assert_array_equal(model.acceleration(q, [0.0, 0.0]), model.acceleration(q, np.zeros_like(q)))
+    assert model.acceleration(q[:0], v[:0]).shape == (0, 4, 2)
+
+
+def test_dissipation_acts_against_the_velocity():
+    drag = [ModelTerm("x_dot**2/2", 0.3, 0.01), ModelTerm("abs(x_dot)", 0.2, 0.01)]
+    model = spring(dissipation=drag)
+    x, v = np.array([[0.5], [0.5], [0.5]]), np.array([[2.0], [-2.0], [0.0]])
+    np.testing.assert_allclose(model.acceleration(x, v), -4 * x - 0.3 * v - 0.2 * np.sign(v), rtol=1e-14)
+    assert model.dissipation_function.free_symbols == {sp.Symbol("x_dot", real=True)}
+
+
+def test_abs_of_anything_real_can_be_differentiated_twice():
+    model = LagrangianModel("x", [ModelTerm("abs(sqrt(x)*x_dot**3)", 1.0)])
+    np.testing.assert_allclose(model.mass_matrix([4.0], [-0.5])[0, 0], 2.0 * 6 * 0.5)
+
+
+def test_names_of_coordinates_do_not_meet_names_in_generated_code():
+    names = ("sign", "numpy", "x0", "v_0", "θ1", "abs1")
+    plain = ("a", "b", "c", "d", "e", "g")
+    text = "{0}_dot**2+{1}_dot**2+{2}_dot**2+{3}_dot**2+{4}_dot**2+{5}_dot**2"
+    other = "abs({0})*sin({1}-{2})*cos({3}*{4})*abs({5}) + sin({1}-{2})**2*cos({3}*{4})**2"
+    models = [
+        LagrangianModel(n, [ModelTerm(text.format(*n), 0.5), ModelTerm(other.format(*n), 1.0)])
+        for n in (names, plain)
+    ]
+    q = np.linspace(-1.0, 1.0, 12).reshape(2, 6)
+    a, b = (m.acceleration(q, q[::-1]) for m in models)
+    np.testing.assert_allclose(a, b, rtol=1e-13)
+
+
+def test_a_singular_point_does_not_spoil_the_others():
+    model = LagrangianModel(["x", "y"], [ModelTerm("x**2*x_dot**2", 0.5), ModelTerm("y_dot**2+y", 0.5)])
+    a = model.acceleration([[0.0, 0.0], [1.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]])
+    assert np.isnan(a[0]).all()
+    np.testing.assert_allclose(a[1], [0.0, 0.5])
+    one = LagrangianModel("x", [ModelTerm("x*x_dot**2", 0.5)])
+    assert np.isnan(one.acceleration([[0.0], [1.0]], [[1.0], [1.0]])).tolist() == [[True], [False]]
+
+
+@pytest.mark.parametrize("name", ["single_pendulum", "chaotic_pendulum", "spherical_spring_pendulum"])
+def test_equations_of_motion_are_solved_for_the_accelerations(name):
+    system = systems.get(name)
+    model = model_of(system)
+    (q,), (v,) = states(system, 1)
+    f = np.arange(1.0, system.n_dof + 1)
+    values = {sp.Symbol(c, real=True): x for c, x in zip(model.coordinates, q, strict=True)}
+    values |= {sp.Symbol(f"{c}_dot", real=True): x for c, x in zip(model.coordinates, v, strict=True)}
+    values |= {sp.Symbol(f"{c}_force", real=True): x for c, x in zip(model.coordinates, f, strict=True)}
+    equations = model.equations_of_motion(forces=True)
+    assert [str(e.lhs) for e in equations] == [f"{c}_dot_dot" for c in model.coordinates]
+    solved = [float(e.rhs.subs(values)) for e in equations]
+    np.testing.assert_allclose(solved, model.acceleration(q, v, f), rtol=1e-10)
+
+
+def test_many_equations_stay_implicit():
+    names = ("a", "b", "c", "d")
+    model = LagrangianModel(names, [ModelTerm(f"{n}_dot**2-{n}**2", 0.5) for n in names])
+    equation = model.equations_of_motion()[3]
+    assert (str(equation.lhs), str(equation.rhs)) == ("1.0*d_dot_dot", "-1.0*d")
+
+
+def test_lagrangian_keeps_every_digit():
+    model = LagrangianModel("x", [ModelTerm("x_dot**2", 1 / 3), ModelTerm("cos(x)", 0.1)])
+    floats = {float(x) for x in model.lagrangian.atoms(sp.Float)}
+    assert floats == {1 / 3, 0.1}
+    assert model.energy([0.0], [1.0]) == 1 / 3 - 0.1
+    assert model.dissipation_function == 0
+
+
+def test_table():
+    model = spring(dissipation=[ModelTerm("x_dot**2/2", 0.3, 0.1), ModelTerm("abs(x_dot)", 0.1, np.nan)])
+    table = model.table()
+    assert table.index.name == "expression"
+    assert list(table.columns) == ["kind", "coefficient", "standard_error", "lower", "upper", "z", "known"]
+    assert table.kind.tolist() == ["lagrangian"] * 2 + ["dissipation"] * 2
+    assert table.known.tolist() == [True, False, False, False]
+    assert table.loc["x**2", "z"] == -200
+    assert table.loc["x_dot**2/2", ["lower", "upper"]].tolist() == pytest.approx(
+        [0.3 - 0.196, 0.3 + 0.196], abs=1e-4
+    )
+    assert table.loc["x_dot**2", "lower"] == table.loc["x_dot**2", "upper"] == 0.5
+    assert np.isnan(table.loc[["x_dot**2", "abs(x_dot)"], "z"]).all()
+
+
+def test_text():
+    model = spring(
+        fit=FitSummary("doubtful", 1.0, [2.0], ["noise <b>"]), dissipation=[ModelTerm("x_dot**2", 0.25, 0.1)]
+    )
+    assert repr(model) == (
+        "<LagrangianModel of x: L = 0.5*x_dot**2 - 2.000*x**2, psi = 0.25*x_dot**2; fit doubtful>"
+    )
+    lines = str(model).splitlines()
+    assert lines[2].split() == ["x**2", "lagrangian", "-2.000", "0.01", "-2.020", "…", "-1.980", "-200"]
+    assert lines[-2:] == ["fit: doubtful", "warning: noise <b>"]
+    assert "noise &lt;b&gt;" in model._repr_html_()
+    assert len({len(row) for row in model.format_rows()}) == 1
+
+
+def test_latex():
+    terms = [ModelTerm("theta1_dot**2", 1.0, known=True), ModelTerm("x_cart*cos(theta1-θ)", -0.55771, 0.0012)]
+    model = LagrangianModel(["theta1", "x_cart", "θ"], terms)
+    formula = r"L = \dot{\theta}_{1}^{2} - %s \, x_{\mathrm{cart}} \cos{\left(\theta_{1} - \theta \right)}"
+    assert model.latex() == formula % "0.5577"
+    assert model.latex(uncertainty=True) == formula % "0.5577(12)"
+    assert model.latex(digits=2) == formula.replace(r"\dot", r"1.0 \, \dot", 1) % "0.56"
+    assert model._repr_latex_() == rf"$\displaystyle {formula % '0.5577'}$"
+    with pytest.raises(InputError, match="digits is 0"):
+        model.latex(digits=0)
+
+
+def test_latex_of_names_that_look_alike_and_of_small_numbers():
+    model = LagrangianModel(
+        ["q1", "q_1"], [ModelTerm("q1_dot**2", 1.5e-7)], [ModelTerm("q1_dot+q_1_dot", 2.0)]
+    )
+    assert model.latex().splitlines()[1:3] == [
+        r"L &= 1.5 \times 10^{-7} \, \dot{\mathrm{q1}}^{2} \\",
+        r"\psi &= 2 \, \left(\dot{\mathrm{q1}} + \dot{\mathrm{q\_1}}\right)",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.0, 0.001, "0.0000(10)"),
+        (1e-9, 0.001, "0.0000(10)"),
+        (-3.14159, 0.5, "-3.14(50)"),
+        (123456789.0, 200.0, "1.2345679(20)e+08"),
+        (1e-6, 1e-8, "1.000(10)e-06"),
+        (5e-9, 1e-6, "0.0(10)e-06"),
+        (2.5, np.nan, "2.5"),
+    ],
+)
+def test_rounding(value, error, text):
+    assert rounded(value, error, uncertainty=True) == text
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (dict(coordinates=["x_dot"]), "velocity"),
+        (dict(terms=[]), "terms is empty"),
+        (dict(terms=["x**2"]), r"terms\[0\] is 'x\*\*2'; expected a ModelTerm"),
+        (dict(terms=[ModelTerm("y**2", 1.0)]), r"terms\[0\]: .*unknown name 'y'"),
+        (
+            dict(terms=[ModelTerm("x**2", 1.0), ModelTerm("x*x", 1.0)]),
+            r"terms\[1\] 'x\*x' is the same as terms\[0\]",
+        ),
+        (dict(covariance=np.eye(3)), r"covariance has shape \(3, 3\); expected \(1, 1\)"),
+        (dict(covariance=[[-1.0]]), "diagonal"),
+        (dict(covariance=[[np.nan]]), "finite"),
+        (dict(noise_std=[1.0, 2.0]), r"noise_std has shape \(2,\)"),
+        (dict(noise_std=[-1.0]), "at least 0"),
+        (dict(fit="ok"), "expected a FitSummary"),
+        (dict(fit=FitSummary("ok", 1.0, [1.0, 2.0])), "physics_weight has 2"),
+        (dict(provenance=3), "dictionary"),
+    ],
+)
+def test_wrong_parts_are_refused(change, message):
+    arguments = {"coordinates": ["x"], "terms": [ModelTerm("x_dot**2", 0.5, 0.1)]} | change
+    with pytest.raises(InputError, match=message):
+        LagrangianModel(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ModelTerm("", 1.0), "expression"),
+        (lambda: ModelTerm("x", float("nan")), "finite"),
+        (lambda: ModelTerm("x", "1"), "expected a number"),
+        (lambda: ModelTerm("x", True), "expected a number"),
+        (lambda: ModelTerm("x", 10**400), "finite"),
+        (lambda: ModelTerm("x", 1.0, -0.1), "at least 0"),
+        (lambda: ModelTerm("x", 1.0, 0.1, known=True), "known coefficient"),
+        (lambda: ModelTerm("x", 1.0, 0.1, known="no"), "True or False"),
+        (lambda: FitSummary("good"), "'ok' or 'doubtful'"),
+        (lambda: FitSummary(warnings="text"), "sequence"),
+        (lambda: FitSummary(physics_weight=3.0), "sequence"),
+        (lambda: FitSummary(warnings=[3]), "expected text"),
+    ],
+)
+def test_wrong_terms_and_summaries_are_refused(make, message):
+    with pytest.raises(InputError, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda m: m.acceleration(1.0, 2.0), r"q has shape \(\); expected \(..., 1\)"),
+        (lambda m: m.acceleration([1.0, 2.0], [1.0]), r"the last axis for x"),
+        (
+            lambda m: m.acceleration([[1.0]] * 2, [[1.0]] * 3),
+            r"do not fit together: q \(2, 1\), qdot \(3, 1\)",
+        ),
+        (lambda m: m.acceleration([1.0], [1.0], forces=[1.0, 2.0]), "forces has shape"),
+        (lambda m: m.energy(["a"], [1.0]), "real numbers"),
+        (lambda m: m.mass_matrix([[1.0, 2.0]]), "q has shape"),
+        (lambda m: m.simulate([1.0, 2.0], [0.0], [0.0, 1.0]), "q0 is"),
+        (lambda m: m.simulate([1.0], [np.inf], [0.0, 1.0]), "qdot0 is"),
+        (lambda m: m.simulate([1.0], [0.0], [1.0, 0.0]), "increasing"),
+        (
+            lambda m: m.simulate([1.0], [0.0], [0.0, 1.0], lambda t: [1.0, 2.0]),
+            r"forces\(time\) has shape \(2,\)",
+        ),
+    ],
+)
+def test_wrong_states_are_refused(call, message):
+    with pytest.raises(InputError, match=message):
+        call(spring())
+
+
+def test_simulate():
+    t = np.linspace(0.0, 5.0, 51)
+    run = spring().simulate([1.0], [0.0], t)
+    np.testing.assert_allclose(run.q[:, 0], np.cos(2 * t), atol=1e-7)
+    driven = spring().simulate([0.0], [0.0], t, forces=np.full((51, 1), 4.0))
+    np.testing.assert_allclose(driven.q[:, 0], 1 - np.cos(2 * t), atol=1e-7)
+    again = spring().simulate([0.0], [0.0], t, forces=lambda time: np.array([4.0]))
+    np.testing.assert_allclose(again.q, driven.q, atol=1e-7)
+
+
+def test_simulation_stops_with_a_reason():
+    t = np.linspace(0.0, 5.0, 51)
+    fleeing = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**4", 1.0)])
+    assert "blow-up" in fleeing.simulate([1.0], [1.0], t).reason
+    empty = LagrangianModel(["x", "y"], [ModelTerm("x_dot**2", 0.5), ModelTerm("y**2", 1.0)])
+    assert "singular mass matrix" in empty.simulate([1.0, 1.0], [0.0, 0.0], t).reason
+    assert spring().simulate([1.0], [0.0], t, max_steps=3).reason.startswith("step limit")
+
+
+def test_pickle_and_arrays_are_read_only():
+    model = spring(covariance=[[0.01]], noise_std=[0.1])
+    model.acceleration([1.0], [0.0])
+    copy = pickle.loads(pickle.dumps(model))
+    assert copy.terms == model.terms
+    np.testing.assert_array_equal(copy.acceleration([1.0], [0.0]), [-4.0])
+    with pytest.raises(ValueError, match="read-only"):
+        model.covariance[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "spherical_spring_pendulum"])
+def test_forecast_errors_of_the_true_model_are_those_expected(name):
+    system = systems.get(name)
+    data = systems.generate(name, noise=0.05, trials=3, duration=12.0, seed=2, missing=0.1, irregular=True)
+    result = model_of(system).validate(data)
+    assert result.n_starts == 33
+    assert {trace.status for trace in result.traces} == {"ok"}
+    np.testing.assert_allclose(result.rms, result.expected_rms, rtol=0.12)
+    assert (result.rms_over_noise < 1.5).all()
+    assert result.valid_time == 1.0
+
+
+def test_forecast_of_a_wrong_model_is_worse():
+    data = systems.generate("single_pendulum", noise=0.02, trials=2, duration=8.0, seed=1)
+    terms = [ModelTerm("theta_dot**2", 0.5), ModelTerm("cos(theta)", 9.81 * 0.7)]
+    result = LagrangianModel(["theta"], terms).validate(data, horizon=2.0)
+    assert (result.rms > 3 * result.expected_rms).all()
+    assert result.by_trial().keys() == {"single_pendulum-0", "single_pendulum-1"}
+
+
+def test_forecast_starts_where_the_documentation_says():
+    t = np.arange(0.0, 5.01, 0.01)
+    result = spring().validate(Trajectory(t, np.cos(2 * t), coordinates=["x"]), horizon=2.0, window=0.5)
+    assert [trace.origin for trace in result.traces] == pytest.approx([0.5, 2.5])
+    trace = result.traces[0]
+    assert (trace.t > 0.5).all()
+    assert trace.t[-1] == pytest.approx(2.5)
+    np.testing.assert_allclose(trace.forecast, trace.measured, atol=1e-4)
+
+
+def test_divergence_is_recorded_not_raised():
+    t = np.arange(0.0, 6.0, 0.02)
+    data = Trajectory(t, np.cos(2 * t), coordinates=["x"])
+    fleeing = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**4", 50.0)])
+    singular = LagrangianModel("x", [ModelTerm("x", 0.5)])
+    for model in (fleeing, singular):
+        result = model.validate(data)
+        assert result.n_diverged == result.n_starts > 0
+        assert np.isinf(result.rms).all()
+        text = json.dumps(result.to_dict(), allow_nan=False)
+        assert json.loads(text)["rms"] == [None]
+        assert result.traces[0].reason
+
+
+def test_angles_of_the_discovery_are_unwrapped():
+    t = np.arange(0.0, 4.0, 0.01)
+    wrapped = np.mod(3.0 * t + np.pi, 2 * np.pi) - np.pi
+    model = LagrangianModel(
+        "phi", [ModelTerm("phi_dot**2", 0.5)], provenance={"options": {"angles": ["phi"]}}
+    )
+    result = model.validate(Trajectory(t, wrapped, coordinates=["phi"]))
+    assert result.rms[0] < 1e-6
+
+
+def test_forecasts_that_are_not_possible():
+    t = np.arange(0.0, 3.0, 0.01)
+    good = Trajectory(t, np.cos(2 * t), coordinates=["x"], name="good")
+    short = Trajectory(t[:20], np.cos(2 * t[:20]), coordinates=["x"], name="short")
+    result = spring().validate([good, short], horizon=1.0)
+    assert [name for name, reason in result.skipped if "too short" in reason] == ["short"]
+    with pytest.raises(InputError, match=r"the longest lasts 2\.99 s"):
+        spring().validate(good, horizon=30.0)
+    with pytest.raises(InputError, match="horizon is -1"):
+        spring().validate(good, horizon=-1)
+    with pytest.raises(InputError, match="tolerance is nan"):
+        spring().validate(good, tolerance=float("nan"))
+    with pytest.raises(InputError, match="coordinates y; the model has x"):
+        spring().validate(Trajectory(t, t, coordinates=["y"]))
+
+
+def test_measured_double_pendulum_is_forecast_in_seconds():
+    from importlib.resources import files
+
+    path = files("leastaction") / "datasets" / "double_pendulum.csv.gz"
+    data = Trajectories(io.read_csv(str(path), ["theta1", "theta2"]))
+    coefficients = {
+        "theta1_dot**2": 1.0,
+        "theta2_dot**2": 0.5568,
+        "theta1_dot*theta2_dot*cos(theta1-theta2)": 0.9827,
+        "cos(theta1)": -117.92,
+        "cos(theta2)": -55.81,
+    }
+    model = LagrangianModel(data.coordinates, [ModelTerm(k, c) for k, c in coefficients.items()])
+    start = time.perf_counter()
+    result = model.validate(data)
+    assert time.perf_counter() - start < 20
+    assert result.n_starts == 52
+    assert (result.rms < 0.02).all()

@@ -1,0 +1,177 @@
+"""Sentences and small drawings of the report: they must say what the numbers say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leastaction import Trajectories, Trajectory
+from leastaction.model.diagnostics import PathPoint
+from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.report.axes import shortened
+from leastaction.report.captions import (
+    curve_title,
+    energy_title,
+    forecast_title,
+    path_title,
+    residual_title,
+)
+from leastaction.report.mathml import Notation, number_parts
+from leastaction.report.series import Series
+from leastaction.report.text import warning_parts
+from leastaction.report.verdict import verdict
+from leastaction.report.whisker import whisker
+from leastaction.simulation.forecast import ForecastResult, ForecastTrace
+from report_helpers import Page, spring
+
+
+def forecast(rms: float, expected: float, status: str = "ok") -> ForecastResult:
+    t = np.linspace(0.0, 1.0, 11)
+    x = np.sin(t)[:, None]
+    trace = ForecastTrace("a", 0.0, t, x, x, np.array([rms]), np.array([expected]), 1.0, status)
+    return ForecastResult(("x",), 1.0, 0.5, 0.4, np.array([0.01]), np.array([0.5]), (trace,))
+
+
+def with_residuals(r: np.ndarray) -> Series:
+    """The oscillator with these residuals in place of its own."""
+    model = spring()
+    diagnostics = model.diagnostics
+    trial = diagnostics.trajectories[0]
+    q = diagnostics.curve()[0] + r[: trial.n_times, None]
+    data = Trajectories([Trajectory(trial.t, q, coordinates=["x"])])
+    return Series(replace(model, diagnostics=replace(diagnostics, trajectories=data)))
+
+
+@pytest.mark.parametrize(
+    ("result", "text"),
+    [
+        (forecast(0.05, 0.049), "off by 10 % of the spread (rms): as an exact model would be"),
+        (
+            forecast(0.05, 0.005),
+            "off by 10 % of the spread (rms): 10 times as far as an exact model would be",
+        ),
+        (forecast(0.6, np.nan), "off by 120 % of the spread (rms)"),
+        (forecast(np.inf, np.nan, "diverged"), "1 of 1 forecast over 1 s diverged"),
+        (forecast(np.nan, np.nan), "without samples"),
+    ],
+)
+def test_forecast_titles(result, text):
+    assert text in forecast_title(result)
+
+
+def test_residual_titles_tell_noise_from_pattern(rng):
+    noise = 0.01 * rng.standard_normal(301)
+    assert residual_title(with_residuals(noise), 0, "x").endswith("looks like white, normal noise")
+    smooth = 0.01 * np.sqrt(2) * np.sin(np.arange(301) / 3)
+    assert "correlated from sample to sample (+0.9" in residual_title(with_residuals(smooth), 0, "x")
+    echo = noise.copy()
+    echo[5:] += 0.8 * noise[:-5]
+    assert "correlated at a lag of 5 samples (+0." in residual_title(with_residuals(echo), 0, "x")
+    jumps = noise.copy()
+    jumps[::20] = 0.05 * rng.choice([-1, 1], jumps[::20].size)
+    assert "beyond 3 σ, where normal noise leaves 0.27 %" in residual_title(with_residuals(jumps), 0, "x")
+
+
+@pytest.mark.parametrize(("scale", "text"), [(1.0, "as far from"), (0.3, "closer to"), (3.0, "farther from")])
+def test_curve_titles(rng, scale, text):
+    series = with_residuals(scale * 0.01 * rng.standard_normal(301))
+    assert text in curve_title(series, 0, "x")
+    assert "samples and fitted curve" in curve_title(Series(spring(sigma=0.0)), 0, "x")
+
+
+def test_energy_and_path_titles():
+    facts = {"driven": False, "friction": False, "start": "3", "stop": "2", "shown": "a", "imbalance": "1 %"}
+    assert energy_title(facts).startswith(
+        "Nothing drives or brakes this motion: the energy should stay at 3; 1 %"
+    )
+    assert energy_title(facts | {"friction": True}).startswith(
+        "Friction takes energy, from 3 to 2 on trial a"
+    )
+    assert energy_title(facts | {"driven": True, "imbalance": None}) == "Known forces change the energy"
+    points = [
+        PathPoint(("x",), 0.0, 50.0),
+        PathPoint(("x", "y"), 0.0, 0.0, True),
+        PathPoint(("x", "z"), 0.0, 7.0),
+    ]
+    assert path_title(points) == (
+        "2 free terms; difference in BIC: one term less +50.0, the best rival of this size +7.0"
+    )
+    assert path_title(points[1:2]) == "2 free terms, without a rival"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "the library cannot explain x: the equation is off by 2 %; see the likely cause",
+        "likely cause (93 % of the equation error): friction: give abs(x_dot)",
+        "nothing to divide",
+        "unbalanced (: still ( here: there",
+    ],
+)
+def test_warnings_keep_every_word(text):
+    what, rest = warning_parts(text)
+    assert (f"{what}: {rest}" if rest else what) == text
+    assert what.count("(") == what.count(")") or not rest
+
+
+def test_least_sure_term_is_named():
+    model = spring()
+    model = replace(model, dissipation=(ModelTerm("x_dot**2", 0.1, 0.02),), fit=FitSummary("ok", 1.0))
+    facts = {f["name"]: f for f in verdict(model, None, Notation(["x"]))["facts"]}
+    assert facts["Least sure term"]["value"] == "±39 %"
+    assert "Forecast error" not in facts
+    assert facts["Terms found"]["value"] == "2"
+
+
+@pytest.mark.parametrize(
+    ("term", "kind", "title"),
+    [
+        (ModelTerm("x", -2.0, 0.1), "sure", "±9.8 % of the coefficient"),
+        (ModelTerm("x", 2.0, 2.0), "weak", "includes zero"),
+        (ModelTerm("x", 0.0, 0.1), "weak", "includes zero"),
+        (ModelTerm("x", 2.0, np.nan), "sure", "no standard error"),
+        (ModelTerm("x", 2.0, known=True), "given", "given"),
+    ],
+)
+def test_whiskers(term, kind, title):
+    svg = Page(str(whisker(term, "w"))).root.one("svg")
+    assert kind in str(svg.attributes["class"]).split()
+    assert title in svg.one("title").text
+    bars = svg.all("path", class_="bar")
+    assert len(bars) == (0 if "standard" in title or kind == "given" else 1)
+    if kind == "sure" and bars:
+        left, right = (float(x) for x in str(bars[0].attributes["d"]).replace("M120 10", "").split("H")[1:])
+        assert (120 - left) / 100 == pytest.approx(0.098, abs=1e-3)
+        assert right - 120 == pytest.approx(120 - left)
+
+
+@pytest.mark.parametrize("power", range(-12, 13, 3))
+def test_a_number_hidden_by_its_error_can_be_read(power):
+    """No row of zeros, whatever the scale, and both parts read back."""
+
+    def read(text: str) -> float:
+        mantissa, _, exponent = text.replace("−", "-").partition(" × 10")
+        return float(mantissa) * 10.0 ** int(
+            exponent.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or 0
+        )
+
+    for value, error in ((3.17, 4.2e6), (-3.17, 420.0), (3.17, 0.42)):
+        number = number_parts(value * 10.0**power, error * 10.0**power)
+        assert read(number.text) == pytest.approx(value * 10.0**power, rel=0.03)
+        assert read(number.error_text) == pytest.approx(error * 10.0**power, rel=0.03)
+        markup = Notation(["x"]).addend("x", value * 10.0**power, error * 10.0**power, "", first=True)
+        assert f"± {number.error}" in Page(str(markup)).text
+
+
+def test_long_names_are_shortened_in_figures_and_wrapped_in_headings():
+    name = "shoulder_flexion_of_the_left_arm"
+    notation = Notation([name, "x"])
+    assert notation.text(name, 1) == f"d{name}/dt"
+    assert len(shortened(notation.text(name, 2), 20)) == 20
+    assert Page(str(notation.heading(name))).root.one("span").attributes["class"] == "wrap"
+    assert Page(str(notation.heading("x"))).root.one("math")
+    long, short = (Page(str(notation.term(t))).root.one("math") for t in (f"{name}*cos({name})", "x*cos(x)"))
+    assert long.attributes["class"] == "longer"
+    assert "class" not in short.attributes

@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leastaction import (
+    Trajectories,
+    Trajectory,
+)
+from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.model.diagnostics import PathPoint
+from leastaction.report.mathml import Notation
+from leastaction.report.series import Energy, Series, legible_samples, thin_line, thin_points
+from leastaction.report.tables import path_rows
+from leastaction.report.text import plain
+from report_helpers import Page, spring
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("cos(theta1)**2", "<msup><mi>cos</mi><mrow><mn>2</mn></mrow></msup>"),
+        ("-x_cart/2", "<mo>−</mo><mfrac>"),
+        (
+            "x_cart_dot**2",
+            "<mo>.</mo></mrow></mover></mpadded><mtext>cart</mtext><mrow><mn>2</mn></mrow></msubsup>",
+        ),
+        ("(theta1 + 1)*2", '<mo form="prefix">(</mo>'),
+        ("abs(theta1)", '<mo form="prefix">|</mo>'),
+        ("sqrt(theta1**2)", "<msqrt>"),
+        ("2*3", "<mn>2</mn><mo>·</mo><mn>3</mn>"),
+        ("2**-7", "<mo>−</mo><mn>7</mn>"),
+        ("1e-7*pi", "<mn>−7</mn>"),
+        ("a <b> c", "<mtext>a &lt;b&gt; c</mtext>"),
+        ("theta1 if x else y", "<mtext>theta1 if x else y</mtext>"),
+    ],
+)
+def test_terms_as_mathml(text, expected):
+    page = Notation(["theta1", "x_cart"]).term(text)
+    assert expected in page
+    Page(str(page))
+
+
+def test_names_that_look_alike_stay_apart():
+    notation = Notation(["q1", "q_1", "phi"])
+    assert [notation.text(c) for c in notation.coordinates] == ["q1", "q_1", "φ"]
+    assert len({notation.symbol(c) for c in notation.coordinates}) == 3
+
+
+def test_coefficients_carry_sign_error_and_power():
+    notation = Notation(["x"])
+    first = notation.addend("x**2", -1.234e-7, 5e-10, "", first=True)
+    assert first.startswith("<math><mrow><mo>−</mo>")
+    assert "<mn>1.2340</mn>" in first
+    assert "± 0.0050" in first
+    assert "<mn>−7</mn>" in first
+    assert "known" in notation.addend("2*x", 1.0, 0.0, "known", first=False)
+    assert "<mo>·</mo>" in notation.addend("2*x", 1.0, 0.0, "known", first=False)
+
+
+def test_numbers_in_tables():
+    assert [plain(v) for v in (0.0, 12.0, -1e-9, np.nan, -np.inf)] == ["0", "12", "−1 × 10⁻⁹", "–", "−∞"]
+
+
+def test_path_rows_keep_the_chosen_one():
+    path = [PathPoint(("x",) * n, 0.0, -1.0 * n) for n in range(1, 40)]
+    path.append(PathPoint(("x", "x**2"), 0.0, 0.0, True))
+    rows = path_rows(path, Notation(["x"]), limit=5)
+    assert len(rows) == 5
+    assert sum(row["chosen"] for row in rows) == 1
+
+
+def test_thinning_keeps_peaks_and_ends():
+    t = np.linspace(0.0, 1.0, 50_000)
+    y = np.sin(40 * t)
+    y[12_345], y[40_000] = 9.0, np.nan
+    for thin in (thin_line, thin_points):
+        thin_t, thin_y = thin(t, y, 1000)
+        assert thin_t.size <= 1100
+        assert np.nanmax(thin_y) == 9.0
+        assert (np.diff(thin_t) > 0).all()
+    assert thin_line(t, y, 1000)[0][-1] == 1.0
+    few, _, above = legible_samples(t, np.sin(t), 1e-6)
+    assert few.size <= 40
+    assert above
+
+
+def test_residuals_and_their_correlation():
+    series = Series(spring())
+    correlation = series.correlation(0)
+    assert correlation.size == 40
+    assert np.abs(correlation).max() < 0.25
+    assert series.all_residuals(0).std() == pytest.approx(0.01, rel=0.1)
+    start, stop = series.zoom
+    assert 0.0 <= start < stop <= 6.0
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.2])
+def test_energy_balance(friction):
+    energy = Energy.of(Series(spring(friction)), 0)
+    assert energy.imbalance < 2e-3
+    assert energy.finite
+    lost = energy.total[0] - energy.total[-1]
+    assert lost == pytest.approx(0.0, abs=1e-3) if friction == 0 else lost > 0.5
+    assert energy.expected[-1] == pytest.approx(energy.total[-1], abs=2e-3)
+
+
+def test_energy_balance_counts_known_forces():
+    model = spring()
+    t = np.linspace(0.0, 6.0, 601)
+    # x = t² / 20 solves x_ddot / 2 + 2 x = f
+    q, force = t[:, None] ** 2 / 20, 0.05 + t[:, None] ** 2 / 10
+    space = uniform_space(0.0, 6.0, 5.0)
+    points = np.linalg.lstsq(space.basis(t).toarray(), q, rcond=None)[0]
+    driven = Trajectories([Trajectory(t, q, force, coordinates=["x"])])
+    diagnostics = replace(
+        model.diagnostics, trajectories=driven, grid=SplineGrid([space]), control_points=points
+    )
+    energy = Energy.of(Series(replace(model, diagnostics=diagnostics)), 0)
+    assert energy.total[-1] > 3.0
+    assert energy.imbalance < 1e-3
