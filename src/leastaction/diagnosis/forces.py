@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.estimation.fit import Fit
 from leastaction.mechanics.euler_lagrange import Points
 
 __all__ = ["doubts_about_forces"]
@@ -19,19 +19,19 @@ _SHARE = 0.3  # of the residual's sum of squares
 _NULL = 1e-6
 
 
-def doubts_about_forces(workspace: Workspace, structure: StructureFit) -> list[str]:
+def doubts_about_forces(fit: Fit) -> list[str]:
     """The cause that explains most of the residual, in a sentence; nothing if none explains much of it."""
-    if workspace.forces is None:
+    if fit.grid.forces is None:
         return []
-    q, qdot, qddot = (s[:, 0] for s in workspace.grid.at_quadrature(structure.fit.control_points))
-    forces = workspace.forces[:, 0].T
-    strong = workspace.columns.strong(Points(q, qdot, qddot))
-    root = np.sqrt(structure.fit.weights.physics)[:, None]
-    residual = (root * (np.tensordot(structure.coefficients, strong, 1) - forces)).ravel()
-    members = (strong[list(structure.members)] * root).reshape(len(structure.members), -1)
+    q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points))
+    forces = fit.grid.forces.values[:, 0].T
+    strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
+    root = np.sqrt(fit.weights.physics)[:, None]
+    residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
+    members = (strong[list(fit.structure.members)] * root).reshape(len(fit.structure), -1)
     basis, _ = np.linalg.qr(members.T)
     best, most = "", _SHARE
-    for text, signature in _signatures(workspace, forces):
+    for text, signature in _signatures(fit, forces):
         column = (root * signature).ravel()
         size = float(column @ column)
         column = column - basis @ (basis.T @ column)
@@ -45,12 +45,10 @@ def doubts_about_forces(workspace: Workspace, structure: StructureFit) -> list[s
     return [best] if best else []
 
 
-def _signatures(
-    workspace: Workspace, forces: np.ndarray
-) -> Iterator[tuple[Callable[[float], str], np.ndarray]]:
+def _signatures(fit: Fit, forces: np.ndarray) -> Iterator[tuple[Callable[[float], str], np.ndarray]]:
     """(words for an amount, residual that one unit of the cause leaves)."""
-    names = workspace.trajectories.coordinates
-    if not np.isnan(workspace.known).all():  # otherwise the scale of L follows that of the forces
+    names = fit.problem.trajectories.coordinates
+    if not np.isnan(fit.problem.known).all():  # otherwise the scale of L follows that of the forces
         yield _scaled, forces
     for i in range(len(forces)):
         for j in range(i):

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
 
-from leastaction.curve.smoothing import Smooth
 from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.forces import doubts_about_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.wider_search import search_afresh
-from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.estimation.fit import Fit
 from leastaction.mechanics.euler_lagrange import Points
-from leastaction.selection.knots import EXPLAINED
-from leastaction.selection.select import Selection
+from leastaction.selection.alternatives import Alternative
+from leastaction.selection.search_state import EXPLAINED, Search
 
 __all__ = ["Verdict", "verify"]
 
@@ -52,84 +52,81 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: float) -> Verdict:
-    """Run every check on a selected structure; ``period`` is that of the fastest coordinate, in seconds."""
-    structure = selection.structure
-    fit = structure.fit
-    names = workspace.trajectories.coordinates
-    floor = workspace.observations.noise_floor
+def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
+    """Run every check on what a search has found: the very numbers that are returned."""
+    fit, smooth, period = search.found, search.curve, search.scales.period
+    names = fit.problem.coordinates
+    floor = fit.grid.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
-    chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
-    share, rms = workspace.equation_error(structure)
-    share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
-    samples_per_period = period / workspace.trajectories.sampling_interval
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
+    chi2 = fit.linearisation.squares / fit.grid.observations.counts / every**2
+    share, rms = fit.equation_error()
+    share = np.maximum(share, _behind_noise(fit, rms / np.maximum(share, 1e-300), period))
+    samples_per_period = period / fit.problem.trajectories.sampling_interval
     doubts: list[str] = []
     notes: list[str] = []
     if not fit.converged:
         doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
-    excused = (share > EXPLAINED) & _as_forces_are(workspace, structure)
+    excused = (share > EXPLAINED) & _as_forces_are(fit)
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(workspace, selection, share, any(share[i] > EXPLAINED for i in unexplained))
+    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
     for i in unexplained:
         doubts.append(
             f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
             f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
             + _ANY_CAUSE
-            + ("; see the likely cause below" if causes else _perhaps_unmeasured(workspace, i))
+            + ("; see the likely cause below" if causes else _perhaps_unmeasured(fit, i))
         )
-    doubts += _unexplained_rates(workspace, chi2) + causes
+    doubts += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
-        doubts += _looks_like_noise(workspace, noise)
+        doubts += _looks_like_noise(fit, noise)
     if unexplained:
-        doubts += _perhaps_degrees(workspace, structure)
+        doubts += _perhaps_degrees(fit)
     notes += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < _FEW_SAMPLES:
         doubts.append(
             f"sampling is slow: {samples_per_period:.1f} samples a period of the fastest motion, where at "
             f"least {_FEW_SAMPLES:g} are needed; what is faster looks slow, so sample faster"
         )
-    doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
-    doubts += rival_warnings(workspace, selection)
-    doubts += _mass_matrix(workspace, structure)
-    doubts += _friction(workspace, selection)
-    notes += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
-    if not selection.knots_settled and fit.converged:
+    doubts += _signal(fit) + _identifiability(fit)
+    doubts += rival_warnings(fit, alternatives)
+    doubts += _mass_matrix(fit)
+    doubts += _friction(search)
+    notes += _whiteness(fit) + _zero_offsets(fit)
+    if not search.knots_settled and fit.converged:
         notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
     return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
 
 
-def _perhaps_unmeasured(workspace: Workspace, i: int) -> str:
-    names = workspace.trajectories.coordinates
-    if len(names) - len(workspace.columns.prescribed) < 2:
+def _perhaps_unmeasured(fit: Fit, i: int) -> str:
+    names = fit.problem.trajectories.coordinates
+    if len(names) - len(fit.problem.candidates.prescribed) < 2:
         return ""
     return f"; if forces that were not measured move {names[i]}, name it in prescribed"
 
 
-def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[str]:
+def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[str]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
-    structure = selection.structure
-    usable = structure.fit.converged and np.isfinite(structure.evidence)
-    known = wrong_known(workspace, selection) if usable else []
-    found = search_afresh(workspace) if off and not any(cause.holds for cause in known) else []
+    fit, relevance = search.found, search.relevance
+    usable = fit.converged and np.isfinite(fit.evidence)
+    known = wrong_known(fit) if usable else []
+    found = search_afresh(search) if off and not any(cause.holds for cause in known) else []
     if found or not usable:
         return found + [cause.words for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
-    lacking = lacking_terms(workspace, selection)
+    lacking = lacking_terms(fit, relevance)
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
     found += [cause.words for cause in likelier]
     for find in (hidden_friction, late_forces):
-        found += find(workspace, selection)
+        found += find(fit, relevance)
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
-        found = doubts_about_forces(workspace, structure)
+        found = doubts_about_forces(fit)
     return found
 
 
-def _behind_noise(
-    workspace: Workspace, structure: StructureFit, size: np.ndarray, period: float
-) -> np.ndarray:
+def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
     """Equation error that the fitted curve does not show, relative to the terms of each equation.
 
     Within the noise a curve bends to wrong equations.  The weights know better: 1/w_i is the spectral density
@@ -137,21 +134,21 @@ def _behind_noise(
     its kinks, and what it misses there counts as equation error, too.
     """
     friction = [
-        t for t in map(workspace.columns.terms.__getitem__, structure.members) if t.kind == "dissipation"
+        t for t in map(fit.problem.terms.__getitem__, fit.structure.members) if t.kind == "dissipation"
     ]
     if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
         return np.zeros(size.size)
-    weights = structure.fit.weights
+    weights = fit.weights
     rms = np.sqrt(2.0 * _BAND / period / weights.physics)
     return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
 
 
-def _as_forces_are(workspace: Workspace, structure: StructureFit) -> np.ndarray:
+def _as_forces_are(fit: Fit) -> np.ndarray:
     """(n_dof,) whether the equation error is what the scatter of the given forces accounts for.
 
     1/w_i is the spectral density of the one; what no curve can follow shows that of the other.
     """
-    return structure.fit.weights.physics * workspace.force_density * _OF_FORCES > 1.0
+    return fit.weights.physics * fit.grid.force_density * _OF_FORCES > 1.0
 
 
 def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]) -> list[str]:
@@ -173,51 +170,50 @@ def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplain
     return notes
 
 
-def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
+def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[str]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
-    spread = np.sqrt(np.mean([np.nanvar(q, axis=0) for q in workspace.values], axis=0))
+    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.problem.trajectories], axis=0))
     return [
         f"{100 * part:.0f} % of the spread of {name} looks like noise: if the sensor is better than that, "
         "sampling is too slow for the motion, so sample faster"
-        for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
+        for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
         if part > _MUCH_NOISE
     ]
 
 
-def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[str]:
+def _perhaps_degrees(fit: Fit) -> list[str]:
     """An angle that covers more than two turns within a recording may be in degrees."""
-    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
         f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
-        for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
-        if name in workspace.columns.turning and span > _TWO_TURNS
+        for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
+        if name in fit.problem.candidates.turning and span > _TWO_TURNS
     ]
 
 
-def _signal(workspace: Workspace, structure) -> list[str]:
+def _signal(fit: Fit) -> list[str]:
     """A curve that hardly moves fits any noise, and any equations hold along it."""
-    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
     return [
         f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
         for name, size, noise in zip(
-            workspace.trajectories.coordinates, spread, structure.fit.weights.position_std, strict=True
+            fit.problem.trajectories.coordinates, spread, fit.weights.position_std, strict=True
         )
         if size < _VISIBLE * noise
     ]
 
 
-def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
+def _identifiability(fit: Fit) -> list[str]:
     """The combination of coefficients that the data determine least, in words."""
-    structure = selection.structure
-    covariance = structure.fit.covariance
+    covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
-    size = np.maximum(np.abs(structure.estimates), 1e-300)
+    size = np.maximum(np.abs(fit.estimates), 1e-300)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    relative = structure.standard_errors / size
-    texts = [workspace.columns.terms[m].text for m in structure.members]
+    relative = fit.standard_errors / size
+    texts = [fit.problem.terms[m].text for m in fit.structure.members]
     loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
     if not loose:
         return []
@@ -234,11 +230,11 @@ def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
     return [out + ": record larger or different motions, or fix one of the coefficients with known"]
 
 
-def _mass_matrix(workspace: Workspace, structure) -> list[str]:
-    states = workspace.grid.at_quadrature(structure.fit.control_points)
+def _mass_matrix(fit: Fit) -> list[str]:
+    states = fit.grid.spline.at_quadrature(fit.control_points)
     points = Points(*(s[:, 0] for s in states))
-    physics, index = workspace.physics(structure.members)
-    mass = physics.columns.mass_matrix(points, structure.coefficients[index])
+    physics, index = fit.grid.physics(fit.structure)
+    mass = physics.columns.mass_matrix(points, fit.coefficients[index])
     if not np.isfinite(mass).all():
         return ["the mass matrix is not finite along the data"]
     diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
@@ -253,19 +249,19 @@ def _mass_matrix(workspace: Workspace, structure) -> list[str]:
     ]
 
 
-def _friction(workspace: Workspace, selection: Selection) -> list[str]:
+def _friction(search: Search) -> list[str]:
     return [
-        f"the dissipation term {workspace.columns.terms[m].text} came out negative and was left out, "
+        f"the dissipation term {search.problem.terms[m].text} came out negative and was left out, "
         "since it would feed energy in: check the sign of forces and known coefficients, or a missing term"
-        for m in selection.feeding
+        for m in search.feeding
     ]
 
 
-def _zero_offsets(workspace: Workspace, structure) -> list[str]:
+def _zero_offsets(fit: Fit) -> list[str]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes = []
-    present = [*structure.members, *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
-    terms = {workspace.columns.terms[k].expr: float(structure.coefficients[k]) for k in present}
+    present = [*fit.structure.members, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
+    terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
@@ -278,25 +274,27 @@ def _zero_offsets(workspace: Workspace, structure) -> list[str]:
     return notes
 
 
-def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[str]:
-    names = workspace.trajectories.coordinates
+def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[str]:
+    names = fit.problem.trajectories.coordinates
     return [
         f"the library cannot explain the measured {rate.label(names)}: its residual is {np.sqrt(value):.2f} "
         "times the noise; is it a sensor of its own, at the same times as the positions?"
-        for rate, value in zip(workspace.rates, chi2[len(names) :], strict=True)
+        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
         if value > _NOISE_RATIO**2
     ]
 
 
-def _whiteness(workspace: Workspace, structure) -> list[str]:
+def _whiteness(fit: Fit) -> list[str]:
     notes = []
-    observations, names = workspace.observations, workspace.trajectories.coordinates
-    loose = [names[i] for i in workspace.columns.prescribed]  # a curve that nothing holds follows the noise
+    observations, names = fit.grid.observations, fit.problem.trajectories.coordinates
+    loose = [
+        names[i] for i in fit.problem.candidates.prescribed
+    ]  # a curve that nothing holds follows the noise
     for name, r, least, sigma in zip(
-        (*names, *(rate.label(names) for rate in workspace.rates)),
-        observations.residuals(structure.fit.control_points),
+        (*names, *(rate.label(names) for rate in fit.problem.trajectories.rates)),
+        observations.residuals(fit.control_points),
         observations.floors,
-        structure.fit.weights.noise_std,
+        fit.weights.noise_std,
         strict=True,
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
