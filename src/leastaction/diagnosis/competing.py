@@ -7,6 +7,7 @@ import numpy as np
 from leastaction.estimation.joint import positive_definite
 from leastaction.estimation.weights import SLACK_LEFT
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.select import Selection
@@ -20,8 +21,8 @@ _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 
-def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
-    """One sentence for each rival, the most likely first.
+def rival_warnings(workspace: Workspace, selection: Selection) -> list[Finding]:
+    """One finding for each rival, the most likely first.
 
     Rivals have as many terms as the chosen structure, or one more: where the motion shows little, the law
     itself may lose by the price of a term.  It is then likelier than the chosen terms with any further one,
@@ -46,20 +47,21 @@ def rival_warnings(workspace: Workspace, selection: Selection) -> list[str]:
     position = {int(k): p for p, k in enumerate(free)}
     out = []
     for rival in [c.members for c in rivals[:_MOST]]:
-        mine = ", ".join(texts[m] for m in chosen if m not in rival)
-        theirs = ", ".join(texts[m] for m in rival if m not in chosen)
+        mine = [texts[m] for m in chosen if m not in rival]
+        theirs = [texts[m] for m in rival if m not in chosen]
         coefficients = structure.coefficients.copy()
         coefficients[free] = model.solution(tuple(sorted(position[m] for m in rival)))
-        where = _where_they_differ(workspace, structure, coefficients)
-        out.append(
-            f"these data cannot tell {mine} from {theirs}: record motions in which they differ{where}, or "
-            "leave one of them out"
-        )
+        state = _where_they_differ(workspace, structure, coefficients)
+        where = {"at_names": list(state), "at_values": list(state.values())}
+        out.append(find("competing-structures", mine, others=theirs, **where))
     return out
 
 
-def _where_they_differ(workspace: Workspace, structure: StructureFit, second: np.ndarray) -> str:
-    """The state, up to three times as far out as recorded, at which the accelerations differ most."""
+def _where_they_differ(workspace: Workspace, structure: StructureFit, second: np.ndarray) -> dict[str, float]:
+    """The state, up to three times as far out as recorded, at which the accelerations differ most.
+
+    Empty if they differ nowhere.
+    """
     curve = workspace.grid.at_quadrature(structure.fit.control_points)
     q, qdot = (s[:: max(1, len(s) // _STATES), 0] for s in curve[:2])
     middle = q.mean(axis=0)
@@ -71,12 +73,10 @@ def _where_they_differ(workspace: Workspace, structure: StructureFit, second: np
     size = np.sqrt((curve[2][:, 0] ** 2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
-        return ""
+        return {}
     worst = int(np.nanargmax(np.where(np.isfinite(apart), apart, np.nan)))
     names = workspace.trajectories.coordinates
-    where = [f"{n} = {v:.2g}" for n, v in zip(names, states[0, worst], strict=True)]
-    where += [f"{n}_dot = {v:.2g}" for n, v in zip(names, states[1, worst], strict=True)]
-    return f", e.g. through {', '.join(where)}"
+    return dict(zip([*names, *(f"{n}_dot" for n in names)], states[:, worst].ravel().tolist(), strict=True))
 
 
 def _acceleration(workspace: Workspace, states: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

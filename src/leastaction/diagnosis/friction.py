@@ -12,16 +12,18 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
+from leastaction.diagnosis.cause import Cause
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.gauss_newton import score_candidates
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.knots import BETTER, RELEVANT, Cause, equations_hold, silent
+from leastaction.selection.knots import BETTER, RELEVANT, equations_hold, silent
 from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.select import Refiner, Selection
 
-__all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "wrong_known"]
+__all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
 _UNUSUAL = 20.0  # instead of BETTER, where friction is not viscous
@@ -29,7 +31,7 @@ _MOST_RELEASED = 3
 _HALF = 0.15  # of a sample
 
 
-def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
+def hidden_friction(workspace: Workspace, selection: Selection) -> list[Finding]:
     """Friction that is not among the candidates and would explain much of the equation error."""
     structure, columns = selection.structure, workspace.columns
     tested = usual_friction(columns)
@@ -45,11 +47,10 @@ def hidden_friction(workspace: Workspace, selection: Selection) -> list[str]:
         term, value = candidates.terms[k], float(values[k])
         gain = _gain(model, (*base, *(other for other in found if other != k)), k)
         if value > 0.0:
-            out.append(say_friction(term, f"coefficient about {value:.2g}, -2 log likelihood {gain:.0f}"))
+            out.append(unmodelled_friction(term, coefficient=value, gain=gain))
         else:
             out.append(
-                f"energy seems to be fed in along {_rates(term)} (friction of about {value:.2g}): check the "
-                "sign of forces and of known coefficients, and whether a driving force is missing"
+                find("energy-fed-in", term.text, velocities=_rates(term), coefficient=value, gain=gain)
             )
     return out
 
@@ -85,14 +86,13 @@ def _viscous(term: Term) -> bool:
     return term.expr.is_polynomial() and len(term.expr.free_symbols) == 1
 
 
-def say_friction(term: Term, details: str) -> str:
-    """The warning that names a candidate for dissipation."""
-    give = f"give {term.text} as a candidate for dissipation"
-    return f"friction seems to act on {_rates(term)} ({details}): {give}"
+def unmodelled_friction(term: Term, **figures: float) -> Finding:
+    """Names a candidate for dissipation; the figures are its coefficient and, where known, its gain."""
+    return find("unmodelled-friction", term.text, velocities=_rates(term), **figures)
 
 
-def _rates(term: Term) -> str:
-    return ", ".join(sorted(symbol.name for symbol in term.expr.free_symbols))
+def _rates(term: Term) -> list[str]:
+    return sorted(symbol.name for symbol in term.expr.free_symbols)
 
 
 def usual_friction(columns: EulerLagrange) -> list[Term]:
@@ -129,7 +129,7 @@ class _Late:
         return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
 
 
-def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
+def late_forces(workspace: Workspace, selection: Selection) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""
     structure = selection.structure
     if workspace.force_rates is None:
@@ -142,12 +142,7 @@ def late_forces(workspace: Workspace, selection: Selection) -> list[str]:
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / workspace.trajectories.sampling_interval - 0.5) < _HALF
-    when = "later" if delay > 0.0 else "earlier"
-    hint = ", half a sample (are they held from one sample to the next?)" if held else ""
-    return [
-        f"the forces seem to act about {1e3 * abs(delay):.2g} ms {when} than recorded{hint}: find the delay "
-        f"with la.delay.estimate, or give --force-delay (-2 log likelihood {gain:.0f})"
-    ]
+    return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
 
 
 def _beside(
@@ -188,14 +183,16 @@ def wrong_known(workspace: Workspace, selection: Selection) -> list[Cause]:
             continue
         value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
         fewer = len(structure.members) + 1 - len(found.members)
-        scaled = workspace.forces is not None and value / workspace.known[k] > 0.0
-        units = f", or the forces are {value / workspace.known[k]:.3g} times too large" if scaled else ""
-        words = (
-            f"the known coefficient of {text} may be wrong: set free it becomes {value:.3g} instead of "
-            f"{workspace.known[k]:.3g}, and "
-            + (f"{fewer} terms fewer" if fewer > 1 else "the other terms")
-            + f" explain the motion better{units}"
+        ratio = value / workspace.known[k]
+        wrong = find(
+            "wrong-known-coefficient",
+            text,
+            given=workspace.known[k],
+            estimate=value,
+            fewer_terms=fewer,
+            gain=gain,
+            force_factor=ratio if workspace.forces is not None and ratio > 0.0 else None,
         )
         # a term that is dropped when it is set free makes way for others that imitate what lacks
-        out.append(Cause(words, gain, k in found.members and equations_hold(released, found)))
+        out.append(Cause(wrong, gain, k in found.members and equations_hold(released, found)))
     return out

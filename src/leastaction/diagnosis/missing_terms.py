@@ -12,14 +12,16 @@ from itertools import islice
 
 import numpy as np
 
+from leastaction.diagnosis.cause import Cause
 from leastaction.estimation.weights import Start
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.knots import BETTER, RELEVANT, Cause, equations_hold, silent
+from leastaction.selection.knots import BETTER, RELEVANT, equations_hold, silent
 from leastaction.selection.select import Refiner, Selection
 
-__all__ = ["common_terms", "lacking_terms", "say_lacking"]
+__all__ = ["common_terms", "lacking_terms", "missing_term"]
 
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
 _ROUNDS = 3  # a term that is lacking is found in the first
@@ -53,18 +55,21 @@ def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size
     holds = equations_hold(wider, found)
     if not (new and (fewer or (holds and not hold)) and found.fit.converged and gain > threshold):
         return []
-    by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
-    free = f"{len(found.members)} free terms instead of {len(structure.members)}"
-    words = say_lacking(new, f"{free} explain the motion better{by}", columns.coordinates)
-    return [Cause(words, gain, holds)]
+    figures = {
+        "free_terms": len(found.members),
+        "free_terms_before": len(structure.members),
+        "gain": gain if np.isfinite(gain) else None,
+    }
+    return [Cause(missing_term(new, columns.coordinates, **figures), gain, holds)]
 
 
-def say_lacking(new: list[str], what: str, coordinates: Sequence[str]) -> str:
-    """The warning that names candidates to add, and what is so with them."""
-    it = "it" if len(new) == 1 else "them"
-    pushed = [text for text in new if text in coordinates]
-    means = f"; in L, {pushed[0]} by itself is a constant force on it (force_offset)" if pushed else ""
-    return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates{means}"
+def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | None) -> Finding:
+    """Names candidates to add; a coordinate by itself is a constant force on it.
+
+    The figures are the free terms with them and, where known, without them, and the gain.
+    """
+    pushed = next((text for text in new if text in coordinates), None)
+    return find("missing-term", new, constant_force=pushed, **figures)
 
 
 class _Best(Refiner):

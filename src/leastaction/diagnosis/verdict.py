@@ -1,4 +1,4 @@
-"""Can the result be trusted?  Checks that need no truth, in words."""
+"""Can the result be trusted?  Checks that need no truth."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_k
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.wider_search import search_afresh
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.knots import EXPLAINED
 from leastaction.selection.select import Selection
@@ -36,18 +37,11 @@ _TWO_TURNS = 4.0 * np.pi
 _SMALL_OFFSET = 0.05
 
 
-_ANY_CAUSE = (
-    "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign be "
-    "wrong"
-)
-
-
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
+    """What is doubtful, and what is only worth knowing."""
 
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     chi2_per_sample: float
     equation_error: np.ndarray
 
@@ -64,64 +58,57 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
     share, rms = workspace.equation_error(structure)
     share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
     samples_per_period = period / workspace.trajectories.sampling_interval
-    doubts: list[str] = []
-    notes: list[str] = []
+    found: list[Finding] = []
     if not fit.converged:
-        doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
+        found.append(find("not-converged", reason=fit.status))
     excused = (share > EXPLAINED) & _as_forces_are(workspace, structure)
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
     causes = _likely_causes(workspace, selection, share, any(share[i] > EXPLAINED for i in unexplained))
-    for i in unexplained:
-        doubts.append(
-            f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
-            f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
-            + _ANY_CAUSE
-            + ("; see the likely cause below" if causes else _perhaps_unmeasured(workspace, i))
+    found += [
+        find(
+            "equations-off",
+            names[i],
+            equation_error=share[i],
+            residual_ratio=np.sqrt(chi2[i]),
+            cause_named=bool(causes),
+            may_be_prescribed=len(names) - len(workspace.columns.prescribed) >= 2,
         )
-    doubts += _unexplained_rates(workspace, chi2) + causes
+        for i in unexplained
+    ]
+    found += _unexplained_rates(workspace, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
-        doubts += _looks_like_noise(workspace, noise)
+        found += _looks_like_noise(workspace, noise)
     if unexplained:
-        doubts += _perhaps_degrees(workspace, structure)
-    notes += _unexplained_little(names, share, excused, unexplained)
+        found += _perhaps_degrees(workspace, structure)
+    found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < _FEW_SAMPLES:
-        doubts.append(
-            f"sampling is slow: {samples_per_period:.1f} samples a period of the fastest motion, where at "
-            f"least {_FEW_SAMPLES:g} are needed; what is faster looks slow, so sample faster"
-        )
-    doubts += _signal(workspace, structure) + _identifiability(workspace, selection)
-    doubts += rival_warnings(workspace, selection)
-    doubts += _mass_matrix(workspace, structure)
-    doubts += _friction(workspace, selection)
-    notes += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
+        found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=_FEW_SAMPLES))
+    found += _signal(workspace, structure) + _identifiability(workspace, selection)
+    found += rival_warnings(workspace, selection)
+    found += _mass_matrix(workspace, structure)
+    found += _friction(workspace, selection)
+    found += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
     if not selection.knots_settled and fit.converged:
-        notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
-    return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+        found.append(find("knots-not-settled"))
+    return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
-def _perhaps_unmeasured(workspace: Workspace, i: int) -> str:
-    names = workspace.trajectories.coordinates
-    if len(names) - len(workspace.columns.prescribed) < 2:
-        return ""
-    return f"; if forces that were not measured move {names[i]}, name it in prescribed"
-
-
-def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[str]:
+def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
     structure = selection.structure
     usable = structure.fit.converged and np.isfinite(structure.evidence)
     known = wrong_known(workspace, selection) if usable else []
     found = search_afresh(workspace) if off and not any(cause.holds for cause in known) else []
     if found or not usable:
-        return found + [cause.words for cause in known]
+        return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
     lacking = lacking_terms(workspace, selection)
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
-    found += [cause.words for cause in likelier]
-    for find in (hidden_friction, late_forces):
-        found += find(workspace, selection)
+    found += [cause.finding for cause in likelier]
+    for check in (hidden_friction, late_forces):
+        found += check(workspace, selection)
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
         found = doubts_about_forces(workspace, structure)
     return found
@@ -154,53 +141,48 @@ def _as_forces_are(workspace: Workspace, structure: StructureFit) -> np.ndarray:
     return structure.fit.weights.physics * workspace.force_density * _OF_FORCES > 1.0
 
 
-def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]) -> list[str]:
+def _unexplained_little(
+    names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]
+) -> list[Finding]:
     """Equation errors that are no reason for doubt."""
     notes = []
     for i in range(len(names)):
         if i in unexplained:
             continue
         if excused[i]:
-            notes.append(
-                f"the equation of {names[i]} is off by {100 * share[i]:.1f} % of its forces, no more than "
-                "the scatter of those that were given leaves: quieter forces would narrow the intervals"
-            )
+            notes.append(find("scatter-of-forces", names[i], equation_error=share[i]))
         elif share[i] > _WORTH_KNOWING:
-            notes.append(
-                f"the equation of {names[i]} leaves {100 * share[i]:.2g} % of its forces unexplained: little "
-                "on hardware; in a simulation a small term or friction is missing"
-            )
+            notes.append(find("equation-error", names[i], equation_error=share[i]))
     return notes
 
 
-def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[str]:
+def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
     spread = np.sqrt(np.mean([np.nanvar(q, axis=0) for q in workspace.values], axis=0))
     return [
-        f"{100 * part:.0f} % of the spread of {name} looks like noise: if the sensor is better than that, "
-        "sampling is too slow for the motion, so sample faster"
+        find("looks-like-noise", name, share=part)
         for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
         if part > _MUCH_NOISE
     ]
 
 
-def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[str]:
+def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees."""
     curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
     spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
-        f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
+        find("angle-in-degrees", name, span=span)
         for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
         if name in workspace.columns.turning and span > _TWO_TURNS
     ]
 
 
-def _signal(workspace: Workspace, structure) -> list[str]:
+def _signal(workspace: Workspace, structure: StructureFit) -> list[Finding]:
     """A curve that hardly moves fits any noise, and any equations hold along it."""
     curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
     spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
     return [
-        f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
+        find("motion-in-noise", name, motion=size, noise=noise)
         for name, size, noise in zip(
             workspace.trajectories.coordinates, spread, structure.fit.weights.position_std, strict=True
         )
@@ -208,8 +190,8 @@ def _signal(workspace: Workspace, structure) -> list[str]:
     ]
 
 
-def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
-    """The combination of coefficients that the data determine least, in words."""
+def _identifiability(workspace: Workspace, selection: Selection) -> list[Finding]:
+    """The combination of coefficients that the data determine least."""
     structure = selection.structure
     covariance = structure.fit.covariance
     if not np.isfinite(covariance).all():
@@ -224,44 +206,35 @@ def _identifiability(workspace: Workspace, selection: Selection) -> list[str]:
     # eigenvector of relative changes: the terms that move together
     weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
     moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > _PART_OF_IT]
-    out = f"these data hardly determine {', '.join(loose)}"
-    if len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5):
-        out += " (all coefficients can grow together: the scale of L is open)"
-    elif len(moving) > 1:
-        signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
-        parts = ", ".join(f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True))
-        out += f" (open to {100 * np.sqrt(values[-1]):.0f} %: the combination {parts})"
-    return [out + ": record larger or different motions, or fix one of the coefficients with known"]
+    together = len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5)
+    signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
+    parts = [f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True)] if len(moving) > 1 else []
+    size_open = np.sqrt(values[-1])
+    figures = {"scale_open": bool(together), "combination": parts, "open": size_open}
+    return [find("hardly-determined", loose, **figures)]
 
 
-def _mass_matrix(workspace: Workspace, structure) -> list[str]:
+def _mass_matrix(workspace: Workspace, structure: StructureFit) -> list[Finding]:
     states = workspace.grid.at_quadrature(structure.fit.control_points)
     points = Points(*(s[:, 0] for s in states))
     physics, index = workspace.physics(structure.members)
     mass = physics.columns.mass_matrix(points, structure.coefficients[index])
     if not np.isfinite(mass).all():
-        return ["the mass matrix is not finite along the data"]
+        return [find("mass-matrix-not-finite")]
     diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
     scale = np.where(diagonal > 0, diagonal, 1.0)
     lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
     bad = float(np.mean(lowest <= 1e-9))
     if bad == 0.0:
         return []
-    return [
-        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is "
-        "missing, or the sign of forces or of a known coefficient is wrong"
-    ]
+    return [find("mass-matrix-not-positive", share=bad)]
 
 
-def _friction(workspace: Workspace, selection: Selection) -> list[str]:
-    return [
-        f"the dissipation term {workspace.columns.terms[m].text} came out negative and was left out, "
-        "since it would feed energy in: check the sign of forces and known coefficients, or a missing term"
-        for m in selection.feeding
-    ]
+def _friction(workspace: Workspace, selection: Selection) -> list[Finding]:
+    return [find("negative-dissipation", workspace.columns.terms[m].text) for m in selection.feeding]
 
 
-def _zero_offsets(workspace: Workspace, structure) -> list[str]:
+def _zero_offsets(workspace: Workspace, structure: StructureFit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes = []
     present = [*structure.members, *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
@@ -270,30 +243,30 @@ def _zero_offsets(workspace: Workspace, structure) -> list[str]:
         for cosine in expression.atoms(sp.cos):
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
             if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
-                shift = 1e3 * beside / coefficient
-                notes.append(
-                    f"{expression} with its sine reads as a zero offset: {cosine.args[0]} is too "
-                    f"{'large' if shift > 0 else 'small'} by {abs(shift):.2g} mrad"
-                )
+                angle, offset = str(cosine.args[0]), beside / coefficient
+                notes.append(find("zero-offset", angle, term=str(expression), offset=offset))
     return notes
 
 
-def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[str]:
+def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[Finding]:
     names = workspace.trajectories.coordinates
     return [
-        f"the library cannot explain the measured {rate.label(names)}: its residual is {np.sqrt(value):.2f} "
-        "times the noise; is it a sensor of its own, at the same times as the positions?"
+        find(
+            "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
+        )
         for rate, value in zip(workspace.rates, chi2[len(names) :], strict=True)
         if value > _NOISE_RATIO**2
     ]
 
 
-def _whiteness(workspace: Workspace, structure) -> list[str]:
+def _whiteness(workspace: Workspace, structure: StructureFit) -> list[Finding]:
     notes = []
     observations, names = workspace.observations, workspace.trajectories.coordinates
     loose = [names[i] for i in workspace.columns.prescribed]  # a curve that nothing holds follows the noise
-    for name, r, least, sigma in zip(
-        (*names, *(rate.label(names) for rate in workspace.rates)),
+    channels = [(name, "position") for name in names]
+    channels += [(names[rate.coordinate], rate.quantity) for rate in workspace.rates]
+    for (name, quantity), r, least, sigma in zip(
+        channels,
         observations.residuals(structure.fit.control_points),
         observations.floors,
         structure.fit.weights.noise_std,
@@ -301,9 +274,6 @@ def _whiteness(workspace: Workspace, structure) -> list[str]:
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
         visible = abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
-        if visible and name not in loose:
-            notes.append(
-                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, "
-                "encoder steps or filtered data; intervals may be too narrow or too wide"
-            )
+        if visible and not (name in loose and quantity == "position"):
+            notes.append(find("correlated-residuals", name, quantity=quantity, correlation=lag))
     return notes

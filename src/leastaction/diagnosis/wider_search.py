@@ -11,9 +11,10 @@ import numpy as np
 import sympy as sp
 
 from leastaction.curve.smoothing import smooth
-from leastaction.diagnosis.friction import say_friction, usual_friction
-from leastaction.diagnosis.missing_terms import common_terms, say_lacking
+from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
+from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.estimation.workspace import Workspace
+from leastaction.findings import Finding
 from leastaction.selection.knots import equations_hold, silent
 from leastaction.selection.select import Refiner, best_structure, propose_supports
 
@@ -23,7 +24,7 @@ _CERTAIN = 20.0  # standard errors: laws have 170 and more, what imitates them h
 _MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
-def search_afresh(workspace: Workspace) -> list[str]:
+def search_afresh(workspace: Workspace) -> list[Finding]:
     """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
     # dry friction has a kink, which a curve meets only where it is smoothed
     friction = [term for term in usual_friction(workspace.columns) if not isinstance(term.expr, sp.Abs)]
@@ -40,10 +41,10 @@ def search_afresh(workspace: Workspace) -> list[str]:
         return []
     new = [m for m in found.members if m >= len(workspace.columns)]
     terms = [wider.columns.terms[m].text for m in new if wider.columns.terms[m].kind == "lagrangian"]
-    what = f"{len(found.members)} free terms explain the motion"
-    out = [say_lacking(terms, what, workspace.columns.coordinates)] if terms else []
+    free = len(found.members)
+    out = [missing_term(terms, workspace.columns.coordinates, free_terms=free)] if terms else []
     return out + [
-        say_friction(wider.columns.terms[m], f"coefficient about {found.coefficients[m]:.2g}")
+        unmodelled_friction(wider.columns.terms[m], coefficient=float(found.coefficients[m]))
         for m in new
         if wider.columns.terms[m].kind == "dissipation"
     ]
