@@ -18,6 +18,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
 from leastaction.estimation.joint import Weights
 from leastaction.estimation.workspace import Workspace
+from leastaction.findings import find
 from leastaction.library import Library
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.model.diagnostics import Diagnostics, PathPoint
@@ -169,10 +170,8 @@ def discover(
         trajectories, library, known, dissipation, angles, degree, most, constant, robust, prescribed
     )
     doubts = doubts_about_rates(prepared.searched, prepared.knots.smooth)
-    prepared = replace(prepared, doubts=(*prepared.doubts, *doubts))
-    if unused:
-        note = "method='adam' fits positions alone: measured velocities and accelerations were left out"
-        prepared = replace(prepared, notes=(*prepared.notes, note))
+    notes = [find("rates-unused")] if unused else []
+    prepared = replace(prepared, findings=(*prepared.findings, *doubts, *notes))
     drift = Drift(prepared.trajectories, slow)
     workspace = prepared.workspace(prepared.euler_lagrange)
     _check_columns(workspace, prepared)
@@ -193,7 +192,7 @@ def discover(
     if not descent:
         better, notes = improve_coarse(prepared, workspace, selection.structure, clock.report)
         selection = replace(selection, structure=better)
-        verdict = replace(verdict, notes=(*verdict.notes, *notes))
+        verdict = replace(verdict, findings=(*verdict.findings, *notes))
     clock.stop()
     given = {
         "method": method,
@@ -224,7 +223,8 @@ def _search(
     prepared: Prepared, workspace: Workspace, drift: Drift, clock: _Clock, relevance: float, seed: int
 ) -> _Found:
     """Select a structure, with the forces that drift where some are asked for."""
-    thorough = not prepared.doubts  # data at fault: searching longer does not help
+    # data at fault: searching longer does not help
+    thorough = not any(finding.severity == "warning" for finding in prepared.findings)
     found = _search_once(prepared, workspace, clock, relevance, seed, thorough and not drift.seconds)
     while drift.follow(found.workspace, found.selection.structure):
         clock.report("drift", drift.size)
@@ -325,8 +325,14 @@ def _model(
 ):
     structure = selection.structure
     weights = structure.fit.weights
-    warnings = (*prepared.doubts, *verdict.warnings)
-    status = "doubtful" if warnings else "ok"
+    rate_noise = _rate_noise(workspace, weights)
+    findings = (
+        *prepared.findings,
+        *verdict.findings,
+        *drift.findings(),
+        *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in rate_noise.items()),
+    )
+    status = "doubtful" if any(finding.severity == "warning" for finding in findings) else "ok"
     members = dict(zip(structure.members, structure.standard_errors, strict=True))
     parts: dict[str, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
     for k, term in enumerate(prepared.columns):
@@ -335,7 +341,6 @@ def _model(
             error = 0.0 if is_known else float(members[k])
             value = float(structure.coefficients[k])
             parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
-    rate_noise = _rate_noise(workspace, weights)
     density = weights.physics.copy()
     density[list(prepared.prescribed)] = np.nan
     diagnostics = Diagnostics(
@@ -347,15 +352,9 @@ def _model(
         verdict.equation_error,
         _path(prepared, selection),
         prepared.library.dropped,
-        (
-            *prepared.notes,
-            *verdict.notes,
-            *drift.notes(),
-            *(f"{k}: noise {x:.3g}" for k, x in rate_noise.items()),
-        ),
-        timings,
-        rate_noise,
-        drift.found(),
+        timings=timings,
+        rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in rate_noise.items()},
+        force_offset=drift.found(),
     )
     return LagrangianModel(
         prepared.library.coordinates,
@@ -363,7 +362,7 @@ def _model(
         tuple(parts["dissipation"]),
         None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
         weights.position_std,
-        FitSummary(status, verdict.chi2_per_sample, density.tolist(), warnings),
+        FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
             "version": _version(),
             "options": options,
@@ -376,10 +375,12 @@ def _model(
     )
 
 
-def _rate_noise(workspace: Workspace, weights: Weights) -> dict[str, float]:
+def _rate_noise(workspace: Workspace, weights: Weights) -> dict[tuple[str, str], float]:
+    """(``"velocity"`` or ``"acceleration"``, coordinate) → noise of what was measured."""
     names = workspace.trajectories.coordinates
     noise = weights.noise_std[len(names) :].tolist()
-    return {rate.label(names): sigma for rate, sigma in zip(workspace.rates, noise, strict=True)}
+    channels = [(rate.quantity, names[rate.coordinate]) for rate in workspace.rates]
+    return dict(zip(channels, noise, strict=True))
 
 
 def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:

@@ -19,6 +19,7 @@ from leastaction.curve.smoothing import smooth
 from leastaction.errors import InputError
 from leastaction.estimation.simulation_error import FreeRuns, minimise_free_runs
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.mechanics.equations import Mechanics
 from leastaction.selection.knots import Progress, equations_hold
 from leastaction.selection.prepare import Prepared
@@ -72,14 +73,14 @@ def _horizon(knots_per_second: float) -> float:
 
 def improve_coarse(
     prepared: Prepared, workspace: Workspace, structure: StructureFit, progress: Progress
-) -> tuple[StructureFit, tuple[str, ...]]:
+) -> tuple[StructureFit, tuple[Finding, ...]]:
     """Coefficients by free runs, if the structure is that of a coarse grid and they contradict its fit.
 
     Returns
     -------
     StructureFit
         Curve and weights unchanged.
-    tuple of str
+    tuple of Finding
         What is worth knowing about it.
     """
     if not structure.fit.converged or workspace.knots_per_second >= prepared.knots.per_second:
@@ -99,10 +100,7 @@ def improve_coarse(
     regular = [workspace.regular(s.coefficients, fit.control_points) for s in (structure, better)]
     if after > before / _CLEARLY or regular[1] < regular[0]:
         return structure, ()
-    return better, (
-        "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
-        f"{short:.2g} s, and their intervals allow for what the library cannot explain",
-    )
+    return better, (find("coefficients-of-free-runs", horizon=short),)
 
 
 def _differ(found: FreeRuns, before: np.ndarray) -> bool:

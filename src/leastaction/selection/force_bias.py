@@ -16,6 +16,7 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.force_splines import fit_with_forces, slow_forces
 from leastaction.estimation.weights import Start
 from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.findings import Finding, find
 from leastaction.selection.select import Refiner, Selection
 
 __all__ = ["Drift"]
@@ -125,16 +126,14 @@ class Drift:
             for i in self.seconds
         }
 
-    def notes(self) -> list[str]:
-        """What was found, in words."""
+    def findings(self) -> list[Finding]:
+        """What was found."""
         out = []
         for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
             low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self._errors[i]
-            none = ": hardly any" if _rms(list(parts)) < _NONE * error else ""
-            out.append(
-                f"a force on {name} that changes within {self.seconds[i]:g} s was looked for: between "
-                f"{low:.3g} and {high:.3g}, ± {error:.2g}{none}"
-            )
+            figures = {"seconds": self.seconds[i], "lowest": low, "highest": high, "standard_error": error}
+            none = bool(_rms(list(parts)) < _NONE * error)
+            out.append(find("slow-force", name, hardly_any=none, **figures))
         return out
 
 

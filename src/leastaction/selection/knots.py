@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from leastaction.estimation.weights import SLACK_LEFT
 from leastaction.estimation.workspace import StructureFit, Workspace
 
-__all__ = ["BETTER", "EXPLAINED", "RELEVANT", "Cause", "Progress", "equations_hold", "refine_knots", "silent"]
+__all__ = ["BETTER", "EXPLAINED", "RELEVANT", "Progress", "equations_hold", "refine_knots", "silent"]
 
 Progress = Callable[[str, dict], None]
 
@@ -25,24 +24,6 @@ _MOST_SHRUNK = 0.03
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _GROWN = 1.1
-
-
-@dataclass(frozen=True)
-class Cause:
-    """What would explain the motion better, in words.
-
-    Attributes
-    ----------
-    words : str
-    gain : float
-        By how much it lowers −2 log likelihood, the price of every term included.
-    holds : bool
-        Whether the equations hold with it.
-    """
-
-    words: str
-    gain: float
-    holds: bool
 
 
 def silent(stage: str, details: dict) -> None:

@@ -14,6 +14,7 @@ from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.workspace import Workspace
+from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -44,7 +45,8 @@ class Prepared:
     knots : Knots
         Of ``searched``.
     degree : int
-    notes, doubts : tuple of str
+    findings : tuple of Finding
+        What was done to the data or the library on the user's behalf, and what is doubtful about them.
     """
 
     trajectories: Trajectories
@@ -55,8 +57,7 @@ class Prepared:
     prescribed: tuple[int, ...]
     knots: Knots
     degree: int
-    notes: tuple[str, ...]
-    doubts: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
     @property
     def euler_lagrange(self) -> EulerLagrange:
@@ -126,17 +127,13 @@ def prepare(
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
-    notes, turning = _about_angles(trajectories, angles)
-    notes += unused_forces
-    doubts = [
-        f"{name} jumps by about 2π {count} times, which was undone: if it is an angle, say so with "
-        f"angles=[{name!r}]"
-        for name, count in turning.items()
-    ]
+    findings, turning = _about_angles(trajectories, angles)
+    findings += unused_forces
+    findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
     if robust:
         trajectories, left_out = leave_out_outliers(trajectories, degree)
-        notes += left_out
+        findings += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     knots = lay_knots(searched, degree)
     smoothing = {
@@ -148,9 +145,7 @@ def prepare(
         known_terms = {smooth_abs(term, smoothing): value for term, value in known_terms.items()}
         terms = (*library.terms, *library.dissipation)
         changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in terms)}
-        notes.append(
-            "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in changed.items())
-        )
+        findings.append(find("friction-smoothed", changed, widths=list(changed.values())))
     driven = [library.coordinates[i] for i in places]
     reduced = softened.reduced(keep=list(known_terms), prescribed=driven)
     columns = (*reduced.terms, *reduced.dissipation)
@@ -174,8 +169,7 @@ def prepare(
         places,
         knots,
         degree,
-        tuple(notes),
-        tuple(doubts),
+        tuple(findings),
     )
 
 
@@ -196,7 +190,9 @@ def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int
     return tuple(i for i, name in enumerate(coordinates) if name in names)
 
 
-def _without_forces_on(places: tuple[int, ...], trajectories: Trajectories) -> tuple[Trajectories, list[str]]:
+def _without_forces_on(
+    places: tuple[int, ...], trajectories: Trajectories
+) -> tuple[Trajectories, list[Finding]]:
     """What is known of the forces on prescribed coordinates is of no use."""
     names = [
         trajectories.coordinates[i]
@@ -207,8 +203,7 @@ def _without_forces_on(places: tuple[int, ...], trajectories: Trajectories) -> t
         return trajectories, []
     rest = np.array([i not in places for i in range(trajectories.n_dof)])
     left = [np.zeros(t.q.shape) if t.forces is None else t.forces * rest for t in trajectories]
-    note = f"forces on {', '.join(names)} were left out: the motion there is prescribed"
-    return trajectories.with_forces(left), [note]
+    return trajectories.with_forces(left), [find("forces-unused", names)]
 
 
 def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:
@@ -263,10 +258,10 @@ def _round_to_one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def _about_angles(trajectories: Trajectories, angles) -> tuple[list[str], dict[str, int]]:
+def _about_angles(trajectories: Trajectories, angles) -> tuple[list[Finding], dict[str, int]]:
     """What was unwrapped, and coordinates that seem to be wrapped angles with the number of their jumps."""
     notes = [
-        f"{count} jumps of 2π removed from {name}"
+        find("angle-unwrapped", name, jumps=count)
         for name, count in trajectories.wraps_removed.items()
         if count and name in angles
     ]
