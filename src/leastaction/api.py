@@ -15,6 +15,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
 from leastaction.estimation.build import Request, Setup, build_problem
 from leastaction.estimation.grid import Grid
+from leastaction.findings import find
 from leastaction.library import Library
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.model.model import LagrangianModel
@@ -159,16 +160,16 @@ def discover(
     # the slow force is wanted at all times, not on pieces
     setup = build_problem(trajectories, request, None if descent or slow else _ENOUGH)
     about_rates = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
-    setup = replace(setup, doubts=(*setup.doubts, *about_rates))
     if unused:
-        note = "method='adam' fits positions alone: measured velocities and accelerations were left out"
-        setup = replace(setup, notes=(*setup.notes, note))
+        about_rates.append(find("rates-unused"))
+    setup = replace(setup, findings=(*setup.findings, *about_rates))
     search = begin_search(
         setup,
         slow,
         relevance=relevance,
         seed=seed,
-        thorough=not setup.doubts,  # data at fault: searching longer does not help
+        # data at fault: searching longer does not help
+        thorough=not any(finding.severity == "warning" for finding in setup.findings),
         report=clock.report,
     )
     _check_columns(setup, search.grid)

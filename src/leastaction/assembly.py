@@ -10,6 +10,7 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
+from leastaction.findings import find
 from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm
@@ -29,17 +30,17 @@ def assemble_model(
 ) -> LagrangianModel:
     """The model of a search's fit; ``options`` and ``timings`` are kept as they are."""
     fit, grid = search.found, search.found.grid
-    warnings = (*setup.doubts, *verdict.warnings)
     density = fit.weights.physics.copy()
     density[list(setup.problem.prescribed)] = np.nan
     noise = _rate_noise(fit)
-    notes = (
-        *setup.notes,
-        *verdict.notes,
-        *search.notes,
-        *search.bias.notes(),
-        *(f"{k}: noise {x:.3g}" for k, x in noise.items()),
+    findings = (
+        *setup.findings,
+        *verdict.findings,
+        *search.findings,
+        *search.bias.findings(),
+        *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
     )
+    doubtful = any(finding.severity == "warning" for finding in findings)
     diagnostics = Diagnostics(
         fit.problem.trajectories,
         grid.spline,
@@ -49,10 +50,9 @@ def assemble_model(
         verdict.equation_error,
         _path(fit, alternatives),
         setup.library.dropped,
-        notes,
-        timings,
-        noise,
-        search.bias.found(),
+        timings=timings,
+        rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in noise.items()},
+        force_offset=search.bias.found(),
     )
     terms = _terms(setup, fit)
     return LagrangianModel(
@@ -61,7 +61,9 @@ def assemble_model(
         tuple(term for kind, term in terms if kind == "dissipation"),
         None if np.isnan(fit.covariance).any() else fit.covariance,
         fit.weights.position_std,
-        FitSummary("doubtful" if warnings else "ok", verdict.chi2_per_sample, density.tolist(), warnings),
+        FitSummary(
+            "doubtful" if doubtful else "ok", verdict.chi2_per_sample, density.tolist(), findings=findings
+        ),
         {
             "version": _version(),
             "options": options,
@@ -86,11 +88,12 @@ def _terms(setup: Setup, fit: Fit) -> list[tuple[str, ModelTerm]]:
     return out
 
 
-def _rate_noise(fit: Fit) -> dict[str, float]:
+def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
+    """(``"velocity"`` or ``"acceleration"``, coordinate) → noise of what was measured."""
     names = fit.problem.coordinates
     noise = fit.weights.noise_std[len(names) :].tolist()
-    rates = fit.problem.trajectories.rates
-    return {rate.label(names): sigma for rate, sigma in zip(rates, noise, strict=True)}
+    channels = [(rate.quantity, names[rate.coordinate]) for rate in fit.problem.trajectories.rates]
+    return dict(zip(channels, noise, strict=True))
 
 
 def _path(fit: Fit, alternatives: Sequence[Alternative]) -> tuple[PathPoint, ...]:

@@ -204,7 +204,6 @@ def test_data_that_support_nothing_say_so(session):
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("say so with angles=['theta']", "mark theta as an angle"),
         ("give the column (trial=...)", "give the column (as the trial)"),
         ("two\nlines\x1b[31m", "two lines [31m"),
     ],

@@ -111,7 +111,7 @@ def test_a_fit_that_simulations_contradict_gives_way():
     better = found.found
     assert np.allclose(better.estimates, TRUTH, rtol=[0.05, 0.05, 0.2])
     assert np.all(np.abs(better.estimates - TRUTH) < 4.0 * better.standard_errors)
-    assert ["free runs" in note for note in found.notes] == [True]
+    assert [finding.code for finding in found.findings] == ["coefficients-of-free-runs"]
     ((stage, judged),) = stages
     assert stage == "coarse"
     assert judged["forecast_error"] < judged["before"]

@@ -241,8 +241,8 @@ def _status(model: LagrangianModel) -> None:
             say("doubtful", "badge", "span")
             say("Do not trust this model yet:", "", "span")
         with html.ul():
-            for text in model.fit.warnings:
-                say(in_words(text), "", "li")
+            for text in model.fit.sentences("warning", "page"):
+                say(text, "", "li")
 
 
 def _coefficients(model: LagrangianModel, notation: Notation) -> None:

@@ -252,7 +252,6 @@ def in_words(text: str, folder: Path | None = None) -> str:
     if folder is not None:
         text = text.replace(f"{folder}/", "").replace(f"{folder}\\", "")
     text = text.replace("(trial=...)", "(as the trial)")
-    text = re.sub(r"(?:say so )?with angles=\['([^']*)'\]", r"mark \1 as an angle", text)
     return explain(InputError(text))
 
 

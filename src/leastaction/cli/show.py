@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from leastaction.model.term import ModelTerm
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["live_progress", "say", "show_forecast", "show_model", "show_table", "warn"]
+__all__ = ["live_progress", "say", "show_forecast", "show_model", "show_table", "warn", "warn_of_doubts"]
 
 Rows = Sequence[Sequence[str]]
 
@@ -51,6 +51,11 @@ def say(text: str = "", **style) -> None:
 def warn(text: str) -> None:
     """Print a warning on stderr."""
     click.secho(f"warning: {one_line(in_options(text))}", err=True, fg="yellow")
+
+
+def warn_of_doubts(what: str, model: LagrangianModel) -> None:
+    """Print the warnings of a doubtful model on stderr."""
+    warn(f"{what} is doubtful: {'; '.join(model.fit.sentences('warning', 'command line'))}")
 
 
 @contextmanager
@@ -159,11 +164,11 @@ def show_fit(model: LagrangianModel) -> None:
     status = "DOUBTFUL" if doubtful else "ok"
     color = "yellow" if doubtful else "green"
     say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
-    for text in model.fit.warnings:
-        say(f"WARNING: {one_line(in_options(text))}", bold=True, fg="yellow")
+    for text in model.fit.sentences("warning", "command line"):
+        say(f"WARNING: {one_line(text)}", bold=True, fg="yellow")
     if doubtful and not sys.stdout.isatty():
         # Where stdout goes to a file, whoever started the command still has to see this.
-        warn(f"the fit is doubtful: {'; '.join(model.fit.warnings)}")
+        warn_of_doubts("the fit", model)
     if model.diagnostics is None:
         return
     dropped = Counter(d.reason for d in model.diagnostics.dropped)
@@ -172,8 +177,8 @@ def show_fit(model: LagrangianModel) -> None:
         parts = ", ".join(f"{count} {kinds.get(reason, reason)}" for reason, count in dropped.items())
         total = counted(sum(dropped.values()), "candidate")
         say(f"left out before the fit: {total} ({parts}); the report names them")
-    for note in model.diagnostics.notes:
-        say(f"note: {one_line(in_options(note))}")
+    for note in model.fit.sentences("note", "command line"):
+        say(f"note: {one_line(note)}")
 
 
 def show_forecast(forecast: ForecastResult) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 
 __all__ = ["counted", "in_options", "one_line", "shown"]
 
@@ -36,12 +35,11 @@ def shown(path: str | os.PathLike[str]) -> str:
 
 
 def in_options(text: str) -> str:
-    """Put the cures of messages, which name Python arguments, in terms of options.
+    """Put the cures of errors, which name Python arguments, in terms of options.
 
     Examples
     --------
-    >>> in_options("if it is an angle, say so with angles=['theta']; or give the column (trial=...)")
-    'if it is an angle, say so with --angles theta; or give the column (--trial)'
+    >>> in_options("sort the rows, or give the column (trial=...)")
+    'sort the rows, or give the column (--trial)'
     """
-    text = text.replace("(trial=...)", "(--trial)")
-    return re.sub(r"angles=\['([^']*)'\]", r"--angles \1", text)
+    return text.replace("(trial=...)", "(--trial)")

@@ -10,7 +10,7 @@ import click
 
 from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli.output import check_file
-from leastaction.cli.show import live_progress, say, show_forecast, warn
+from leastaction.cli.show import live_progress, say, show_forecast, warn, warn_of_doubts
 from leastaction.cli.text import shown
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
@@ -52,7 +52,7 @@ def simulate(model: str, initial: str, duration: str, rate: str, output: str) ->
     with blame("--initial"):
         q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
     if found.fit.status != "ok":
-        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+        warn_of_doubts("the model", found)
     if found.prescribed:
         names = ", ".join(found.prescribed)
         warn(f"the motion of {names} was prescribed: it is uniform here; in Python, give its acceleration")
@@ -146,7 +146,7 @@ def validate(
     with live_progress("forecast"):
         result = found.validate(trajectories, length)
     if found.fit.status != "ok":
-        warn(f"the model is doubtful: {'; '.join(found.fit.warnings)}")
+        warn_of_doubts("the model", found)
     if file is not None:
         write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     show_forecast(result)

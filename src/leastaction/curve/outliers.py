@@ -11,6 +11,7 @@ import numpy as np
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories
+from leastaction.findings import Finding, find
 
 __all__ = ["leave_out_outliers"]
 
@@ -23,7 +24,7 @@ _ROUNDS = 10
 _DIGITS = 1e-5  # of the spread: what a curve through noiseless samples is off by
 
 
-def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Trajectories, list[str]]:
+def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Trajectories, list[Finding]]:
     """Replace outliers by NaN, and say how many.
 
     Smooths all samples, leaves out those that are far off and alone there, and smooths again without them
@@ -40,7 +41,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     -------
     Trajectories
         The same when there are none.
-    list of str
+    list of Finding
         One note for each coordinate with outliers.
     """
     times, values = [t.t for t in trajectories], [t.q for t in trajectories]
@@ -69,8 +70,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     if not np.any(counts):
         return trajectories, []
     notes = [
-        f"{count} samples of {name} ({100 * part:.2g} %) are outliers, more than {_FAR:g} standard "
-        "deviations off the motion and alone there; they are left out"
+        find("outliers-left-out", name, count=count, share=part, far=_FAR)
         for name, count, part in zip(trajectories.coordinates, counts, share, strict=True)
         if count
     ]

@@ -52,7 +52,12 @@ class Rate:
         >>> Rate(1, 2, ()).label(("x", "theta"))
         'acceleration of theta'
         """
-        return f"{('velocity', 'acceleration')[self.derivative - 1]} of {coordinates[self.coordinate]}"
+        return f"{self.quantity} of {coordinates[self.coordinate]}"
+
+    @property
+    def quantity(self) -> str:
+        """What is measured: ``"velocity"`` or ``"acceleration"``."""
+        return ("velocity", "acceleration")[self.derivative - 1]
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)

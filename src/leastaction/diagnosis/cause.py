@@ -1,8 +1,10 @@
-"""What would explain the motion better than the model does."""
+"""A likely cause, and by how much it would explain the motion better."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from leastaction.findings import Finding
 
 __all__ = ["BETTER", "Cause"]
 
@@ -13,17 +15,17 @@ BETTER = 10.0
 
 @dataclass(frozen=True)
 class Cause:
-    """What would explain the motion better, in words.
+    """What would explain the motion better.
 
     Attributes
     ----------
-    words : str
+    finding : Finding
     gain : float
         By how much it lowers −2 log likelihood, the price of every term included.
     holds : bool
         Whether the equations hold with it.
     """
 
-    words: str
+    finding: Finding
     gain: float
     holds: bool

@@ -9,6 +9,7 @@ import numpy as np
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.joint import positive_definite
 from leastaction.estimation.weights import SLACK_LEFT
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
 
@@ -21,16 +22,14 @@ _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 
-def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[str]:
-    """One sentence for each rival, the most likely first.
+def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
+    """One finding for each rival, the most likely first.
 
     Rivals have as many terms as the chosen structure, or one more: where the motion shows little, the law
     itself may lose by the price of a term.  It is then likelier than the chosen terms with any further one,
     which follow the noise only.  Not where the library is inexact: there a further term always helps.
     """
     chosen = fit.structure
-    if not alternatives:
-        return []
     same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
     rivals = [a for a in same if a.cost < _AS_LIKELY]
     if np.all(fit.weights.slack < SLACK_LEFT):
@@ -40,18 +39,19 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[str]:
     texts = [term.text for term in fit.problem.terms]
     out = []
     for rival in rivals[:_MOST]:
-        mine = ", ".join(texts[m] for m in chosen if m not in rival.structure)
-        theirs = ", ".join(texts[m] for m in rival.structure if m not in chosen)
-        where = _where_they_differ(fit, rival.coefficients)
-        out.append(
-            f"these data cannot tell {mine} from {theirs}: record motions in which they differ{where}, or "
-            "leave one of them out"
-        )
+        mine = [texts[m] for m in chosen if m not in rival.structure]
+        theirs = [texts[m] for m in rival.structure if m not in chosen]
+        state = _where_they_differ(fit, rival.coefficients)
+        where = {"at_names": list(state), "at_values": list(state.values())}
+        out.append(find("competing-structures", mine, others=theirs, **where))
     return out
 
 
-def _where_they_differ(fit: Fit, second: np.ndarray) -> str:
-    """The state, up to three times as far out as recorded, at which the accelerations differ most."""
+def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
+    """The state, up to three times as far out as recorded, at which the accelerations differ most.
+
+    Empty if they differ nowhere.
+    """
     curve = fit.grid.spline.at_quadrature(fit.control_points)
     q, qdot = (s[:: max(1, len(s) // _STATES), 0] for s in curve[:2])
     middle = q.mean(axis=0)
@@ -61,12 +61,10 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> str:
     size = np.sqrt((curve[2][:, 0] ** 2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
-        return ""
+        return {}
     worst = int(np.nanargmax(np.where(np.isfinite(apart), apart, np.nan)))
     names = fit.problem.trajectories.coordinates
-    where = [f"{n} = {v:.2g}" for n, v in zip(names, states[0, worst], strict=True)]
-    where += [f"{n}_dot = {v:.2g}" for n, v in zip(names, states[1, worst], strict=True)]
-    return f", e.g. through {', '.join(where)}"
+    return dict(zip([*names, *(f"{n}_dot" for n in names)], states[:, worst].ravel().tolist(), strict=True))
 
 
 def _acceleration(fit: Fit, states: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

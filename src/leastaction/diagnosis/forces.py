@@ -6,21 +6,23 @@ terms of the model could take up.  A signature that takes a large share of Σ w_
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
 from leastaction.estimation.fit import Fit
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 
 __all__ = ["doubts_about_forces"]
 
 _SHARE = 0.3  # of the residual's sum of squares
 _NULL = 1e-6
+_SWAPPED = 0.5  # of the difference of two forces; an exchange makes it 1
 
 
-def doubts_about_forces(fit: Fit) -> list[str]:
-    """The cause that explains most of the residual, in a sentence; nothing if none explains much of it."""
+def doubts_about_forces(fit: Fit) -> list[Finding]:
+    """The cause that explains most of the residual; nothing if none explains much of it."""
     if fit.grid.forces is None:
         return []
     q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points))
@@ -28,10 +30,10 @@ def doubts_about_forces(fit: Fit) -> list[str]:
     strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
     root = np.sqrt(fit.weights.physics)[:, None]
     residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
-    members = (strong[list(fit.structure.members)] * root).reshape(len(fit.structure), -1)
+    members = (strong[list(fit.structure)] * root).reshape(len(fit.structure), -1)
     basis, _ = np.linalg.qr(members.T)
-    best, most = "", _SHARE
-    for text, signature in _signatures(fit, forces):
+    best, most = None, _SHARE
+    for swapped, signature in _signatures(fit, forces):
         column = (root * signature).ravel()
         size = float(column @ column)
         column = column - basis @ (basis.T @ column)
@@ -40,27 +42,23 @@ def doubts_about_forces(fit: Fit) -> list[str]:
             continue
         amount = float(column @ residual) / left
         share = amount**2 * left / float(residual @ residual)
-        if share > most and text(amount):
-            best, most = f"{text(amount)} ({100 * share:.0f} % of the equation error)", share
-    return [best] if best else []
+        if share > most and (not swapped or amount > _SWAPPED):
+            best, most = (swapped, amount, share), share
+    if best is None:
+        return []
+    swapped, amount, share = best
+    if swapped:
+        return [find("swapped-forces", swapped, share=share)]
+    return [find("scaled-forces", factor=1.0 + amount, share=share)]
 
 
-def _signatures(fit: Fit, forces: np.ndarray) -> Iterator[tuple[Callable[[float], str], np.ndarray]]:
-    """(words for an amount, residual that one unit of the cause leaves)."""
+def _signatures(fit: Fit, forces: np.ndarray) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+    """(coordinates whose forces are exchanged; none: all are scaled, residual that one unit leaves)."""
     names = fit.problem.trajectories.coordinates
     if not np.isnan(fit.problem.known).all():  # otherwise the scale of L follows that of the forces
-        yield _scaled, forces
+        yield (), forces
     for i in range(len(forces)):
         for j in range(i):
             swap = np.zeros_like(forces)
             swap[i], swap[j] = forces[j] - forces[i], forces[i] - forces[j]
-            yield _swapped(names[j], names[i]), swap
-
-
-def _scaled(amount: float) -> str:
-    return f"the forces seem to be {1.0 + amount:.2g} times those given: check their units and scale"
-
-
-def _swapped(one: str, other: str) -> Callable[[float], str]:
-    text = f"the forces on {one} and {other} seem to be swapped: check the sequence of the columns"
-    return lambda amount: text if amount > 0.5 else ""
+            yield (names[j], names[i]), swap

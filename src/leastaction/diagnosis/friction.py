@@ -15,13 +15,14 @@ import sympy as sp
 from leastaction.diagnosis.cause import BETTER, Cause
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
+from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.search_state import equations_hold
 
-__all__ = ["hidden_friction", "late_forces", "say_friction", "usual_friction", "wrong_known"]
+__all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
 _DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
 _UNUSUAL = 20.0  # instead of BETTER, where friction is not viscous
@@ -29,13 +30,13 @@ _MOST_RELEASED = 3
 _HALF = 0.15  # of a sample
 
 
-def hidden_friction(fit: Fit, relevance: float) -> list[str]:
+def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     """Friction that is not among the candidates and would explain much of the equation error."""
     columns = fit.problem.candidates
     tested = usual_friction(columns)
     if not tested:
         return []
-    candidates = columns.of([*(columns.terms[m] for m in fit.structure.members), *tested])
+    candidates = columns.of([*(columns.terms[m] for m in fit.structure), *tested])
     model, base, threshold = _beside(fit, candidates, relevance)
     found = _most_likely(model, base, dict(enumerate(tested, len(base))))
     if _gain(model, base, *found) < threshold:
@@ -45,11 +46,10 @@ def hidden_friction(fit: Fit, relevance: float) -> list[str]:
         term, value = candidates.terms[k], float(values[k])
         gain = _gain(model, (*base, *(other for other in found if other != k)), k)
         if value > 0.0:
-            out.append(say_friction(term, f"coefficient about {value:.2g}, -2 log likelihood {gain:.0f}"))
+            out.append(unmodelled_friction(term, coefficient=value, gain=gain))
         else:
             out.append(
-                f"energy seems to be fed in along {_rates(term)} (friction of about {value:.2g}): check the "
-                "sign of forces and of known coefficients, and whether a driving force is missing"
+                find("energy-fed-in", term.text, velocities=_rates(term), coefficient=value, gain=gain)
             )
     return out
 
@@ -85,14 +85,13 @@ def _viscous(term: Term) -> bool:
     return term.expr.is_polynomial() and len(term.expr.free_symbols) == 1
 
 
-def say_friction(term: Term, details: str) -> str:
-    """The warning that names a candidate for dissipation."""
-    give = f"give {term.text} as a candidate for dissipation"
-    return f"friction seems to act on {_rates(term)} ({details}): {give}"
+def unmodelled_friction(term: Term, **figures: float) -> Finding:
+    """Names a candidate for dissipation; the figures are its coefficient and, where known, its gain."""
+    return find("unmodelled-friction", term.text, velocities=_rates(term), **figures)
 
 
-def _rates(term: Term) -> str:
-    return ", ".join(sorted(symbol.name for symbol in term.expr.free_symbols))
+def _rates(term: Term) -> list[str]:
+    return sorted(symbol.name for symbol in term.expr.free_symbols)
 
 
 def usual_friction(columns: EulerLagrange) -> list[Term]:
@@ -129,11 +128,11 @@ class _Late:
         return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
 
 
-def late_forces(fit: Fit, relevance: float) -> list[str]:
+def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""
     if fit.grid.forces is None:
         return []
-    chosen = fit.problem.candidates.subset(fit.structure.members)
+    chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(fit.grid.forces.rates))
     model, base, threshold = _beside(fit, late, relevance)
     gain = _gain(model, base, len(base))
@@ -141,12 +140,7 @@ def late_forces(fit: Fit, relevance: float) -> list[str]:
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < _HALF
-    when = "later" if delay > 0.0 else "earlier"
-    hint = ", half a sample (are they held from one sample to the next?)" if held else ""
-    return [
-        f"the forces seem to act about {1e3 * abs(delay):.2g} ms {when} than recorded{hint}: find the delay "
-        f"with la.delay.estimate, or give --force-delay (-2 log likelihood {gain:.0f})"
-    ]
+    return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
 
 
 def _beside(
@@ -180,16 +174,18 @@ def wrong_known(fit: Fit) -> list[Cause]:
         gain = 2.0 * (value(found) - value(fit))
         if not gain > BETTER:
             continue
-        free, text = found.coefficients[k], fit.problem.terms[int(k)].text
+        estimate, text = found.coefficients[k], fit.problem.terms[int(k)].text
         fewer = len(fit.structure) + 1 - len(found.structure)
-        scaled = fit.grid.forces is not None and free / fit.problem.known[k] > 0.0
-        units = f", or the forces are {free / fit.problem.known[k]:.3g} times too large" if scaled else ""
-        words = (
-            f"the known coefficient of {text} may be wrong: set free it becomes {free:.3g} instead of "
-            f"{fit.problem.known[k]:.3g}, and "
-            + (f"{fewer} terms fewer" if fewer > 1 else "the other terms")
-            + f" explain the motion better{units}"
+        ratio = estimate / fit.problem.known[k]
+        wrong = find(
+            "wrong-known-coefficient",
+            text,
+            given=fit.problem.known[k],
+            estimate=estimate,
+            fewer_terms=fewer,
+            gain=gain,
+            force_factor=ratio if fit.grid.forces is not None and ratio > 0.0 else None,
         )
         # a term that is dropped when it is set free makes way for others that imitate what lacks
-        out.append(Cause(words, gain, k in found.structure and equations_hold(found)))
+        out.append(Cause(wrong, gain, k in found.structure and equations_hold(found)))
     return out

@@ -12,12 +12,13 @@ import numpy as np
 
 from leastaction.diagnosis.cause import BETTER, Cause
 from leastaction.estimation.fit import Fit
+from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.search_state import equations_hold
 
-__all__ = ["common_terms", "lacking_terms", "say_lacking"]
+__all__ = ["common_terms", "lacking_terms", "missing_term"]
 
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
 _ROUNDS = 3  # a term that is lacking is found in the first
@@ -50,18 +51,21 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     holds = equations_hold(found)
     if not (new and (fewer or (holds and not hold)) and found.converged and gain > threshold):
         return []
-    by = f" (-2 log likelihood {gain:.0f}, the price of the terms included)" if np.isfinite(gain) else ""
-    free = f"{len(found.structure)} free terms instead of {len(fit.structure)}"
-    words = say_lacking(new, f"{free} explain the motion better{by}", columns.coordinates)
-    return [Cause(words, gain, holds)]
+    figures = {
+        "free_terms": len(found.structure),
+        "free_terms_before": len(fit.structure),
+        "gain": gain if np.isfinite(gain) else None,
+    }
+    return [Cause(missing_term(new, columns.coordinates, **figures), gain, holds)]
 
 
-def say_lacking(new: list[str], what: str, coordinates: Sequence[str]) -> str:
-    """The warning that names candidates to add, and what is so with them."""
-    it = "it" if len(new) == 1 else "them"
-    pushed = [text for text in new if text in coordinates]
-    means = f"; in L, {pushed[0]} by itself is a constant force on it (force_offset)" if pushed else ""
-    return f"the library seems to lack {', '.join(new)}: with {it}, {what}; add {it} to the candidates{means}"
+def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | None) -> Finding:
+    """Names candidates to add; a coordinate by itself is a constant force on it.
+
+    The figures are the free terms with them and, where known, without them, and the gain.
+    """
+    pushed = next((text for text in new if text in coordinates), None)
+    return find("missing-term", new, constant_force=pushed, **figures)
 
 
 def common_terms(columns: EulerLagrange, size: str) -> list[Term]:

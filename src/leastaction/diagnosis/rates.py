@@ -1,4 +1,4 @@
-"""Is a measured velocity the derivative of its coordinate?  A wrong unit, sign or offset, in words.
+"""Is a measured velocity the derivative of its coordinate?  A wrong unit, sign or offset, by name.
 
 With a test function χ of compact support, ∫ χ dt = 1, a channel y = a q̇ + b obeys
 
@@ -17,6 +17,7 @@ import numpy as np
 from leastaction.curve.smoothing import Smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import Rate
+from leastaction.findings import Finding, find
 
 __all__ = ["doubts_about_rates"]
 
@@ -31,18 +32,14 @@ _HUBER = 1.5
 _ROUNDS = 20
 _NEAR = 0.03
 _UNITS = {
-    1: {
-        180.0 / np.pi: "degrees per second",
-        30.0 / np.pi: "revolutions per minute",
-        0.5 / np.pi: "revolutions per second",
-    },
-    2: {180.0 / np.pi: "degrees per second squared", 1.0 / 9.81: "multiples of g"},
+    1: {180.0 / np.pi: "deg/s", 30.0 / np.pi: "rpm", 0.5 / np.pi: "rev/s"},
+    2: {180.0 / np.pi: "deg/s^2", 1.0 / 9.81: "g"},
 }
-_PREFIXES = {1000.0: "thousandths of the coordinate's unit", 100.0: "hundredths of the coordinate's unit"}
+_PREFIXES = {1000.0: "1/1000", 100.0: "1/100"}  # of the coordinate's unit
 
 
-def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[str]:
-    """A sentence for each channel that is not the derivative of its coordinate.
+def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Finding]:
+    """A finding for each channel that is not the derivative of its coordinate.
 
     The smoothed curve tells only how fast each coordinate moves, and how noisy its positions are.
     """
@@ -61,9 +58,11 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[str]:
         spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
         clear = np.all(pairs.std(axis=0) > _CLEAR * gains * spread)
         constant = np.nanmax(y) == np.nanmin(y)
-        text = "is constant: leave it out" if constant else _about(rate.derivative, pairs, bool(clear))
-        if text:
-            doubts.append(f"the measured {rate.label(trajectories.coordinates)} {text}")
+        wrong = ("rate-constant", {}) if constant else _about(rate.derivative, pairs, bool(clear))
+        if wrong:
+            code, figures = wrong
+            name = trajectories.coordinates[rate.coordinate]
+            doubts.append(find(code, name, quantity=rate.quantity, **figures))
     return doubts
 
 
@@ -113,43 +112,33 @@ class _Samples:
         return float(weights @ self.values[a:b]), float(np.sqrt(weights @ weights))
 
 
-def _about(derivative: int, pairs: np.ndarray, clear: bool) -> str:
-    """What is wrong with a channel, from its pairs (derived, measured); clear if noise is small in both."""
+def _about(derivative: int, pairs: np.ndarray, clear: bool) -> tuple[str, dict] | None:
+    """Code and figures of what is wrong with a channel, from its pairs (derived, measured).
+
+    ``clear`` if noise is small in both.
+    """
     derived, measured = pairs.T
     flat, offset, error = _line(derived, measured)
     back, _, back_error = _line(measured, derived)
     if flat * back < _FOLLOWS:
-        text = (
-            "hardly follows the derivative of its coordinate: check the column, and that times are the same"
-        )
-        return text if clear else ""
+        return ("rate-unrelated", {}) if clear else None
     steep = 1.0 / back
     low, high = sorted([flat, steep])
     low, high = low - _SURE * error[0], high + _SURE * back_error[0] * steep**2
     if low > 1.0 + _FACTOR or high < 1.0 - _FACTOR:
         factor = 0.5 * (flat + steep)
-        return (
-            f"is {factor:.3g} times the derivative of its coordinate{_unit(derivative, factor)}: convert it, "
-            "or leave it out"
-        )
+        return "rate-scaled", {"factor": factor, "unit": _unit(derivative, factor)}
     other = offset + (flat - steep) * float(np.mean(derived))
     least = max(_SURE * error[1], _FACTOR * float(np.std(measured)))
     if min(abs(offset), abs(other)) > least and offset * other > 0.0:
-        return (
-            f"has an offset of {offset:.3g} from the derivative of its coordinate: subtract it, it is what "
-            "the sensor shows at rest"
-        )
-    return ""
+        return "rate-offset", {"offset": offset}
+    return None
 
 
 def _unit(derivative: int, factor: float) -> str:
-    """Which unit a factor points to, as a question."""
-    known = {1.0: "the opposite sign", **_UNITS[derivative], **_PREFIXES}
-    for value, text in known.items():
-        if abs(abs(factor) / value - 1.0) < _NEAR:
-            sign = ", with the opposite sign" if factor < 0.0 and value != 1.0 else ""
-            return f" ({text}{sign}?)"
-    return " (with the opposite sign?)" if factor < 0.0 else ""
+    """Which unit the size of a factor points to; "1": that of the coordinate, "": none."""
+    known = {1.0: "1", **_UNITS[derivative], **_PREFIXES}
+    return next((unit for value, unit in known.items() if abs(abs(factor) / value - 1.0) < _NEAR), "")
 
 
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, np.ndarray]:

@@ -1,4 +1,4 @@
-"""Can the result be trusted?  Checks that need no truth, in words."""
+"""Can the result be trusted?  Checks that need no truth."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_k
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.wider_search import search_afresh
 from leastaction.estimation.fit import Fit
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import EXPLAINED, Search
@@ -36,18 +37,11 @@ _TWO_TURNS = 4.0 * np.pi
 _SMALL_OFFSET = 0.05
 
 
-_ANY_CAUSE = (
-    "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign be "
-    "wrong"
-)
-
-
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What is doubtful (``warnings``) and what is only worth knowing (``notes``)."""
+    """What is doubtful, and what is only worth knowing."""
 
-    warnings: tuple[str, ...]
-    notes: tuple[str, ...]
+    findings: tuple[Finding, ...]
     chi2_per_sample: float
     equation_error: np.ndarray
 
@@ -63,64 +57,57 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
     share, rms = fit.equation_error()
     share = np.maximum(share, _behind_noise(fit, rms / np.maximum(share, 1e-300), period))
     samples_per_period = period / fit.problem.trajectories.sampling_interval
-    doubts: list[str] = []
-    notes: list[str] = []
+    found: list[Finding] = []
     if not fit.converged:
-        doubts.append(f"the solver did not converge ({fit.status}): try fewer candidates or longer data")
+        found.append(find("not-converged", reason=fit.status))
     excused = (share > EXPLAINED) & _as_forces_are(fit)
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
     causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
-    for i in unexplained:
-        doubts.append(
-            f"the library cannot explain {names[i]}: the equation is off by {100 * share[i]:.1f} % of its "
-            f"forces and the residual is {np.sqrt(chi2[i]):.2f} times the noise; "
-            + _ANY_CAUSE
-            + ("; see the likely cause below" if causes else _perhaps_unmeasured(fit, i))
+    found += [
+        find(
+            "equations-off",
+            names[i],
+            equation_error=share[i],
+            residual_ratio=np.sqrt(chi2[i]),
+            cause_named=bool(causes),
+            may_be_prescribed=len(names) - len(fit.problem.candidates.prescribed) >= 2,
         )
-    doubts += _unexplained_rates(fit, chi2) + causes
+        for i in unexplained
+    ]
+    found += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
-        doubts += _looks_like_noise(fit, noise)
+        found += _looks_like_noise(fit, noise)
     if unexplained:
-        doubts += _perhaps_degrees(fit)
-    notes += _unexplained_little(names, share, excused, unexplained)
+        found += _perhaps_degrees(fit)
+    found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < _FEW_SAMPLES:
-        doubts.append(
-            f"sampling is slow: {samples_per_period:.1f} samples a period of the fastest motion, where at "
-            f"least {_FEW_SAMPLES:g} are needed; what is faster looks slow, so sample faster"
-        )
-    doubts += _signal(fit) + _identifiability(fit)
-    doubts += rival_warnings(fit, alternatives)
-    doubts += _mass_matrix(fit)
-    doubts += _friction(search)
-    notes += _whiteness(fit) + _zero_offsets(fit)
+        found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=_FEW_SAMPLES))
+    found += _signal(fit) + _identifiability(fit)
+    found += rival_warnings(fit, alternatives)
+    found += _mass_matrix(fit)
+    found += _friction(search)
+    found += _whiteness(fit) + _zero_offsets(fit)
     if not search.knots_settled and fit.converged:
-        notes.append("coefficients still moved when the knots were refined for the last time; sample faster")
-    return Verdict(tuple(doubts), tuple(notes), float(np.mean(chi2)), rms)
+        found.append(find("knots-not-settled"))
+    return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
-def _perhaps_unmeasured(fit: Fit, i: int) -> str:
-    names = fit.problem.trajectories.coordinates
-    if len(names) - len(fit.problem.candidates.prescribed) < 2:
-        return ""
-    return f"; if forces that were not measured move {names[i]}, name it in prescribed"
-
-
-def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[str]:
+def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
     fit, relevance = search.found, search.relevance
     usable = fit.converged and np.isfinite(fit.evidence)
     known = wrong_known(fit) if usable else []
     found = search_afresh(search) if off and not any(cause.holds for cause in known) else []
     if found or not usable:
-        return found + [cause.words for cause in known]
+        return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
     lacking = lacking_terms(fit, relevance)
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
-    found += [cause.words for cause in likelier]
-    for find in (hidden_friction, late_forces):
-        found += find(fit, relevance)
+    found += [cause.finding for cause in likelier]
+    for check in (hidden_friction, late_forces):
+        found += check(fit, relevance)
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
         found = doubts_about_forces(fit)
     return found
@@ -133,9 +120,7 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
     of the error, which in a band about the motion amounts to this.  Not with dry friction: no spline follows
     its kinks, and what it misses there counts as equation error, too.
     """
-    friction = [
-        t for t in map(fit.problem.terms.__getitem__, fit.structure.members) if t.kind == "dissipation"
-    ]
+    friction = [t for t in map(fit.problem.terms.__getitem__, fit.structure) if t.kind == "dissipation"]
     if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
         return np.zeros(size.size)
     weights = fit.weights
@@ -151,53 +136,48 @@ def _as_forces_are(fit: Fit) -> np.ndarray:
     return fit.weights.physics * fit.grid.force_density * _OF_FORCES > 1.0
 
 
-def _unexplained_little(names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]) -> list[str]:
+def _unexplained_little(
+    names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]
+) -> list[Finding]:
     """Equation errors that are no reason for doubt."""
     notes = []
     for i in range(len(names)):
         if i in unexplained:
             continue
         if excused[i]:
-            notes.append(
-                f"the equation of {names[i]} is off by {100 * share[i]:.1f} % of its forces, no more than "
-                "the scatter of those that were given leaves: quieter forces would narrow the intervals"
-            )
+            notes.append(find("scatter-of-forces", names[i], equation_error=share[i]))
         elif share[i] > _WORTH_KNOWING:
-            notes.append(
-                f"the equation of {names[i]} leaves {100 * share[i]:.2g} % of its forces unexplained: little "
-                "on hardware; in a simulation a small term or friction is missing"
-            )
+            notes.append(find("equation-error", names[i], equation_error=share[i]))
     return notes
 
 
-def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[str]:
+def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
     spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.problem.trajectories], axis=0))
     return [
-        f"{100 * part:.0f} % of the spread of {name} looks like noise: if the sensor is better than that, "
-        "sampling is too slow for the motion, so sample faster"
+        find("looks-like-noise", name, share=part)
         for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
         if part > _MUCH_NOISE
     ]
 
 
-def _perhaps_degrees(fit: Fit) -> list[str]:
+def _perhaps_degrees(fit: Fit) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees."""
     curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
-        f"{name} covers {span:.3g} within a recording: sines and cosines want radians, not degrees"
+        find("angle-in-degrees", name, span=span)
         for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
         if name in fit.problem.candidates.turning and span > _TWO_TURNS
     ]
 
 
-def _signal(fit: Fit) -> list[str]:
+def _signal(fit: Fit) -> list[Finding]:
     """A curve that hardly moves fits any noise, and any equations hold along it."""
     curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
     return [
-        f"the motion of {name} ({size:.2g}) hardly shows above its noise ({noise:.2g}): record larger motions"
+        find("motion-in-noise", name, motion=size, noise=noise)
         for name, size, noise in zip(
             fit.problem.trajectories.coordinates, spread, fit.weights.position_std, strict=True
         )
@@ -205,93 +185,83 @@ def _signal(fit: Fit) -> list[str]:
     ]
 
 
-def _identifiability(fit: Fit) -> list[str]:
-    """The combination of coefficients that the data determine least, in words."""
+def _identifiability(fit: Fit) -> list[Finding]:
+    """The combination of coefficients that the data determine least."""
     covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
     size = np.maximum(np.abs(fit.estimates), 1e-300)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
-    texts = [fit.problem.terms[m].text for m in fit.structure.members]
+    texts = [fit.problem.terms[m].text for m in fit.structure]
     loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
     if not loose:
         return []
     # eigenvector of relative changes: the terms that move together
     weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
     moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > _PART_OF_IT]
-    out = f"these data hardly determine {', '.join(loose)}"
-    if len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5):
-        out += " (all coefficients can grow together: the scale of L is open)"
-    elif len(moving) > 1:
-        signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
-        parts = ", ".join(f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True))
-        out += f" (open to {100 * np.sqrt(values[-1]):.0f} %: the combination {parts})"
-    return [out + ": record larger or different motions, or fix one of the coefficients with known"]
+    together = len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5)
+    signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
+    parts = [f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True)] if len(moving) > 1 else []
+    size_open = np.sqrt(values[-1])
+    figures = {"scale_open": bool(together), "combination": parts, "open": size_open}
+    return [find("hardly-determined", loose, **figures)]
 
 
-def _mass_matrix(fit: Fit) -> list[str]:
+def _mass_matrix(fit: Fit) -> list[Finding]:
     states = fit.grid.spline.at_quadrature(fit.control_points)
     points = Points(*(s[:, 0] for s in states))
     physics, index = fit.grid.physics(fit.structure)
     mass = physics.columns.mass_matrix(points, fit.coefficients[index])
     if not np.isfinite(mass).all():
-        return ["the mass matrix is not finite along the data"]
+        return [find("mass-matrix-not-finite")]
     diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
     scale = np.where(diagonal > 0, diagonal, 1.0)
     lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
     bad = float(np.mean(lowest <= 1e-9))
     if bad == 0.0:
         return []
-    return [
-        f"the mass matrix is not positive definite along {100 * bad:.0f} % of the data: a kinetic term is "
-        "missing, or the sign of forces or of a known coefficient is wrong"
-    ]
+    return [find("mass-matrix-not-positive", share=bad)]
 
 
-def _friction(search: Search) -> list[str]:
-    return [
-        f"the dissipation term {search.problem.terms[m].text} came out negative and was left out, "
-        "since it would feed energy in: check the sign of forces and known coefficients, or a missing term"
-        for m in search.feeding
-    ]
+def _friction(search: Search) -> list[Finding]:
+    return [find("negative-dissipation", search.problem.terms[m].text) for m in search.feeding]
 
 
-def _zero_offsets(fit: Fit) -> list[str]:
+def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes = []
-    present = [*fit.structure.members, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
+    present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
     terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
             if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
-                shift = 1e3 * beside / coefficient
-                notes.append(
-                    f"{expression} with its sine reads as a zero offset: {cosine.args[0]} is too "
-                    f"{'large' if shift > 0 else 'small'} by {abs(shift):.2g} mrad"
-                )
+                angle, offset = str(cosine.args[0]), beside / coefficient
+                notes.append(find("zero-offset", angle, term=str(expression), offset=offset))
     return notes
 
 
-def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[str]:
+def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
     names = fit.problem.trajectories.coordinates
     return [
-        f"the library cannot explain the measured {rate.label(names)}: its residual is {np.sqrt(value):.2f} "
-        "times the noise; is it a sensor of its own, at the same times as the positions?"
+        find(
+            "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
+        )
         for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
         if value > _NOISE_RATIO**2
     ]
 
 
-def _whiteness(fit: Fit) -> list[str]:
+def _whiteness(fit: Fit) -> list[Finding]:
     notes = []
     observations, names = fit.grid.observations, fit.problem.trajectories.coordinates
-    loose = [
-        names[i] for i in fit.problem.candidates.prescribed
-    ]  # a curve that nothing holds follows the noise
-    for name, r, least, sigma in zip(
-        (*names, *(rate.label(names) for rate in fit.problem.trajectories.rates)),
+    # a curve that nothing holds follows the noise
+    loose = [names[i] for i in fit.problem.prescribed]
+    channels = [(name, "position") for name in names]
+    channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
+    for (name, quantity), r, least, sigma in zip(
+        channels,
         observations.residuals(fit.control_points),
         observations.floors,
         fit.weights.noise_std,
@@ -299,9 +269,6 @@ def _whiteness(fit: Fit) -> list[str]:
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
         visible = abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
-        if visible and name not in loose:
-            notes.append(
-                f"residuals of {name} are correlated from sample to sample ({lag:+.2f}): coloured noise, "
-                "encoder steps or filtered data; intervals may be too narrow or too wide"
-            )
+        if visible and not (name in loose and quantity == "position"):
+            notes.append(find("correlated-residuals", name, quantity=quantity, correlation=lag))
     return notes

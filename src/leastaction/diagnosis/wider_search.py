@@ -12,8 +12,9 @@ from dataclasses import replace
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.friction import say_friction, usual_friction
-from leastaction.diagnosis.missing_terms import common_terms, say_lacking
+from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
+from leastaction.diagnosis.missing_terms import common_terms, missing_term
+from leastaction.findings import Finding
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, weak_start
@@ -24,7 +25,7 @@ _CERTAIN = 20.0  # standard errors: laws have 170 and more, what imitates them h
 _MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
-def search_afresh(search: Search) -> list[str]:
+def search_afresh(search: Search) -> list[Finding]:
     """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
     fit = search.found
     # dry friction has a kink, which a curve meets only where it is smoothed
@@ -43,10 +44,10 @@ def search_afresh(search: Search) -> list[str]:
         return []
     new = [m for m in found.structure if m >= len(fit.problem.candidates)]
     terms = [found.problem.terms[m].text for m in new if found.problem.terms[m].kind == "lagrangian"]
-    what = f"{len(found.structure)} free terms explain the motion"
-    out = [say_lacking(terms, what, fit.problem.candidates.coordinates)] if terms else []
+    free = len(found.structure)
+    out = [missing_term(terms, fit.problem.candidates.coordinates, free_terms=free)] if terms else []
     return out + [
-        say_friction(found.problem.terms[m], f"coefficient about {found.coefficients[m]:.2g}")
+        unmodelled_friction(found.problem.terms[m], coefficient=float(found.coefficients[m]))
         for m in new
         if found.problem.terms[m].kind == "dissipation"
     ]

@@ -13,6 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.problem import Problem
+from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -51,15 +52,15 @@ class Setup:
         Reduced: no null, duplicate or dependent candidates.
     scales : Knots
         Time scales of the searched motion, and the smooth curve through it.
-    notes, doubts : tuple of str
+    findings : tuple of Finding
+        What was done to the data or the library on the user's behalf, and what is doubtful about them.
     """
 
     problem: Problem
     searched: Problem
     library: Library
     scales: Knots
-    notes: tuple[str, ...]
-    doubts: tuple[str, ...]
+    findings: tuple[Finding, ...]
 
 
 def build_problem(trajectories, request: Request, most_samples: int | None = None) -> Setup:
@@ -92,17 +93,13 @@ def build_problem(trajectories, request: Request, most_samples: int | None = Non
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
         )
-    notes, turning = _about_angles(trajectories, angles)
-    notes += unused_forces
-    doubts = [
-        f"{name} jumps by about 2π {count} times, which was undone: if it is an angle, say so with "
-        f"angles=[{name!r}]"
-        for name, count in turning.items()
-    ]
+    findings, turning = _about_angles(trajectories, angles)
+    findings += unused_forces
+    findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
     if request.robust:
         trajectories, left_out = leave_out_outliers(trajectories, request.degree)
-        notes += left_out
+        findings += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     scales = lay_knots(searched, request.degree)
     library, known, smoothed = _smooth_friction(library, known, scales.rates)
@@ -111,7 +108,7 @@ def build_problem(trajectories, request: Request, most_samples: int | None = Non
     coefficients = _coefficients(terms, known)
     candidates = EulerLagrange(terms, library.coordinates, places)
     problem = Problem(trajectories, candidates, coefficients, request.degree)
-    return Setup(problem, problem.on(searched), library, scales, (*notes, *smoothed), tuple(doubts))
+    return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
 
 
 def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:
@@ -126,7 +123,7 @@ def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Li
 
 def _smooth_friction(
     library: Library, known: dict[Term, float], rates: np.ndarray
-) -> tuple[Library, dict[Term, float], list[str]]:
+) -> tuple[Library, dict[Term, float], list[Finding]]:
     """The library with |v| smoothed near zero velocity, and a note on where."""
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
@@ -137,7 +134,7 @@ def _smooth_friction(
         return library, known, []
     terms = (*library.terms, *library.dissipation)
     changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in terms)}
-    note = "abs() of velocities is smoothed: " + ", ".join(f"{v} below {e:g}" for v, e in changed.items())
+    note = find("friction-smoothed", changed, widths=list(changed.values()))
     return softened, {smooth_abs(term, smoothing): value for term, value in known.items()}, [note]
 
 
@@ -174,7 +171,9 @@ def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int
     return tuple(i for i, name in enumerate(coordinates) if name in names)
 
 
-def _without_forces_on(places: tuple[int, ...], trajectories: Trajectories) -> tuple[Trajectories, list[str]]:
+def _without_forces_on(
+    places: tuple[int, ...], trajectories: Trajectories
+) -> tuple[Trajectories, list[Finding]]:
     """What is known of the forces on prescribed coordinates is of no use."""
     names = [
         trajectories.coordinates[i]
@@ -185,8 +184,7 @@ def _without_forces_on(places: tuple[int, ...], trajectories: Trajectories) -> t
         return trajectories, []
     rest = np.array([i not in places for i in range(trajectories.n_dof)])
     left = [np.zeros(t.q.shape) if t.forces is None else t.forces * rest for t in trajectories]
-    note = f"forces on {', '.join(names)} were left out: the motion there is prescribed"
-    return trajectories.with_forces(left), [note]
+    return trajectories.with_forces(left), [find("forces-unused", names)]
 
 
 def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:
@@ -241,10 +239,10 @@ def _round_to_one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def _about_angles(trajectories: Trajectories, angles) -> tuple[list[str], dict[str, int]]:
+def _about_angles(trajectories: Trajectories, angles) -> tuple[list[Finding], dict[str, int]]:
     """What was unwrapped, and coordinates that seem to be wrapped angles with the number of their jumps."""
     notes = [
-        f"{count} jumps of 2π removed from {name}"
+        find("angle-unwrapped", name, jumps=count)
         for name, count in trajectories.wraps_removed.items()
         if count and name in angles
     ]

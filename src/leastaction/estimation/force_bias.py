@@ -10,6 +10,7 @@ import numpy as np
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_splines import slow_forces
+from leastaction.findings import Finding, find
 
 __all__ = ["ForceBias", "no_bias"]
 
@@ -89,16 +90,14 @@ class ForceBias:
         names = self.trajectories.coordinates
         return {names[i]: tuple(part[:, i].copy() for part in self.added) for i in self.seconds}
 
-    def notes(self) -> list[str]:
-        """What was found, in words."""
+    def findings(self) -> list[Finding]:
+        """What was found."""
         out = []
         for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
             low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self.errors[i]
-            none = ": hardly any" if _rms(list(parts)) < _NONE * error else ""
-            out.append(
-                f"a force on {name} that changes within {self.seconds[i]:g} s was looked for: between "
-                f"{low:.3g} and {high:.3g}, ± {error:.2g}{none}"
-            )
+            figures = {"seconds": self.seconds[i], "lowest": low, "highest": high, "standard_error": error}
+            none = bool(_rms(list(parts)) < _NONE * error)
+            out.append(find("slow-force", name, hardly_any=none, **figures))
         return out
 
 

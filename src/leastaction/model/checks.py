@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from leastaction.library import parse_expression
 from leastaction.model.term import FitSummary, ModelTerm
 
 if TYPE_CHECKING:
+    from leastaction.model.diagnostics import Diagnostics
     from leastaction.model.model import LagrangianModel
 
 __all__ = ["check_force_function", "checked_fields", "checked_start", "checked_states", "held_out"]
@@ -53,8 +55,16 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
         "covariance": _covariance(model.covariance, n_free),
         "noise_std": _noise_std(model.noise_std, coordinates),
         "provenance": dict(model.provenance),
+        "diagnostics": _with_findings(model.diagnostics, model.fit),
         "_expressions": expressions,
     }
+
+
+def _with_findings(diagnostics: Diagnostics | None, fit: FitSummary) -> Diagnostics | None:
+    """The diagnostics show the findings of the fit; nobody else has any."""
+    if diagnostics is None or diagnostics.findings == fit.findings:
+        return diagnostics
+    return replace(diagnostics, findings=fit.findings)
 
 
 def _terms(terms: Sequence[ModelTerm], label: str) -> tuple[ModelTerm, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Trajectories
+from leastaction.findings import Finding
 from leastaction.library import Dropped
 
 __all__ = ["Diagnostics", "PathPoint"]
@@ -64,8 +65,8 @@ class Diagnostics:
         Best structure of each size, in rising size; runners-up of the chosen size come last.
     dropped : tuple of Dropped
         Candidates removed before the fit, and for which others.
-    notes : tuple of str
-        What was done to the data or the library on the user's behalf.
+    findings : tuple of Finding
+        Those of the fit; the model to which the diagnostics belong sets them.
     timings : dict
         Stage → seconds.
     rate_noise_std : dict
@@ -83,10 +84,15 @@ class Diagnostics:
     equation_error: np.ndarray
     path: tuple[PathPoint, ...] = ()
     dropped: tuple[Dropped, ...] = ()
-    notes: tuple[str, ...] = ()
     timings: dict[str, float] = field(default_factory=dict)
     rate_noise_std: dict[str, float] = field(default_factory=dict)
     force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to data and library on the user's behalf, and what else is worth knowing."""
+        return tuple(str(finding) for finding in self.findings if finding.severity == "note")
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
         """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array a trajectory.

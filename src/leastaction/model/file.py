@@ -1,17 +1,24 @@
 """The model file: JSON in, checked by a white list; JSON out.
 
-Schema 1, where ``null`` stands for "not available"::
+Schema 2, where ``null`` stands for "not available"::
 
-    {"schema": 1,
+    {"schema": 2,
      "coordinates": ["theta1", ...],
      "terms": [{"expression": "theta1_dot**2", "coefficient": 0.5,
                 "standard_error": number or null, "known": false}, ...],
      "dissipation": [the same],
      "noise_std": [number or null for each coordinate],
      "fit": {"status": "ok" or "doubtful", "chi2_per_sample": number or null,
-             "physics_weight": [number or null for each coordinate, or nothing], "warnings": [text, ...]},
+             "physics_weight": [number or null for each coordinate, or nothing],
+             "findings": [{"code": text, "severity": "warning" or "note", "subject": [text, ...],
+                           "values": {text: number, text, null or a list of these},
+                           "message": text, "remedy": text}, ...],
+             "warnings": [text, ...]},
      "provenance": {anything that is JSON: version, options, hash of the data},
      "covariance": [[...], ...]}        optional: of the free coefficients, terms before dissipation
+
+``fit.warnings`` repeats the findings of that severity in sentences, for scripts that want no more; it is not
+read.  In schema 1 it stood alone: its sentences become findings with the code ``text``.
 
 Numbers are finite; expressions are read by `leastaction.library.parse_expression`, never evaluated.
 """
@@ -28,6 +35,7 @@ import numpy as np
 
 from leastaction.data.formats.atomic import check_path, read_bytes
 from leastaction.errors import InputError
+from leastaction.findings import Finding
 from leastaction.identifiers import quoted
 from leastaction.model.term import FitSummary, ModelTerm, as_float
 
@@ -36,7 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "plain_json", "read_document", "to_text"]
 
-SCHEMA = 1
+SCHEMA = 2
 MAX_BYTES = 10_000_000
 MAX_TERMS = 1000
 _MAX_COORDINATES = 64
@@ -56,6 +64,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
             "status": model.fit.status,
             "chi2_per_sample": _number_or_none(model.fit.chi2_per_sample),
             "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
+            "findings": [finding.to_dict() for finding in model.fit.findings],
             "warnings": list(model.fit.warnings),
         },
         "provenance": plain_json(model.provenance, "provenance"),
@@ -203,14 +212,14 @@ def fields(document: Any) -> dict[str, Any]:
         "dissipation": _terms(document["dissipation"], "dissipation"),
         "covariance": _matrix(document.get("covariance")),
         "noise_std": _numbers(document["noise_std"], "noise_std"),
-        "fit": _fit(document["fit"]),
+        "fit": _fit(document["fit"], document["schema"]),
         "provenance": plain_json(provenance, "provenance"),
     }
 
 
 def _check_schema(schema: Any) -> None:
     if isinstance(schema, bool) or not isinstance(schema, int) or schema < 1:
-        raise InputError(f"schema is {quoted(schema)}; expected the number {SCHEMA}")
+        raise InputError(f"schema is {quoted(schema)}; expected a whole number up to {SCHEMA}")
     if schema > SCHEMA:
         raise InputError(
             f"schema {quoted(schema)} was made by a newer version of leastaction (this one reads {SCHEMA}); "
@@ -273,14 +282,20 @@ def _term(value: Any, place: str) -> ModelTerm:
         raise InputError(f"{place}: {problem}") from None
 
 
-def _fit(value: Any) -> FitSummary:
-    _check_entries(value, "fit", ("status", "chi2_per_sample", "physics_weight", "warnings"))
-    warnings = _list(value["warnings"], "fit.warnings", MAX_TERMS)
+def _fit(value: Any, schema: int) -> FitSummary:
+    required = ("status", "chi2_per_sample", "physics_weight", "warnings")
+    _check_entries(value, "fit", required if schema == 1 else (*required, "findings"))
+    warnings = [
+        _text(w, f"fit.warnings[{i}]")
+        for i, w in enumerate(_list(value["warnings"], "fit.warnings", MAX_TERMS))
+    ]
+    found = _list(value.get("findings", []), "fit.findings", MAX_TERMS)
     return FitSummary(
         value["status"],
         _number(value["chi2_per_sample"], "fit.chi2_per_sample", nullable=True),
         _numbers(value["physics_weight"], "fit.physics_weight"),
-        tuple(_text(w, f"fit.warnings[{i}]") for i, w in enumerate(warnings)),
+        warnings if schema == 1 else None,
+        [Finding.from_dict(item, f"fit.findings[{i}]") for i, item in enumerate(found)],
     )
 
 

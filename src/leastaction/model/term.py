@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from leastaction.errors import InputError
+from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
 
 __all__ = ["FitSummary", "ModelTerm", "as_float"]
@@ -99,7 +100,7 @@ class ModelTerm:
         return self.coefficient / self.standard_error if self.standard_error > 0 else math.nan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class FitSummary:
     """How well the model holds.
 
@@ -112,36 +113,88 @@ class FitSummary:
         Mean of the squared data residuals in units of the noise; about 1 for a good fit. NaN: not available.
     physics_weight : sequence of float
         Inverse spectral density of the equation error, one per coordinate; empty or NaN: not available.
-    warnings : sequence of str
-        What is doubtful, and what would help.
+    warnings : sequence of str, optional
+        In place of `findings`: what is doubtful, in sentences, as findings with the code ``"text"``.
+    findings : sequence of Finding
+        What every check found: codes and figures for programs, sentences for people. The only record of it;
+        `warnings` and `notes` are read off it.
 
     Examples
     --------
     >>> FitSummary("ok", 1.02, [1e6]).physics_weight
     (1000000.0,)
+    >>> fit = FitSummary("doubtful", warnings=["the shaft is bent"])
+    >>> [finding.code for finding in fit.findings], fit.warnings
+    (['text'], ('the shaft is bent',))
     """
 
-    status: Literal["ok", "doubtful"] = "ok"
-    chi2_per_sample: float = math.nan
-    physics_weight: tuple[float, ...] = ()
-    warnings: tuple[str, ...] = ()
+    status: Literal["ok", "doubtful"]
+    chi2_per_sample: float
+    physics_weight: tuple[float, ...]
+    findings: tuple[Finding, ...]
 
-    def __post_init__(self) -> None:
-        if self.status not in ("ok", "doubtful"):
-            raise InputError(f"fit: the status is {quoted(self.status)}; expected 'ok' or 'doubtful'")
-        chi2 = as_float(self.chi2_per_sample, "fit: chi2_per_sample", missing=True, least=0.0)
-        weights = _items(self.physics_weight, "fit: physics_weight", "numbers, one per coordinate")
-        texts = _items(self.warnings, "fit: warnings", "texts")
-        for text in texts:
-            if not isinstance(text, str):
-                raise InputError(f"fit: a warning is {quoted(text)}; expected text")
-        object.__setattr__(self, "chi2_per_sample", chi2)
-        object.__setattr__(
-            self,
-            "physics_weight",
-            tuple(as_float(w, "fit: a physics weight", missing=True, least=0.0) for w in weights),
-        )
-        object.__setattr__(self, "warnings", tuple(str(text) for text in texts))
+    def __init__(
+        self,
+        status: Literal["ok", "doubtful"] = "ok",
+        chi2_per_sample: float = math.nan,
+        physics_weight: Iterable[float] = (),
+        warnings: Iterable[str] | None = None,
+        findings: Iterable[Finding] = (),
+    ) -> None:
+        if status not in ("ok", "doubtful"):
+            raise InputError(f"fit: the status is {quoted(status)}; expected 'ok' or 'doubtful'")
+        weights = _items(physics_weight, "fit: physics_weight", "numbers, one per coordinate")
+        found = _findings(findings)
+        if warnings is not None:
+            if found:
+                raise InputError("fit: warnings are read off the findings; give one of the two")
+            found = _of_texts(warnings)
+        values = {
+            "status": status,
+            "chi2_per_sample": as_float(chi2_per_sample, "fit: chi2_per_sample", missing=True, least=0.0),
+            "physics_weight": tuple(
+                as_float(w, "fit: a physics weight", missing=True, least=0.0) for w in weights
+            ),
+            "findings": found,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is doubtful, and what would help: a sentence each."""
+        return self.sentences("warning")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to data and library on the user's behalf, and what else is worth knowing."""
+        return self.sentences("note")
+
+    def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
+        """Return the findings of a severity as text, with remedies for Python, command line or app.
+
+        Examples
+        --------
+        >>> FitSummary("doubtful", warnings=["the shaft is bent"]).sentences("warning", "page")
+        ('the shaft is bent',)
+        """
+        return tuple(sentence(found, audience) for found in self.findings if found.severity == severity)
+
+
+def _findings(value: Iterable[Finding]) -> tuple[Finding, ...]:
+    found = _items(value, "fit: findings", "findings")
+    for item in found:
+        if not isinstance(item, Finding):
+            raise InputError(f"fit: a finding is {quoted(item)}; expected a Finding")
+    return tuple(found)
+
+
+def _of_texts(value: Iterable[str]) -> tuple[Finding, ...]:
+    texts = _items(value, "fit: warnings", "texts")
+    for text in texts:
+        if not isinstance(text, str):
+            raise InputError(f"fit: a warning is {quoted(text)}; expected text")
+    return tuple(Finding.of_text(text) for text in texts)
 
 
 def _items(value: Iterable, label: str, expected: str) -> list:

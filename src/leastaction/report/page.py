@@ -91,7 +91,7 @@ def _context(
         "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
         "n_open": _MOST_OPEN,
-        "notes": diagnostics.notes,
+        "notes": model.fit.notes,
         "plain": plain,
         "plural": plural,
         "has_units": "units" in units,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset", "warning_parts"]
+__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset"]
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -98,21 +97,3 @@ def listed(names: Sequence[str], limit: int = 8) -> str:
     """Names in a row, the last ones counted."""
     more = len(names) - limit
     return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
-
-
-def warning_parts(text: str) -> tuple[str, str]:
-    """What is wrong, and the rest of a warning: cause and cure, behind the first colon outside parentheses.
-
-    Examples
-    --------
-    >>> warning_parts("these data say little (open to 40 %: the sum): record more")
-    ('these data say little (open to 40 %: the sum)', 'record more')
-    >>> warning_parts("the mass matrix is not finite")
-    ('the mass matrix is not finite', '')
-    """
-    depth = 0
-    for match in re.finditer(r"[()]|: ", text):
-        if match[0] == ": " and depth == 0:
-            return text[: match.start()], text[match.end() :]
-        depth += {"(": 1, ")": -1}.get(match[0], 0)
-    return text, ""

@@ -9,7 +9,7 @@ import numpy as np
 
 from leastaction.model.model import LagrangianModel
 from leastaction.report.mathml import Notation
-from leastaction.report.text import percent, plain, plural, warning_parts
+from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 
 __all__ = ["verdict"]
@@ -20,7 +20,7 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     return {
         "ok": model.fit.status == "ok",
         "status": model.fit.status,
-        "warnings": [warning_parts(text) for text in model.fit.warnings],
+        "warnings": [(f.message, f.remedy) for f in model.fit.findings if f.severity == "warning"],
         "forecast": validation is not None,
         "facts": [*_forecast_facts(validation), *_fit_facts(model, notation), *_size_facts(model)],
     }

@@ -14,6 +14,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_bias import ForceBias, no_bias
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
+from leastaction.findings import Finding
 from leastaction.selection.progress import Progress, silent
 
 __all__ = ["EXPLAINED", "Search", "begin_search", "equations_hold", "explains", "restarted"]
@@ -55,7 +56,7 @@ class Search:
         Whether finer knots made a large equation error larger.
     feeding : tuple of int
         Candidates of dissipation that were left out because they would have fed energy in.
-    notes : tuple of str
+    findings : tuple of Finding
         What a strategy did that the user should know.
     report : callable
         See :mod:`leastaction.selection.progress`.
@@ -75,7 +76,7 @@ class Search:
     knots_settled: bool = False
     vibrates: bool = False
     feeding: tuple[int, ...] = ()
-    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     report: Progress = silent
 
     @property

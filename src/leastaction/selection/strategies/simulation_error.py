@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.simulation_error import SimulationFit, minimise_simulation_error
+from leastaction.findings import find
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies.coarse_restart import horizon
@@ -43,11 +44,8 @@ def run(search: Search) -> Search:
     search.report("coarse", {"forecast_error": after, "before": before})
     if after > before / _CLEARLY or better.regular() < fit.regular():
         return search
-    note = (
-        "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
-        f"{short:.2g} s, and their intervals allow for what the library cannot explain"
-    )
-    return replace(search.now(better), notes=(*search.notes, note))
+    note = find("coefficients-of-free-runs", horizon=short)
+    return replace(search.now(better), findings=(*search.findings, note))
 
 
 def _differ(found: SimulationFit, before: np.ndarray) -> bool:

@@ -1,0 +1,373 @@
+"""Every sentence that a check can say: code → severity, what is so, what to do.
+
+Checks compute codes and figures; nothing outside this file words them, and nothing reads the words back.
+A text is a template over ``subject`` and the figures, or a function of both where it depends on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from string import Formatter
+from typing import Any, Literal
+
+from leastaction.findings.finding import Finding, Severity
+
+__all__ = ["CODES", "Audience", "Message", "find", "sentence"]
+
+Audience = Literal["python", "command line", "page"]
+Text = str | Callable[[dict[str, Any]], str]
+
+
+@dataclass(frozen=True)
+class Message:
+    """How the findings of one code read.
+
+    Attributes
+    ----------
+    severity : Severity
+    message, remedy : str or callable
+        What is so, and what to do, for those who call Python.
+    on_command_line, on_page : str
+        What to do, for those who use the command line or the app; empty: the same.
+    """
+
+    severity: Severity
+    message: Text
+    remedy: Text = ""
+    on_command_line: str = ""
+    on_page: str = ""
+
+
+class _Template(Formatter):
+    """``str.format`` that joins lists by commas and writes shares in per cent: ``{share:.1f%}``."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if isinstance(value, (list, tuple)):
+            return ", ".join(str(item) for item in value)
+        if format_spec.endswith("%"):
+            return f"{format(100.0 * value, format_spec[:-1])} %"
+        return super().format_field(value, format_spec)
+
+
+def _fill(text: Text, fields: dict[str, Any]) -> str:
+    return text(fields) if callable(text) else _Template().vformat(text, (), fields)
+
+
+def _equations_off_remedy(f: dict[str, Any]) -> str:
+    text = (
+        "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign "
+        "be wrong"
+    )
+    if f["cause_named"]:
+        return f"{text}; see the likely cause below"
+    unmeasured = "; if forces that were not measured move {subject}, name it in prescribed"
+    return text + (_fill(unmeasured, f) if f["may_be_prescribed"] else "")
+
+
+def _missing_term(f: dict[str, Any]) -> str:
+    it = "it" if len(f["subject"]) == 1 else "them"
+    instead = f" instead of {f['free_terms_before']}" if "free_terms_before" in f else ""
+    gain = f.get("gain")
+    by = f", -2 log likelihood {gain:.0f}, the price of the terms included" if gain is not None else ""
+    better = " better" if instead else ""
+    lacking = _fill("the library seems to lack {subject}", f)
+    return f"{lacking} (with {it}, {f['free_terms']} free terms{instead} explain the motion{better}{by})"
+
+
+def _missing_term_remedy(f: dict[str, Any]) -> str:
+    it = "it" if len(f["subject"]) == 1 else "them"
+    force = "; in L, {constant_force} by itself is a constant force on it (force_offset)"
+    return f"add {it} to the candidates" + (_fill(force, f) if f["constant_force"] else "")
+
+
+def _unmodelled_friction(f: dict[str, Any]) -> str:
+    gain = f", -2 log likelihood {f['gain']:.0f}" if "gain" in f else ""
+    return _fill("friction seems to act on {velocities} (coefficient about {coefficient:.2g}", f) + f"{gain})"
+
+
+def _late_forces(f: dict[str, Any]) -> str:
+    when = "later" if f["delay"] > 0.0 else "earlier"
+    half = ", half a sample; are they held from one sample to the next?" if f["half_a_sample"] else ""
+    return (
+        f"the forces seem to act about {1e3 * abs(f['delay']):.2g} ms {when} than recorded "
+        f"(-2 log likelihood {f['gain']:.0f}{half})"
+    )
+
+
+def _wrong_known(f: dict[str, Any]) -> str:
+    fewer = f"{f['fewer_terms']} terms fewer" if f["fewer_terms"] > 1 else "the other terms"
+    return _fill(
+        "the known coefficient of {subject} may be wrong (set free it becomes {estimate:.3g} instead of "
+        f"{{given:.3g}}, and {fewer} explain the motion better)",
+        f,
+    )
+
+
+def _wrong_known_remedy(f: dict[str, Any]) -> str:
+    forces = f.get("force_factor")
+    units = f"; or the forces are {forces:.3g} times too large" if forces is not None else ""
+    return f"correct it, or leave it free{units}"
+
+
+# words of the units in which a rate may have been recorded
+_UNITS = {
+    "deg/s": "degrees per second",
+    "rpm": "revolutions per minute",
+    "rev/s": "revolutions per second",
+    "deg/s^2": "degrees per second squared",
+    "g": "multiples of g",
+    "1/1000": "thousandths of the coordinate's unit",
+    "1/100": "hundredths of the coordinate's unit",
+}
+
+
+def _rate_scaled(f: dict[str, Any]) -> str:
+    text = "the measured {quantity} of {subject} is {factor:.3g} times the derivative of its coordinate"
+    opposite = f["factor"] < 0.0
+    if f["unit"] in _UNITS:
+        text += f" ({_UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
+    elif opposite:
+        text += " (the opposite sign?)" if f["unit"] == "1" else " (with the opposite sign?)"
+    return _fill(text, f)
+
+
+def _hardly_determined(f: dict[str, Any]) -> str:
+    text = "these data hardly determine {subject}"
+    if f["scale_open"]:
+        text += " (all coefficients can grow together: the scale of L is open)"
+    elif f["combination"]:
+        text += " (open to {open:.0f%}: the combination {combination})"
+    return _fill(text, f)
+
+
+def _competing_remedy(f: dict[str, Any]) -> str:
+    at = [f"{name} = {value:.2g}" for name, value in zip(f["at_names"], f["at_values"], strict=True)]
+    where = f", e.g. through {', '.join(at)}" if at else ""
+    return f"record motions in which they differ{where}, or leave one of them out"
+
+
+def _smoothed(f: dict[str, Any]) -> str:
+    below = [f"{name} below {width:g}" for name, width in zip(f["subject"], f["widths"], strict=True)]
+    return f"abs() of velocities is smoothed ({', '.join(below)})"
+
+
+def _zero_offset(f: dict[str, Any]) -> str:
+    size = "large" if f["offset"] > 0 else "small"
+    text = f"{{term}} with its sine reads as a zero offset: {{subject}} is too {size} by "
+    return _fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
+
+
+def _correlated(f: dict[str, Any]) -> str:
+    what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
+    return _fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
+
+
+def _slow_force(f: dict[str, Any]) -> str:
+    return _fill(
+        "a force on {subject} that changes within {seconds:g} s was looked for: between {lowest:.3g} and "
+        "{highest:.3g}, ± {standard_error:.2g}" + (": hardly any" if f["hardly_any"] else ""),
+        f,
+    )
+
+
+CODES: dict[str, Message] = {
+    # the equations do not hold
+    "not-converged": Message(
+        "warning", "the solver did not converge ({reason})", "try fewer candidates or longer data"
+    ),
+    "equations-off": Message(
+        "warning",
+        "the library cannot explain {subject} (the equation is off by {equation_error:.1f%} of its forces, "
+        "the residual is {residual_ratio:.2f} times the noise)",
+        _equations_off_remedy,
+    ),
+    # a likely cause
+    "missing-term": Message("warning", _missing_term, _missing_term_remedy),
+    "unmodelled-friction": Message(
+        "warning", _unmodelled_friction, "give {subject} as a candidate for dissipation"
+    ),
+    "energy-fed-in": Message(
+        "warning",
+        "energy seems to be fed in along {velocities} (friction of about {coefficient:.2g})",
+        "check the sign of forces and of known coefficients, and whether a driving force is missing",
+    ),
+    "wrong-known-coefficient": Message("warning", _wrong_known, _wrong_known_remedy),
+    "late-forces": Message(
+        "warning",
+        _late_forces,
+        "find the delay with la.delay.estimate",
+        on_command_line="give --force-delay {delay:.2g}, or that of the device",
+    ),
+    "scaled-forces": Message(
+        "warning",
+        "the forces seem to be {factor:.2g} times those given ({share:.0f%} of the equation error)",
+        "check their units and scale",
+    ),
+    "swapped-forces": Message(
+        "warning",
+        "the forces on {subject} seem to be swapped ({share:.0f%} of the equation error)",
+        "check the sequence of the columns",
+    ),
+    # the data
+    "rate-unexplained": Message(
+        "warning",
+        "the library cannot explain the measured {quantity} of {subject} (its residual is "
+        "{residual_ratio:.2f} times the noise)",
+        "is it a sensor of its own, at the same times as the positions?",
+    ),
+    "rate-constant": Message("warning", "the measured {quantity} of {subject} is constant", "leave it out"),
+    "rate-unrelated": Message(
+        "warning",
+        "the measured {quantity} of {subject} hardly follows the derivative of its coordinate",
+        "check the column, and that times are the same",
+    ),
+    "rate-scaled": Message("warning", _rate_scaled, "convert it, or leave it out"),
+    "rate-offset": Message(
+        "warning",
+        "the measured {quantity} of {subject} has an offset of {offset:.3g} from the derivative of its "
+        "coordinate",
+        "subtract it, it is what the sensor shows at rest",
+    ),
+    "looks-like-noise": Message(
+        "warning",
+        "{share:.0f%} of the spread of {subject} looks like noise",
+        "if the sensor is better than that, sampling is too slow for the motion, so sample faster",
+    ),
+    "angle-in-degrees": Message(
+        "warning",
+        "{subject} covers {span:.3g} within a recording",
+        "sines and cosines want radians, not degrees",
+    ),
+    "undeclared-angle": Message(
+        "warning",
+        "{subject} jumps by about 2π {jumps} times, which was undone",
+        "if it is an angle, say so with angles=['{subject}']",
+        on_command_line="if it is an angle, say so with --angles {subject}",
+        on_page="if it is an angle, mark {subject} as an angle",
+    ),
+    "slow-sampling": Message(
+        "warning",
+        "sampling is slow ({samples_per_period:.1f} samples a period of the fastest motion, where at least "
+        "{needed:g} are needed)",
+        "what is faster looks slow, so sample faster",
+    ),
+    "motion-in-noise": Message(
+        "warning",
+        "the motion of {subject} ({motion:.2g}) hardly shows above its noise ({noise:.2g})",
+        "record larger motions",
+    ),
+    # the structure and its coefficients
+    "hardly-determined": Message(
+        "warning",
+        _hardly_determined,
+        "record larger or different motions, or fix one of the coefficients with known",
+    ),
+    "competing-structures": Message(
+        "warning", "these data cannot tell {subject} from {others}", _competing_remedy
+    ),
+    "mass-matrix-not-finite": Message(
+        "warning",
+        "the mass matrix is not finite along the data",
+        "a term divides by something that vanishes there: shift the coordinate, or leave the term out",
+    ),
+    "mass-matrix-not-positive": Message(
+        "warning",
+        "the mass matrix is not positive definite along {share:.0f%} of the data",
+        "a kinetic term is missing, or the sign of forces or of a known coefficient is wrong",
+    ),
+    "negative-dissipation": Message(
+        "warning",
+        "the dissipation term {subject} came out negative and was left out, since it would feed energy in",
+        "check the sign of forces and known coefficients, or a missing term",
+    ),
+    # what was done to data and library
+    "angle-unwrapped": Message("note", "{jumps} jumps of 2π removed from {subject}"),
+    "forces-unused": Message("note", "forces on {subject} were left out: the motion there is prescribed"),
+    "rates-unused": Message(
+        "note", "method='adam' fits positions alone: measured velocities and accelerations were left out"
+    ),
+    "outliers-left-out": Message(
+        "note",
+        "{count} samples of {subject} ({share:.2g%}) are outliers, more than {far:g} standard deviations off "
+        "the motion and alone there; they are left out",
+    ),
+    "friction-smoothed": Message("note", _smoothed),
+    # what is worth knowing
+    "scatter-of-forces": Message(
+        "note",
+        "the equation of {subject} is off by {equation_error:.1f%} of its forces, no more than the scatter "
+        "of those that were given leaves",
+        "quieter forces would narrow the intervals",
+    ),
+    "equation-error": Message(
+        "note",
+        "the equation of {subject} leaves {equation_error:.2g%} of its forces unexplained",
+        "little on hardware; in a simulation a small term or friction is missing",
+    ),
+    "correlated-residuals": Message(
+        "note",
+        _correlated,
+        "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
+    ),
+    "zero-offset": Message("note", _zero_offset),
+    "knots-not-settled": Message(
+        "note",
+        "coefficients still moved when the knots were refined for the last time",
+        "sample faster",
+    ),
+    "coefficients-of-free-runs": Message(
+        "note",
+        "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
+        "{horizon:.2g} s, and their intervals allow for what the library cannot explain",
+    ),
+    "slow-force": Message("note", _slow_force),
+    "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),
+}
+
+
+def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Finding:
+    """Return the finding of a code, with its sentences.
+
+    Parameters
+    ----------
+    code : str
+        A key of `CODES`.
+    subject : str or iterable of str
+        Coordinates or terms that it is about.
+    **values
+        The figures that its texts need, and others worth keeping.
+
+    Examples
+    --------
+    >>> print(find("motion-in-noise", "x", motion=0.011, noise=0.05))
+    the motion of x (0.011) hardly shows above its noise (0.05): record larger motions
+    """
+    row = CODES[code]
+    about = (subject,) if isinstance(subject, str) else tuple(subject)
+    fields = {"subject": about, **values}
+    return Finding(code, row.severity, about, values, _fill(row.message, fields), _fill(row.remedy, fields))
+
+
+def sentence(finding: Finding, audience: Audience = "python") -> str:
+    """Return a finding as text, its remedy in the words of the command line or of the app.
+
+    Examples
+    --------
+    >>> print(sentence(find("undeclared-angle", "theta", jumps=3), "command line"))
+    theta jumps by about 2π 3 times, which was undone: if it is an angle, say so with --angles theta
+    """
+    remedy = _other_remedies(audience).get(finding.code)
+    if not remedy:
+        return str(finding)
+    try:
+        return f"{finding.message}: {_fill(remedy, {**finding.values, 'subject': finding.subject})}"
+    except (KeyError, TypeError, ValueError):  # figures of another version, from a file
+        return str(finding)
+
+
+def _other_remedies(audience: Audience) -> dict[str, str]:
+    if audience == "python":
+        return {}
+    rows = CODES.items()
+    return {code: row.on_command_line if audience == "command line" else row.on_page for code, row in rows}
