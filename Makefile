@@ -70,12 +70,12 @@ bench: $(STAMPS)/core
 study-systems: $(STAMPS)/core
 	$(BIN)/python benchmarks/accuracy.py
 
-# What has a record in studies/results/ is not run again.
+# What has a record in studies/results/NAME.jsonl is not run again.
 $(STUDIES:%=study-%): study-%: $(STAMPS)/core
 	$(BIN)/python -m studies.run $* $(RUN_ARGS)
 	$(BIN)/python -m studies.collate $*
 
-# What has a record in reproduction/results/ is not run again.
+# What has a record in reproduction/results/METHOD.jsonl is not run again.
 table1 table2: table%: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.run --table $* $(RUN_ARGS)
 	$(BIN)/python -m reproduction.collate
@@ -92,7 +92,7 @@ reproduce-smoke: $(STAMPS)/reproduction
 
 clean:
 	rm -rf demo-output build dist docs/_build docs/gallery .pytest_cache .hypothesis .ruff_cache .import_linter_cache
-	find src tests benchmarks examples docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find src tests benchmarks examples docs reproduction runner studies -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # A working environment is kept, whoever made it; a broken or too old one is made anew.
 $(STAMPS)/venv:

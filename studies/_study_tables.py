@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from itertools import chain
 
 import numpy as np
 
@@ -143,7 +144,7 @@ def _noise_row(records: Records) -> tuple[str, ...]:
     found, run = results(records), [r["result"] for r in records]
     terms = _terms(found)
     ratios = [x for r in found if r["noise_ratio"] for x in r["noise_ratio"]]
-    said = Counter(short(text.split(":")[0], 60) for r in found for text in {*r["warnings"], *r["notes"]})
+    said = Counter(short(text.split(":")[0], 60) for r in found for text in _each(r["warnings"], r["notes"]))
     commonest = said.most_common(1)
     return (
         share(r.get("exact", False) for r in run),
@@ -156,6 +157,11 @@ def _noise_row(records: Records) -> tuple[str, ...]:
         number(median(r["wall_s"] for r in found), ".1f"),
         f"{commonest[0][0]} ({commonest[0][1]}×)" if commonest else "–",
     )
+
+
+def _each(*texts: list[str]) -> dict[str, None]:
+    # not a set: its sequence, which decides among equally common ones, changes with every process
+    return dict.fromkeys(chain(*texts))
 
 
 def _is_right(result: dict) -> bool:
@@ -216,8 +222,8 @@ def _what_was_said(records: Records, order: dict[str, int]) -> Table:
     rows = []
     groups = cells(records, lambda c: (c["setup"], c["system"], c["noise"]))
     for (setup, system, noise), group in sorted(groups.items(), key=lambda item: order[item[0][0]]):
-        said = Counter(short(w, 160) for r in group for w in {*r["result"].get("warnings", [])})
-        hints = Counter(short(w, 160) for r in group for w in {*r["result"].get("notes", [])})
+        said = Counter(short(w, 160) for r in group for w in _each(r["result"].get("warnings", [])))
+        hints = Counter(short(w, 160) for r in group for w in _each(r["result"].get("notes", [])))
         verdicts = Counter(_verdict(r["result"], FAULTS[setup].cause) for r in group)
         rows.append(
             (
