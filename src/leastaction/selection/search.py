@@ -11,6 +11,7 @@ from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import (
     all_data,
     coarse_restart,
+    exact_equations,
     feeding_friction,
     finer_knots,
     force_bias,
@@ -49,4 +50,5 @@ def run_search(search: Search) -> Search:
 def _on_data(search: Search) -> Search:
     """Find a structure on pieces of long recordings, then on all data."""
     search.report("search", {})
-    return all_data.run(coarse_restart.run(find_structure(search), find_structure))
+    search = all_data.run(coarse_restart.run(find_structure(search), find_structure))
+    return exact_equations.run(search)

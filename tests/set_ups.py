@@ -11,6 +11,7 @@ from scipy.signal import butter, sosfiltfilt
 import leastaction as la
 from leastaction import systems
 from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.exact_limit import towards_exact
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
@@ -156,7 +157,7 @@ def fresh(search: Search) -> Fit:
     start = grid.start(structure, curve.control_points, off * fit.coefficients[index], curve.noise_std)
     for _ in range(3):
         start, _ = grid.fit_curve(structure, start)
-    again = grid.fit(structure, start)
+    again = towards_exact(grid.fit(structure, start))
     if "coefficients-of-free-runs" not in [finding.code for finding in search.findings]:
         return again
     on = Grid.lay(alone.on(search.searched.trajectories), search.scales.per_second)
