@@ -20,10 +20,11 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
+from leastaction.estimation import problem as estimation
 from leastaction.estimation.adam import AdamProblem
 from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.workspace import Workspace
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from reproduction.methods.adam import discover, settings_for
 from reproduction.problem import Case, Problem, pose
@@ -60,22 +61,21 @@ def _minimum(problem: Problem, model, options: la.AdamOptions) -> tuple[float, d
     columns = EulerLagrange(terms, problem.library.coordinates)
     known = np.array([problem.known.get(name, np.nan) for name in true])
     knots, degree = model.provenance["knots_per_second"], model.diagnostics.grid.degree
-    space = Workspace(data, columns, known, knots, degree)
-    exact = smooth(space.grid, space.times, [m.q for m in problem.truth])
-    samples, duration = len(np.concatenate(space.times)), float(space.grid.weights.sum())
+    grid = Grid.lay(estimation.Problem(data, columns, known, degree), knots)
+    exact = smooth(grid.spline, grid.times, [m.q for m in problem.truth])
+    samples, duration = len(np.concatenate(grid.times)), float(grid.spline.weights.sum())
     ratio = options.physics_weight / duration / (options.data_weight / samples)
     n = data.n_dof
     weights = Weights(np.ones(n), np.full(n, ratio), np.zeros(n))
-    physics = Physics(columns, np.isnan(known), space.forces)
+    physics = Physics(columns, np.isnan(known), None if grid.forces is None else grid.forces.values)
     start = np.array(list(true.values()))
     fit = fit_joint(
-        space.observations, physics, weights, exact.control_points, start, tolerance=1e-6, max_steps=100
+        grid.observations, physics, weights, exact.control_points, start, tolerance=1e-6, max_steps=100
     )
     rng = np.random.default_rng(problem.case.seed)
-    force = space.force_at if space.forces is not None else None
-    loss = AdamProblem(
-        space.grid, space.times, space.values, replace(physics, forces=None), force, options, rng
-    )
+    force = grid.force_at if grid.forces is not None else None
+    values = [trajectory.q for trajectory in data]
+    loss = AdamProblem(grid.spline, grid.times, values, replace(physics, forces=None), force, options, rng)
     value = loss.loss(fit.control_points, fit.coefficients)
     return value, dict(zip(true, fit.coefficients.tolist(), strict=True))
 

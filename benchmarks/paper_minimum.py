@@ -20,11 +20,11 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
+from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
+from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.workspace import Workspace
-from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
-from leastaction.selection.prepare import prepare
+from leastaction.mechanics.euler_lagrange import Points
 from reproduction.problem import Case, Problem, pose
 
 RESULTS = Path(__file__).parent / "results" / "paper_minimum"
@@ -35,21 +35,22 @@ TOLERANCE, MOST_STEPS = 1e-4, 200
 def minima(case: Case, physics_weight: float, finer: float) -> dict:
     """ℓ2 error and J at the minima reached from Adam's start, from the truth, and with the true terms."""
     problem = pose(case)
-    prepared = prepare(problem.data, problem.library, problem.known, (), None, DEGREE, None, (), False)
-    columns = EulerLagrange(prepared.columns, prepared.library.coordinates)
-    per_second = finer * prepared.knots.per_second
-    space = Workspace(prepared.trajectories, columns, prepared.known, per_second, DEGREE)
-    true, free = _true(problem, space), np.isnan(space.known)
-    noisy = smooth(space.grid, space.times, space.values).control_points
-    exact = smooth(space.grid, space.times, [m.q for m in problem.truth]).control_points
-    samples, duration = len(np.concatenate(space.times)), float(space.grid.weights.sum())
+    request = Request(problem.library, problem.known, degree=DEGREE, robust=False)
+    setup = build_problem(problem.data, request)
+    per_second = finer * setup.scales.per_second
+    grid = Grid.lay(setup.problem, per_second)
+    columns, true, free = grid.problem.candidates, _true(problem, grid), ~grid.problem.is_known
+    noisy = grid.smooth().control_points
+    exact = smooth(grid.spline, grid.times, [m.q for m in problem.truth]).control_points
+    samples, duration = len(np.concatenate(grid.times)), float(grid.spline.weights.sum())
+    forces = None if grid.forces is None else grid.forces.values
     n = problem.data.n_dof
     weights = Weights(np.ones(n), np.full(n, physics_weight * samples / duration), np.zeros(n))
 
     def outcome(points: np.ndarray, start: np.ndarray, keep: np.ndarray) -> dict:
-        physics = Physics(columns.subset(np.flatnonzero(keep).tolist()), free[keep], space.forces)
+        physics = Physics(columns.subset(np.flatnonzero(keep).tolist()), free[keep], forces)
         fit: JointFit = fit_joint(
-            space.observations,
+            grid.observations,
             physics,
             weights,
             points,
@@ -67,29 +68,29 @@ def minima(case: Case, physics_weight: float, finer: float) -> dict:
         **case.as_dict(),
         "physics_weight": physics_weight,
         "knots_per_second": per_second,
-        "from_start": outcome(noisy, _regression(space, noisy), everything),
+        "from_start": outcome(noisy, _regression(grid, noisy), everything),
         "from_truth": outcome(exact, true, everything),
         "true_terms": outcome(exact, true, (true != 0.0) | ~free),
     }
 
 
-def _true(problem: Problem, space: Workspace) -> np.ndarray:
+def _true(problem: Problem, grid: Grid) -> np.ndarray:
     """True coefficients of all columns."""
-    places = {problem.library.index(term.text): k for k, term in enumerate(space.columns.terms)}
-    out = np.zeros(len(space.columns))
+    places = {problem.library.index(term.text): k for k, term in enumerate(grid.problem.terms)}
+    out = np.zeros(len(grid.problem.terms))
     for text, value in problem.true_coefficients.items():
         out[places[problem.library.index(text)]] = value
     return out
 
 
-def _regression(space: Workspace, control_points: np.ndarray) -> np.ndarray:
+def _regression(grid: Grid, control_points: np.ndarray) -> np.ndarray:
     """Free coefficients by least squares along a curve, known ones in place."""
-    states = space.grid.at_quadrature(control_points)
-    strong = space.columns.strong(Points(*(s[:, 0] for s in states)))
-    free = np.isnan(space.known)
-    target = 0.0 if space.forces is None else space.forces[:, 0].T
-    target = target - np.tensordot(space.known[~free], strong[~free], 1)
-    out = np.where(free, 0.0, space.known)
+    known, states = grid.problem.known, grid.spline.at_quadrature(control_points)
+    strong = grid.problem.candidates.strong(Points(*(s[:, 0] for s in states)))
+    free = np.isnan(known)
+    target = 0.0 if grid.forces is None else grid.forces.values[:, 0].T
+    target = target - np.tensordot(known[~free], strong[~free], 1)
+    out = np.where(free, 0.0, known)
     rows = strong[free].reshape(free.sum(), -1).T
     out[free] = np.linalg.lstsq(rows, np.broadcast_to(target, strong.shape[1:]).ravel(), rcond=None)[0]
     return out

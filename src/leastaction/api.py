@@ -2,34 +2,28 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
-from importlib.metadata import PackageNotFoundError, version
-from typing import NamedTuple
 
 import numpy as np
 
-from leastaction.curve.smoothing import Smooth
+from leastaction.assembly import assemble_model
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.diagnosis.rates import doubts_about_rates
-from leastaction.diagnosis.verdict import Verdict, verify
+from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
-from leastaction.estimation.joint import Weights
-from leastaction.estimation.workspace import Workspace
+from leastaction.estimation.build import Request, Setup, build_problem
+from leastaction.estimation.grid import Grid
 from leastaction.findings import find
 from leastaction.library import Library
 from leastaction.mechanics.euler_lagrange import Points
-from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
-from leastaction.model.term import FitSummary, ModelTerm
-from leastaction.selection.coarse_restart import improve_coarse, search_coarse
-from leastaction.selection.descent import select_by_descent
-from leastaction.selection.force_bias import Drift
-from leastaction.selection.knots import Progress
-from leastaction.selection.prepare import Prepared, prepare
-from leastaction.selection.select import Selection, confirm_structure, select_structure
+from leastaction.selection.alternatives import find_alternatives
+from leastaction.selection.descent import run_descent
+from leastaction.selection.progress import Clock, Progress
+from leastaction.selection.search import run_search
+from leastaction.selection.search_state import begin_search
 
 __all__ = ["discover"]
 
@@ -141,58 +135,54 @@ def discover(
     >>> model.fit.status
     'ok'
     """
-    if method not in _DEGREES:
-        raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _DEGREES))}")
-    if options is not None and method != "adam":
-        raise InputError(f"method {method!r} has no options; options are for method='adam'")
-    settings = AdamOptions.of(options)
-    degree = _DEGREES[method] if degree is None else degree
-    if not 0.0 <= relevance < 1.0:
-        raise InputError(f"relevance is {relevance!r}; expected a share between 0 and 1, such as 0.05")
-    clock = _Clock(progress)
-    clock.start("prepare")
-    dissipation = [dissipation] if isinstance(dissipation, str) else list(dissipation)
-    trajectories = Trajectories.coerce(trajectories)
-    prescribed = [prescribed] if isinstance(prescribed, str) else list(prescribed)
-    constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
+    settings = _checked(method, options, relevance)
     descent = method == "adam"
-    if descent and slow:
-        raise InputError(
-            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
-        )
-    # the slow force is wanted at all times, not on pieces
-    most = None if descent or slow else _ENOUGH
-    robust = robust and not descent
+    degree = _DEGREES[method] if degree is None else degree
+    clock = Clock(progress)
+    clock.start("prepare")
+    trajectories = Trajectories.coerce(trajectories)
+    dissipation, prescribed = _texts(dissipation), _texts(prescribed)
+    constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
     unused = trajectories.rates if descent else ()
-    if unused:
-        trajectories = trajectories.without_rates()
-    prepared = prepare(
-        trajectories, library, known, dissipation, angles, degree, most, constant, robust, prescribed
-    )
-    doubts = doubts_about_rates(prepared.searched, prepared.knots.smooth)
-    notes = [find("rates-unused")] if unused else []
-    prepared = replace(prepared, findings=(*prepared.findings, *doubts, *notes))
-    drift = Drift(prepared.trajectories, slow)
-    workspace = prepared.workspace(prepared.euler_lagrange)
-    _check_columns(workspace, prepared)
     if descent:
-        clock.start("descent")
-        smoothed = prepared.knots.smooth
-        selection, smoothed = select_by_descent(workspace, smoothed, settings, clock.report, seed)
-    else:
-        workspace, selection, smoothed = _search(prepared, workspace, drift, clock, relevance, seed)
-    if selection.structure.fit.status == "not finite":
+        _refuse_slow_forces(slow)
+        trajectories = trajectories.without_rates()
+    request = Request(
+        library,
+        known or {},
+        dissipation,
+        angles,
+        degree,
+        constant,
+        prescribed,
+        robust=robust and not descent,
+    )
+    # the slow force is wanted at all times, not on pieces
+    setup = build_problem(trajectories, request, None if descent or slow else _ENOUGH)
+    about_rates = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
+    if unused:
+        about_rates.append(find("rates-unused"))
+    setup = replace(setup, findings=(*setup.findings, *about_rates))
+    search = begin_search(
+        setup,
+        slow,
+        relevance=relevance,
+        seed=seed,
+        # data at fault: searching longer does not help
+        thorough=not any(finding.severity == "warning" for finding in setup.findings),
+        report=clock.report,
+    )
+    _check_columns(setup, search.grid)
+    search = run_descent(search, settings) if descent else run_search(search)
+    if search.found.status == "not finite":
         raise DataError(
             "no combination of these candidates can be followed along the data: the library may "
             "lack a kinetic term of a coordinate, a known value be far off, or a candidate such as log or "
             "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
     clock.start("verify")
-    verdict = verify(workspace, selection, smoothed, prepared.knots.period)
-    if not descent:
-        better, notes = improve_coarse(prepared, workspace, selection.structure, clock.report)
-        selection = replace(selection, structure=better)
-        verdict = replace(verdict, findings=(*verdict.findings, *notes))
+    alternatives = () if descent else find_alternatives(search.found, relevance)
+    verdict = verify(search, alternatives)
     clock.stop()
     given = {
         "method": method,
@@ -200,56 +190,37 @@ def discover(
         "relevance": float(relevance),
         "seed": int(seed),
         "known": {str(k): float(v) for k, v in (known or {}).items()},
-        "dissipation": [t.text for t in prepared.library.dissipation],
-        "angles": list(prepared.library.angles if angles is None else angles),
-        "robust": robust,
-        "force_offset": {**dict.fromkeys(constant), **drift.seconds_of},
-        "prescribed": [prepared.library.coordinates[i] for i in prepared.prescribed],
+        "dissipation": [t.text for t in setup.library.dissipation],
+        "angles": list(setup.library.angles if angles is None else angles),
+        "robust": request.robust,
+        "force_offset": {**dict.fromkeys(constant), **search.bias.seconds_of},
+        "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
     }
     if descent:
         given["adam"] = asdict(settings)
-    return _model(prepared, workspace, selection, verdict, given, clock.timings, drift)
+    return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
 
 
-class _Found(NamedTuple):
-    """A selection, the workspace of its knots, and the smooth curve before it."""
-
-    workspace: Workspace
-    selection: Selection
-    smoothed: Smooth
-
-
-def _search(
-    prepared: Prepared, workspace: Workspace, drift: Drift, clock: _Clock, relevance: float, seed: int
-) -> _Found:
-    """Select a structure, with the forces that drift where some are asked for."""
-    # data at fault: searching longer does not help
-    thorough = not any(finding.severity == "warning" for finding in prepared.findings)
-    found = _search_once(prepared, workspace, clock, relevance, seed, thorough and not drift.seconds)
-    while drift.follow(found.workspace, found.selection.structure):
-        clock.report("drift", drift.size)
-        prepared = prepared.pushed(drift.forces)
-        workspace = prepared.workspace(workspace.columns)
-        found = _search_once(prepared, workspace, clock, relevance, seed, thorough)
-    return _Found(*drift.settle(found.workspace, found.selection), found.smoothed)
+def _checked(method: str, options, relevance: float) -> AdamOptions:
+    """The settings of adam, after checking what has no other owner."""
+    if method not in _DEGREES:
+        raise InputError(f"method {method!r} is unknown; choose one of {', '.join(map(repr, _DEGREES))}")
+    if options is not None and method != "adam":
+        raise InputError(f"method {method!r} has no options; options are for method='adam'")
+    if not 0.0 <= relevance < 1.0:
+        raise InputError(f"relevance is {relevance!r}; expected a share between 0 and 1, such as 0.05")
+    return AdamOptions.of(options)
 
 
-def _search_once(
-    prepared: Prepared, workspace: Workspace, clock: _Clock, relevance: float, seed: int, thorough: bool
-) -> _Found:
-    """Select a structure, on pieces of long recordings first."""
-    clock.start("search")
-    smoothed = prepared.knots.smooth
-    selection = select_structure(workspace, smoothed, clock.report, relevance, seed, thorough)
-    if thorough:
-        coarse = prepared.knots.coarse
-        workspace, selection = search_coarse(workspace, selection, coarse, clock.report, relevance, seed)
-    share = prepared.searched.n_samples / prepared.trajectories.n_samples
-    if share < 1.0 and selection.structure.fit.converged:
-        clock.start("confirm")
-        workspace, smoothed = prepared.whole_workspace(workspace.columns, workspace.knots_per_second)
-        selection = confirm_structure(workspace, smoothed, selection, clock.report, relevance)
-    return _Found(workspace, selection, smoothed)
+def _texts(given: Iterable[str]) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _refuse_slow_forces(slow: Mapping[int, float]) -> None:
+    if slow:
+        raise InputError(
+            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
+        )
 
 
 def _offsets(
@@ -280,131 +251,13 @@ def _offsets(
     return [name for name, x in given.items() if x == np.inf], slow
 
 
-class _Clock:
-    """Seconds of each stage, passed on to the user's progress display."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self.timings: dict[str, float] = {}
-        self._progress = progress
-        self._stage, self._since = "", 0.0
-
-    def start(self, stage: str) -> None:
-        self.stop()
-        self._stage, self._since = stage, time.perf_counter()
-        if self._progress:
-            self._progress(stage, {})
-
-    def report(self, stage: str, details: dict) -> None:
-        if stage != self._stage:
-            self.stop()
-            self._stage, self._since = stage, time.perf_counter()
-        if self._progress:
-            self._progress(stage, details)
-
-    def stop(self) -> None:
-        if self._stage:
-            spent = time.perf_counter() - self._since
-            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + spent
-        self._stage = ""
-
-
-def _check_columns(workspace: Workspace, prepared: Prepared) -> None:
+def _check_columns(setup: Setup, grid: Grid) -> None:
     """Refuse candidates that are undefined along the data, by name."""
-    states = workspace.grid.at_quadrature(prepared.knots.smooth.control_points)
-    values = workspace.columns.strong(Points(*(s[:, 0] for s in states)))
-    bad = [t.text for t, v in zip(prepared.columns, values, strict=True) if not np.isfinite(v).all()]
+    states = grid.spline.at_quadrature(setup.scales.smooth.control_points)
+    values = setup.problem.candidates.strong(Points(*(s[:, 0] for s in states)))
+    bad = [t.text for t, v in zip(setup.problem.terms, values, strict=True) if not np.isfinite(v).all()]
     if bad:
         raise DataError(
             f"the candidate {bad[0]} is undefined somewhere along the data (log, sqrt or division outside "
             "its domain); leave it out or shift the coordinate"
         )
-
-
-def _model(
-    prepared: Prepared, workspace: Workspace, selection: Selection, verdict: Verdict, options, timings, drift
-):
-    structure = selection.structure
-    weights = structure.fit.weights
-    rate_noise = _rate_noise(workspace, weights)
-    findings = (
-        *prepared.findings,
-        *verdict.findings,
-        *drift.findings(),
-        *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in rate_noise.items()),
-    )
-    status = "doubtful" if any(finding.severity == "warning" for finding in findings) else "ok"
-    members = dict(zip(structure.members, structure.standard_errors, strict=True))
-    parts: dict[str, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
-    for k, term in enumerate(prepared.columns):
-        is_known = not np.isnan(prepared.known[k])
-        if is_known or k in members:
-            error = 0.0 if is_known else float(members[k])
-            value = float(structure.coefficients[k])
-            parts[term.kind].append(ModelTerm(term.text, value, error, is_known))
-    density = weights.physics.copy()
-    density[list(prepared.prescribed)] = np.nan
-    diagnostics = Diagnostics(
-        workspace.trajectories,
-        workspace.grid,
-        structure.fit.control_points,
-        weights.position_std,
-        density,
-        verdict.equation_error,
-        _path(prepared, selection),
-        prepared.library.dropped,
-        timings=timings,
-        rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in rate_noise.items()},
-        force_offset=drift.found(),
-    )
-    return LagrangianModel(
-        prepared.library.coordinates,
-        tuple(parts["lagrangian"]),
-        tuple(parts["dissipation"]),
-        None if np.isnan(structure.fit.covariance).any() else structure.fit.covariance,
-        weights.position_std,
-        FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
-        {
-            "version": _version(),
-            "options": options,
-            "data": prepared.trajectories.digest(),
-            "n_samples": int(workspace.observations.counts.sum()),
-            "n_candidates": len(prepared.columns),
-            "knots_per_second": float(workspace.knots_per_second),
-        },
-        diagnostics,
-    )
-
-
-def _rate_noise(workspace: Workspace, weights: Weights) -> dict[tuple[str, str], float]:
-    """(``"velocity"`` or ``"acceleration"``, coordinate) → noise of what was measured."""
-    names = workspace.trajectories.coordinates
-    noise = weights.noise_std[len(names) :].tolist()
-    channels = [(rate.quantity, names[rate.coordinate]) for rate in workspace.rates]
-    return dict(zip(channels, noise, strict=True))
-
-
-def _path(prepared: Prepared, selection: Selection) -> tuple[PathPoint, ...]:
-    """Best structure of each size, then the runners-up of the chosen size."""
-    chosen = tuple(sorted(selection.structure.members))
-    size = len(chosen)
-    levels = selection.levels
-    here = next((c for c in levels.get(size, []) if c.members == chosen), None)
-    if here is None:
-        return ()
-    ranked = [level[0] for _, level in sorted(levels.items())] + levels[size][1:]
-    return tuple(
-        PathPoint(
-            tuple(prepared.columns[m].text for m in c.members),
-            c.cost - here.cost,
-            c.criterion(selection.penalty) - here.criterion(selection.penalty),
-            c.members == chosen,
-        )
-        for c in ranked
-    )
-
-
-def _version() -> str:
-    try:
-        return version("leastaction")
-    except PackageNotFoundError:
-        return "unknown"

@@ -20,10 +20,12 @@ from leastaction.api import discover
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Library
 from leastaction.model.model import LagrangianModel
-from leastaction.selection.prepare import prepare
 
 __all__ = ["DelayEstimate", "estimate", "shift_forces"]
 
@@ -234,8 +236,7 @@ class _Profile:
         }
         library = Library([term.expression for term in model.terms], model.coordinates)
         options = model.provenance["options"]
-        prepared = prepare(
-            inner,
+        request = Request(
             library,
             fixed,
             [t.expression for t in model.dissipation],
@@ -243,19 +244,20 @@ class _Profile:
             options["degree"],
             prescribed=model.prescribed,
         )
-        knots = float(model.provenance["knots_per_second"])
-        self.workspace, curve = prepared.whole_workspace(prepared.euler_lagrange, knots)
-        self.members = tuple(int(k) for k in self.workspace.free)
+        setup = build_problem(inner, request)
+        self.grid = Grid.lay(setup.problem, float(model.provenance["knots_per_second"]))
+        self.structure = Structure(setup.problem.free)
+        curve = self.grid.smooth(setup.scales.smooth.penalty)
         values = {t.expression: t.coefficient for t in (*model.terms, *model.dissipation)}
-        coefficients = np.array([values.get(term.text, 0.0) for term in prepared.columns])
+        coefficients = np.array([values.get(term.text, 0.0) for term in setup.problem.terms])
         self._curves = [None if item.forces is None else CubicSpline(item.t, item.forces) for item in pieces]
         self._fits: dict[float, tuple[float, Start]] = {}
         self._found_at = delay
-        self._set_forces(delay)
-        self._start = self.workspace.start(self.members, curve.control_points, coefficients, curve.noise_std)
+        grid = self._delayed(delay)
+        self._start = grid.start(self.structure, curve.control_points, coefficients, curve.noise_std)
         # As in a discovery: with free coefficients a rough curve would lose the scale of L.
         for _ in range(_HELD):
-            self._start, evidence = self.workspace.fit_curve(self.members, self._start)
+            self._start, evidence = grid.fit_curve(self.structure, self._start)
             if not np.isfinite(evidence):
                 break
         self.step = 2.0 * max_delay / (self._n_steps(pieces) - 1)
@@ -272,19 +274,19 @@ class _Profile:
         wanted = 2.0 * self.max_delay / (period / _STEPS_PER_PERIOD) + 1
         return int(np.clip(wanted, _FEWEST, _MOST)) // 2 * 2 + 1
 
-    def _set_forces(self, delay: float) -> None:
-        pairs = zip(self._curves, self.workspace.times, strict=True)
-        self.workspace.set_forces([None if curve is None else curve(t - delay) for curve, t in pairs])
+    def _delayed(self, delay: float) -> Grid:
+        """The grid with forces that act later."""
+        pairs = zip(self._curves, self.grid.times, strict=True)
+        return self.grid.pushed([None if curve is None else curve(t - delay) for curve, t in pairs])
 
     def value(self, delay: float) -> float:
         """Log likelihood, up to a constant."""
         if delay not in self._fits:
             nearest = min(self._fits, key=lambda other: abs(other - delay), default=None)
             start = self._start if nearest is None else self._fits[nearest][1]
-            self._set_forces(delay)
-            found = self.workspace.fit(self.members, start)
-            good = found.fit.converged and np.isfinite(found.evidence)
-            after = Start(found.fit.control_points, found.coefficients, found.fit.weights) if good else start
+            found = self._delayed(delay).fit(self.structure, start)
+            good = found.converged and np.isfinite(found.evidence)
+            after = found.start if good else start
             self._fits[delay] = (found.evidence if good else -np.inf, after)
         return self._fits[delay][0]
 

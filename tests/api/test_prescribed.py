@@ -13,12 +13,13 @@ import leastaction as la
 from leastaction.cli import program
 from leastaction.cli.demo import DEMOS
 from leastaction.curve.bspline import uniform_grid
+from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import evidence, fit_weights
-from leastaction.estimation.workspace import Workspace
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 from leastaction.model.model import ModelTerm
-from leastaction.selection.prepare import prepare
 
 NAMES = ("x", "theta")
 KNOWN = {"theta_dot**2": 0.5}
@@ -203,26 +204,27 @@ def test_evidence_levels_off_where_the_equations_hold(data):
     With two points an interval the equations would take more directions of the curves than there are
     equations, and the likelihood would fall by hundreds.
     """
-    ready = prepare(data, [*KNOWN, *CRANE], KNOWN, ["theta_dot**2"], None, 5, prescribed=["x"])
-    workspace = Workspace(ready.trajectories, ready.euler_lagrange, ready.known, 30.0)
-    _, smoothed = ready.whole_workspace(ready.euler_lagrange, 30.0)
-    members = tuple(int(k) for k in workspace.free)
+    request = Request([*KNOWN, *CRANE], KNOWN, ["theta_dot**2"], prescribed=["x"])
+    setup = build_problem(data, request)
+    grid = Grid.lay(setup.problem, 30.0)
+    smoothed = grid.smooth(setup.scales.smooth.penalty)
+    members = Structure(setup.problem.free)
     truth = {**KNOWN, **CRANE}
-    coefficients = np.array([truth[t.text] if t.kind == "lagrangian" else 0.05 for t in ready.columns])
-    start = workspace.start(members, smoothed.control_points, coefficients, smoothed.noise_std)
-    start, _ = workspace.fit_curve(members, start)
-    physics, index = workspace.physics(members)
+    coefficients = np.array([truth[t.text] if t.kind == "lagrangian" else 0.05 for t in setup.problem.terms])
+    start = grid.start(members, smoothed.control_points, coefficients, smoothed.noise_std)
+    start, _ = grid.fit_curve(members, start)
+    physics, index = grid.physics(members)
     begin = type(start)(start.control_points, start.coefficients[index], start.weights)
-    best = fit_weights(workspace.observations, physics, begin)
+    best = fit_weights(grid.observations, physics, begin)
     values = []
     for factor in (1.0, 10.0, 100.0):
         weights = best.weights.__class__(
             best.weights.noise_std, best.weights.physics * [1.0, factor], best.weights.slack
         )
         fit = fit_joint(
-            workspace.observations, physics, weights, best.control_points, best.coefficients, tolerance=1e-3
+            grid.observations, physics, weights, best.control_points, best.coefficients, tolerance=1e-3
         )
-        values.append(evidence(workspace.observations, fit))
+        values.append(evidence(grid.observations, fit))
     assert np.ptp(values) < 1.0
 
 

@@ -10,7 +10,9 @@ from scipy.interpolate import BSpline
 
 from helpers import euler_lagrange, interpolate, naive_basis, random_breakpoints, record
 from leastaction.curve.bspline import SplineGrid, SplineSpace, uniform_space
-from leastaction.estimation.workspace import Workspace
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
 
 DEGREES = [3, 4, 5, 6, 7]
 
@@ -251,16 +253,16 @@ def test_refined_knots_reproduce_the_curve(factor, tolerance):
     """Nested knots hold the old curve exactly; others interpolate it, with error O(h⁶)."""
     data = record(lambda q, v, f: -q, [([1.0], [0.0]), ([0.3], [1.2])], ["x"], duration=4.0, rate=25.0)
     columns = euler_lagrange(["x_dot**2/2", "x**2/2"], ["x"])
-    workspace = Workspace(data, columns, np.array([1.0, np.nan]), knots_per_second=5.0)
-    control = interpolate(workspace.grid, [lambda t: np.cos(t)[:, None], lambda t: np.sin(t)[:, None]])
-    start = workspace.start((1,), control, np.array([1.0, -1.0]), np.array([0.01]))
-    fit = workspace.fit((1,), start, max_rounds=1)
-    before = workspace.grid
+    coarse = Grid.lay(Problem(data, columns, np.array([1.0, np.nan])), 5.0)
+    control = interpolate(coarse.spline, [lambda t: np.cos(t)[:, None], lambda t: np.sin(t)[:, None]])
+    start = coarse.start(Structure([1]), control, np.array([1.0, -1.0]), np.array([0.01]))
+    fit = coarse.fit(Structure([1]), start, max_rounds=1)
     times = [np.linspace(0.0, 4.0, 301)] * 2
-    refined = workspace.refine_knots(factor, fit, np.ones(fit.fit.control_points.shape[1]))
-    assert workspace.grid.n_intervals == pytest.approx(factor * before.n_intervals)
+    finer = Grid.lay(coarse.problem, factor * coarse.knots_per_second)
+    refined = finer.carried(fit, np.ones(fit.control_points.shape[1]))
+    assert finer.spline.n_intervals == pytest.approx(factor * coarse.spline.n_intervals)
     for nu in range(3):
-        old = np.concatenate(before.evaluate(fit.fit.control_points, times, nu))
-        new = np.concatenate(workspace.grid.evaluate(refined.control_points, times, nu))
+        old = np.concatenate(coarse.spline.evaluate(fit.control_points, times, nu))
+        new = np.concatenate(finer.spline.evaluate(refined.control_points, times, nu))
         np.testing.assert_allclose(new, old, rtol=0, atol=tolerance * 10.0**nu)
     np.testing.assert_array_equal(refined.coefficients, fit.coefficients)

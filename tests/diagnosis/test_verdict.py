@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,13 @@ import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, pendulum, record
 from leastaction import systems
 from leastaction.diagnosis.missing_terms import common_terms
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.coarse_restart import forecast_error
+from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.kinetic_seeds import kinetic_bases
-from leastaction.selection.prepare import prepare
-from leastaction.selection.select import select_structure
+from leastaction.selection.search import find_structure
+from leastaction.selection.search_state import begin_search
 
 
 def doubts(data, library, **options) -> str:
@@ -202,10 +205,10 @@ def test_rivals_come_with_the_experiment_that_separates_them():
 def test_kinetic_bases_hold_every_coordinate():
     data = systems.generate("spherical_pendulum", noise=0.0, trials=2, duration=5.0, seed=0)
     library = systems.large_library("spherical_pendulum")
-    prepared = prepare(data, library, None, [], None, 5)
-    workspace = prepared.workspace(EulerLagrange(prepared.columns, library.coordinates))
-    bases = kinetic_bases(workspace, prepared.knots.smooth)
-    texts = [{prepared.columns[int(workspace.free[m])].text for m in base} for base in bases]
+    setup = build_problem(data, Request(library))
+    grid = Grid.lay(setup.problem, setup.scales.per_second)
+    bases = kinetic_bases(grid, setup.scales.smooth)
+    texts = [{setup.problem.terms[int(setup.problem.free[m])].text for m in base} for base in bases]
     assert {"theta_dot**2", "phi_dot**2*sin(theta)**2"} in texts
     assert all(
         any("theta_dot**2" in t for t in base) and any("phi_dot**2" in t for t in base) for base in texts
@@ -214,12 +217,11 @@ def test_kinetic_bases_hold_every_coordinate():
 
 def test_free_runs_tell_a_right_model_from_a_wrong_one():
     data = pendulum(driven=False)
-    prepared = prepare(data, la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}, [], None, 5)
-    workspace = prepared.workspace(EulerLagrange(prepared.columns, ("theta",)))
-    found = select_structure(workspace, prepared.knots.smooth, lambda stage, details: None).structure
-    right = forecast_error(workspace, found, 1.0)
-    found.coefficients[:] *= np.where(np.isnan(prepared.known), 0.5, 1.0)
-    assert forecast_error(workspace, found, 1.0) > 3.0 * right
+    setup = build_problem(data, Request(la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}))
+    found = find_structure(begin_search(setup)).found
+    right = forecast_error(found, 1.0)
+    wrong = found.coefficients * np.where(setup.problem.is_known, 1.0, 0.5)
+    assert forecast_error(replace(found, coefficients=wrong), 1.0) > 3.0 * right
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,10 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.gauss_newton import condense, fit_joint
+from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Observations, Physics, Weights, linearise
-from leastaction.estimation.workspace import Workspace
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 COORDINATES = ["x", "theta"]
@@ -325,7 +327,7 @@ def test_units_of_the_candidates_do_not_matter():
     np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)) * scale, spread, rtol=1e-3)
 
 
-# ---------------------------------------------------------------------------------- workspace
+# ---------------------------------------------------------------------------------- grid
 def duffing(noise: float, rate: float = 60.0, seed: int = 0):
     """ẍ = −x − 0.8 x³."""
     starts = [([1.2], [0.0]), ([0.4], [1.5])]
@@ -336,21 +338,22 @@ def duffing(noise: float, rate: float = 60.0, seed: int = 0):
 
 DUFFING = ("x_dot**2", "x**2", "x**4")
 DUFFING_TRUTH = np.array([0.5, -0.5, -0.2])
+MEMBERS = Structure([1, 2])
 
 
-def duffing_workspace(noise, knots_per_second, *extra, degree=5, seed=0):
+def duffing_grid(noise, knots_per_second, *extra, degree=5, seed=0):
     columns = euler_lagrange([*DUFFING, *extra], ["x"])
     known = np.full(len(columns), np.nan)
     known[0] = 0.5
-    workspace = Workspace(duffing(noise, seed=seed), columns, known, knots_per_second, degree)
-    t = [trajectory.t for trajectory in workspace.trajectories]
-    y = [trajectory.q for trajectory in workspace.trajectories]
+    grid = Grid.lay(Problem(duffing(noise, seed=seed), columns, known, degree), knots_per_second)
+    t = [trajectory.t for trajectory in grid.problem.trajectories]
+    y = [trajectory.q for trajectory in grid.problem.trajectories]
     control = interpolate(
-        workspace.grid, [lambda x, k=k: np.interp(x, t[k], y[k][:, 0])[:, None] for k in range(2)]
+        grid.spline, [lambda x, k=k: np.interp(x, t[k], y[k][:, 0])[:, None] for k in range(2)]
     )
     coefficients = np.zeros(len(columns))
     coefficients[:3] = DUFFING_TRUTH
-    return workspace, workspace.start((1, 2), control, coefficients, np.array([max(noise, 1e-6)]))
+    return grid, grid.start(MEMBERS, control, coefficients, np.array([max(noise, 1e-6)]))
 
 
 @pytest.mark.parametrize(("degree", "order"), [(3, 1.8), (5, 3.5)])
@@ -358,10 +361,10 @@ def test_coefficients_converge_in_the_knot_spacing(degree, order):
     """Noise-free data: the error that knots leave falls with a power of their spacing."""
     errors = []
     for knots in (3.0, 6.0, 12.0):
-        workspace, start = duffing_workspace(0.0, knots, degree=degree)
-        structure = workspace.fit((1, 2), start)
-        assert structure.fit.converged
-        errors.append(np.abs(structure.coefficients - DUFFING_TRUTH).max())
+        grid, start = duffing_grid(0.0, knots, degree=degree)
+        fit = grid.fit(MEMBERS, start)
+        assert fit.converged
+        errors.append(np.abs(fit.coefficients - DUFFING_TRUTH).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert errors[-1] < 2e-3
     assert orders.mean() > order, (errors, orders)
@@ -371,9 +374,9 @@ def test_standard_errors_cover_the_truth():
     """z values over 24 noise seeds: about normal with unit spread."""
     z = []
     for seed in range(24):
-        workspace, start = duffing_workspace(0.03, 8.0, seed=seed)
-        structure = workspace.fit((1, 2), start)
-        z.append((structure.estimates - DUFFING_TRUTH[1:]) / structure.standard_errors)
+        grid, start = duffing_grid(0.03, 8.0, seed=seed)
+        fit = grid.fit(MEMBERS, start)
+        z.append((fit.estimates - DUFFING_TRUTH[1:]) / fit.standard_errors)
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     assert np.all((rms > 0.6) & (rms < 1.45)), rms
     assert np.abs(np.mean(z, axis=0)).max() < 0.7
@@ -381,37 +384,36 @@ def test_standard_errors_cover_the_truth():
 
 def test_score_predicts_the_gain_of_a_candidate():
     """The quadratic model at a fit foretells the cost of the refit with one term more."""
-    workspace, start = duffing_workspace(0.03, 8.0, "x**6", "cos(x)")
-    structure = workspace.fit((1, 2), start)
-    quadratic = workspace.score(structure)
+    grid, start = duffing_grid(0.03, 8.0, "x**6", "cos(x)")
+    fit = grid.fit(MEMBERS, start)
+    quadratic = fit.score()
     # free columns: x², x⁴, x⁶, cos x; members are at their minimum
     spread = 1.0 / np.sqrt(np.diag(quadratic.matrix))
     assert np.abs(quadratic.gradient[:2] * spread[:2]).max() < 0.15
     index = [0, 1, 2]
     step = np.linalg.solve(quadratic.matrix[np.ix_(index, index)], quadratic.gradient[index])
     predicted = quadratic.gradient[index] @ step
-    physics, columns = workspace.physics((1, 2, 3))
-    fit = structure.fit
+    physics, columns = grid.physics(Structure([1, 2, 3]))
     larger = fit_joint(
-        workspace.observations,
+        grid.observations,
         physics,
         fit.weights,
         fit.control_points,
-        structure.coefficients[columns],
+        fit.coefficients[columns],
         tolerance=1e-5,
     )
     # the volume term has one more degree of freedom than the model sees: compare the whole cost
     assert cost_of(fit) - cost_of(larger) == pytest.approx(predicted, rel=0.1, abs=0.05)
     free = np.array([1, 2, 3])
-    change = larger.coefficients[:3] - structure.coefficients[free]
+    change = larger.coefficients[:3] - fit.coefficients[free]
     np.testing.assert_allclose(change, -step, rtol=0.1, atol=0.1 * spread[:3].min())
 
 
 def test_structure_keeps_known_and_leaves_out_what_is_not_a_member():
-    workspace, start = duffing_workspace(0.03, 8.0, "x**6", "cos(x)")
-    structure = workspace.fit((1, 2), start)
-    assert structure.coefficients[0] == 0.5
-    assert structure.coefficients[3:].tolist() == [0.0, 0.0]
-    assert workspace.free.tolist() == [1, 2, 3, 4]
-    assert structure.fit.covariance.shape == (2, 2)
-    assert isinstance(workspace.columns, EulerLagrange)
+    grid, start = duffing_grid(0.03, 8.0, "x**6", "cos(x)")
+    fit = grid.fit(MEMBERS, start)
+    assert fit.coefficients[0] == 0.5
+    assert fit.coefficients[3:].tolist() == [0.0, 0.0]
+    assert grid.problem.free.tolist() == [1, 2, 3, 4]
+    assert fit.covariance.shape == (2, 2)
+    assert isinstance(grid.problem.candidates, EulerLagrange)

@@ -1,4 +1,4 @@
-"""Coefficients by free runs: against known laws, with and without pushes that the library cannot explain."""
+"""Coefficients by simulation error, with and without pushes that the library cannot explain."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 import leastaction as la
-from leastaction.estimation.simulation_error import minimise_free_runs
-from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.coarse_restart import improve_coarse
-from leastaction.selection.prepare import prepare
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.joint import linearise
+from leastaction.estimation.simulation_error import minimise_simulation_error
+from leastaction.estimation.structure import Structure
+from leastaction.selection.search_state import Search, begin_search
+from leastaction.selection.strategies.simulation_error import run
 from leastaction.simulation.integrate import rk4
 
 TERMS = ["theta_dot**2", "cos(theta)"]
@@ -42,10 +45,15 @@ def driven(seed: int, pushed: float = 0.0, viscous: float = 0.2, trials: int = 3
     return la.Trajectories(out)
 
 
-def minimise(data: la.Trajectories, start, horizon: float = 0.5):
-    prepared = prepare(data, TERMS, None, FRICTION, None, 5)
-    workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
-    return minimise_free_runs(workspace, prepared.knots.smooth, (0, 1, 2), np.asarray(start), horizon)
+def setup_of(data: la.Trajectories, known=None):
+    return build_problem(data, Request(TERMS, known or {}, FRICTION))
+
+
+def minimise(data: la.Trajectories, start, horizon: float = 0.5, members=(0, 1, 2), known=None):
+    setup = setup_of(data, known)
+    grid = Grid.lay(setup.problem, setup.scales.per_second)
+    curve = setup.scales.smooth
+    return minimise_simulation_error(grid, curve, Structure(members), np.asarray(start), horizon)
 
 
 def test_the_law_is_found_from_coefficients_that_are_off():
@@ -55,9 +63,7 @@ def test_the_law_is_found_from_coefficients_that_are_off():
 
 def test_the_law_is_found_where_only_one_coefficient_may_move():
     data = driven(1)
-    prepared = prepare(data, TERMS, {"theta_dot**2": 0.5}, FRICTION, None, 5)
-    workspace = prepared.workspace(EulerLagrange(prepared.columns, prepared.library.coordinates))
-    found = minimise_free_runs(workspace, prepared.knots.smooth, (1,), np.array([0.5, 8.0, 0.2]), 0.5)
+    found = minimise(data, [0.5, 8.0, 0.2], members=[1], known={"theta_dot**2": 0.5})
     assert found.estimates == pytest.approx([9.81], rel=1e-3)
     assert found.covariance.shape == (1, 1)
 
@@ -89,37 +95,45 @@ def test_no_run_goes_over_a_gap():
 # ------------------------------------------------------------------------------------- in a discovery
 
 
-def coarse_fit(data, factor):
+def coarse_fit(data, factor, knots=None) -> Search:
     """What a search on a coarse grid leaves behind, its coefficients off by a factor."""
-    prepared = prepare(data, TERMS, None, FRICTION, None, 5)
-    columns = EulerLagrange(prepared.columns, prepared.library.coordinates)
-    workspace, curve = prepared.whole_workspace(columns, prepared.knots.coarse)
-    start = workspace.start((0, 1, 2), curve.control_points, TRUTH, curve.noise_std)
-    structure = workspace.fit((0, 1, 2), start)
-    return prepared, workspace, replace(structure, coefficients=TRUTH * factor)
+    setup = setup_of(data)
+    grid = Grid.lay(setup.problem, setup.scales.coarse if knots is None else knots(setup.scales))
+    curve, members = grid.smooth(setup.scales.smooth.penalty), Structure([0, 1, 2])
+    fit = grid.fit(members, grid.start(members, curve.control_points, TRUTH, curve.noise_std))
+    return begin_search(setup).now(replace(fit, coefficients=TRUTH * factor))
 
 
-def test_a_fit_that_free_runs_contradict_gives_way():
+def test_a_fit_that_simulations_contradict_gives_way():
     stages = []
-    prepared, workspace, structure = coarse_fit(driven(7, pushed=2.0), [1.3, 1.2, 0.8])
-    better, notes = improve_coarse(prepared, workspace, structure, lambda *stage: stages.append(stage))
+    search = coarse_fit(driven(7, pushed=2.0), [1.3, 1.2, 0.8])
+    found = run(replace(search, report=lambda *stage: stages.append(stage)))
+    better = found.found
     assert np.allclose(better.estimates, TRUTH, rtol=[0.05, 0.05, 0.2])
     assert np.all(np.abs(better.estimates - TRUTH) < 4.0 * better.standard_errors)
-    assert better.fit.control_points is structure.fit.control_points
-    assert ["free runs" in note for note in notes] == [True]
+    assert [finding.code for finding in found.findings] == ["coefficients-of-free-runs"]
     ((stage, judged),) = stages
     assert stage == "coarse"
     assert judged["forecast_error"] < judged["before"]
 
 
-def test_a_fit_within_the_errors_of_free_runs_stays():
-    prepared, workspace, structure = coarse_fit(driven(8, pushed=2.0), [1.0, 1.0, 1.0])
-    kept, notes = improve_coarse(prepared, workspace, structure, lambda *stage: None)
-    assert kept is structure
-    assert notes == ()
+def test_the_curve_follows_the_coefficients_that_are_reported():
+    """What the checks see are the numbers that are returned: the equation error is that of the new ones."""
+    search = coarse_fit(driven(7, pushed=2.0), [1.3, 1.2, 0.8])
+    better = run(search).found
+    held = better.grid.held(better, better.coefficients, better.covariance)
+    for fit, again in ((better, held), (held, held)):
+        physics, index = fit.grid.physics(fit.structure)
+        at = linearise(fit.grid.observations, physics, fit.control_points, fit.coefficients[index])
+        np.testing.assert_allclose(fit.linearisation.equation, at.equation, rtol=1e-9)
+        np.testing.assert_allclose(fit.equation_error()[0], again.equation_error()[0], rtol=1e-2)
+
+
+def test_a_fit_within_the_errors_of_simulations_stays():
+    search = coarse_fit(driven(8, pushed=2.0), [1.0, 1.0, 1.0])
+    assert run(search) is search
 
 
 def test_a_fit_on_fine_knots_stays():
-    prepared, workspace, structure = coarse_fit(driven(9), [1.3, 1.2, 0.8])
-    workspace.set_knots(prepared.knots.per_second)
-    assert improve_coarse(prepared, workspace, structure, lambda *stage: None) == (structure, ())
+    search = coarse_fit(driven(9), [1.3, 1.2, 0.8], lambda scales: scales.per_second)
+    assert run(search) is search

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.joint import positive_definite
 from leastaction.estimation.weights import SLACK_LEFT
-from leastaction.estimation.workspace import StructureFit, Workspace
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
-from leastaction.selection.likelihood_search import QuadraticModel
-from leastaction.selection.select import Selection
+from leastaction.selection.alternatives import Alternative
 
 __all__ = ["rival_warnings"]
 
@@ -21,69 +22,56 @@ _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 
-def rival_warnings(workspace: Workspace, selection: Selection) -> list[Finding]:
+def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
     """One finding for each rival, the most likely first.
 
     Rivals have as many terms as the chosen structure, or one more: where the motion shows little, the law
     itself may lose by the price of a term.  It is then likelier than the chosen terms with any further one,
     which follow the noise only.  Not where the library is inexact: there a further term always helps.
     """
-    chosen = tuple(sorted(selection.structure.members))
-    size, levels = len(chosen), selection.levels
-    cost = next((c.cost for c in levels.get(size, []) if c.members == chosen), None)
-    if cost is None:
-        return []
-    rivals = [c for c in levels[size] if c.members != chosen and c.cost - cost < _AS_LIKELY]
-    if np.all(selection.structure.fit.weights.slack < SLACK_LEFT):
-        larger = levels.get(size + 1, [])
-        extended = min((c.cost for c in larger if set(chosen) <= set(c.members)), default=cost)
-        rivals += [c for c in larger if c.cost < min(cost, extended) - _ONE_MORE]
-    if not rivals:
-        return []
-    structure, free = selection.structure, workspace.free
-    quadratic = workspace.score(structure)
-    model = QuadraticModel(quadratic.matrix, quadratic.gradient, structure.coefficients[free])
-    texts = [term.text for term in workspace.columns.terms]
-    position = {int(k): p for p, k in enumerate(free)}
+    chosen = fit.structure
+    same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
+    rivals = [a for a in same if a.cost < _AS_LIKELY]
+    if np.all(fit.weights.slack < SLACK_LEFT):
+        larger = [a for a in alternatives if len(a.structure) == len(chosen) + 1]
+        extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
+        rivals += [a for a in larger if a.cost < min(0.0, extended) - _ONE_MORE]
+    texts = [term.text for term in fit.problem.terms]
     out = []
-    for rival in [c.members for c in rivals[:_MOST]]:
-        mine = [texts[m] for m in chosen if m not in rival]
-        theirs = [texts[m] for m in rival if m not in chosen]
-        coefficients = structure.coefficients.copy()
-        coefficients[free] = model.solution(tuple(sorted(position[m] for m in rival)))
-        state = _where_they_differ(workspace, structure, coefficients)
+    for rival in rivals[:_MOST]:
+        mine = [texts[m] for m in chosen if m not in rival.structure]
+        theirs = [texts[m] for m in rival.structure if m not in chosen]
+        state = _where_they_differ(fit, rival.coefficients)
         where = {"at_names": list(state), "at_values": list(state.values())}
         out.append(find("competing-structures", mine, others=theirs, **where))
     return out
 
 
-def _where_they_differ(workspace: Workspace, structure: StructureFit, second: np.ndarray) -> dict[str, float]:
+def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
     """The state, up to three times as far out as recorded, at which the accelerations differ most.
 
     Empty if they differ nowhere.
     """
-    curve = workspace.grid.at_quadrature(structure.fit.control_points)
+    curve = fit.grid.spline.at_quadrature(fit.control_points)
     q, qdot = (s[:: max(1, len(s) // _STATES), 0] for s in curve[:2])
     middle = q.mean(axis=0)
     states = np.concatenate([np.stack([middle + reach * (q - middle), reach * qdot]) for reach in _REACH], 1)
     with np.errstate(all="ignore"):
-        apart = _acceleration(workspace, states, structure.coefficients) - _acceleration(
-            workspace, states, second
-        )
+        apart = _acceleration(fit, states, fit.coefficients) - _acceleration(fit, states, second)
     size = np.sqrt((curve[2][:, 0] ** 2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
         return {}
     worst = int(np.nanargmax(np.where(np.isfinite(apart), apart, np.nan)))
-    names = workspace.trajectories.coordinates
+    names = fit.problem.trajectories.coordinates
     return dict(zip([*names, *(f"{n}_dot" for n in names)], states[:, worst].ravel().tolist(), strict=True))
 
 
-def _acceleration(workspace: Workspace, states: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+def _acceleration(fit: Fit, states: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """(n_points, n_dof) free accelerations at (q, q̇); NaN where the mass matrix is not positive definite."""
     at_rest = Points(states[0], states[1], np.zeros_like(states[0]))
-    bias = np.tensordot(coefficients, workspace.columns.strong(at_rest), 1).T
-    mass = workspace.columns.mass_matrix(at_rest, coefficients)
+    bias = np.tensordot(coefficients, fit.problem.candidates.strong(at_rest), 1).T
+    mass = fit.problem.candidates.mass_matrix(at_rest, coefficients)
     usable = positive_definite(mass) & np.isfinite(bias).all(axis=1)
     out = np.full(bias.shape, np.nan)
     out[usable] = -np.linalg.solve(mass[usable], bias[usable][:, :, None])[:, :, 0]

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 
@@ -21,19 +21,19 @@ _NULL = 1e-6
 _SWAPPED = 0.5  # of the difference of two forces; an exchange makes it 1
 
 
-def doubts_about_forces(workspace: Workspace, structure: StructureFit) -> list[Finding]:
+def doubts_about_forces(fit: Fit) -> list[Finding]:
     """The cause that explains most of the residual; nothing if none explains much of it."""
-    if workspace.forces is None:
+    if fit.grid.forces is None:
         return []
-    q, qdot, qddot = (s[:, 0] for s in workspace.grid.at_quadrature(structure.fit.control_points))
-    forces = workspace.forces[:, 0].T
-    strong = workspace.columns.strong(Points(q, qdot, qddot))
-    root = np.sqrt(structure.fit.weights.physics)[:, None]
-    residual = (root * (np.tensordot(structure.coefficients, strong, 1) - forces)).ravel()
-    members = (strong[list(structure.members)] * root).reshape(len(structure.members), -1)
+    q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points))
+    forces = fit.grid.forces.values[:, 0].T
+    strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
+    root = np.sqrt(fit.weights.physics)[:, None]
+    residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
+    members = (strong[list(fit.structure)] * root).reshape(len(fit.structure), -1)
     basis, _ = np.linalg.qr(members.T)
     best, most = None, _SHARE
-    for swapped, signature in _signatures(workspace, forces):
+    for swapped, signature in _signatures(fit, forces):
         column = (root * signature).ravel()
         size = float(column @ column)
         column = column - basis @ (basis.T @ column)
@@ -52,10 +52,10 @@ def doubts_about_forces(workspace: Workspace, structure: StructureFit) -> list[F
     return [find("scaled-forces", factor=1.0 + amount, share=share)]
 
 
-def _signatures(workspace: Workspace, forces: np.ndarray) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
+def _signatures(fit: Fit, forces: np.ndarray) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
     """(coordinates whose forces are exchanged; none: all are scaled, residual that one unit leaves)."""
-    names = workspace.trajectories.coordinates
-    if not np.isnan(workspace.known).all():  # otherwise the scale of L follows that of the forces
+    names = fit.problem.trajectories.coordinates
+    if not np.isnan(fit.problem.known).all():  # otherwise the scale of L follows that of the forces
         yield (), forces
     for i in range(len(forces)):
         for j in range(i):

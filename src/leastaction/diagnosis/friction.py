@@ -12,16 +12,15 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.cause import Cause
+from leastaction.diagnosis.cause import BETTER, Cause
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
-from leastaction.estimation.gauss_newton import score_candidates
-from leastaction.estimation.workspace import StructureFit, Workspace
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.knots import BETTER, RELEVANT, equations_hold, silent
+from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.likelihood_search import QuadraticModel
-from leastaction.selection.select import Refiner, Selection
+from leastaction.selection.search_state import equations_hold
 
 __all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
@@ -31,14 +30,14 @@ _MOST_RELEASED = 3
 _HALF = 0.15  # of a sample
 
 
-def hidden_friction(workspace: Workspace, selection: Selection) -> list[Finding]:
+def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     """Friction that is not among the candidates and would explain much of the equation error."""
-    structure, columns = selection.structure, workspace.columns
+    columns = fit.problem.candidates
     tested = usual_friction(columns)
     if not tested:
         return []
-    candidates = columns.of([*(columns.terms[m] for m in structure.members), *tested])
-    model, base, threshold = _beside(workspace, structure, candidates)
+    candidates = columns.of([*(columns.terms[m] for m in fit.structure), *tested])
+    model, base, threshold = _beside(fit, candidates, relevance)
     found = _most_likely(model, base, dict(enumerate(tested, len(base))))
     if _gain(model, base, *found) < threshold:
         return []
@@ -129,32 +128,29 @@ class _Late:
         return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
 
 
-def late_forces(workspace: Workspace, selection: Selection) -> list[Finding]:
+def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""
-    structure = selection.structure
-    if workspace.force_rates is None:
+    if fit.grid.forces is None:
         return []
-    chosen = workspace.columns.subset(structure.members)
-    late = WithPushes(chosen, _Late(workspace.force_rates))
-    model, base, threshold = _beside(workspace, structure, late)
+    chosen = fit.problem.candidates.subset(list(fit.structure))
+    late = WithPushes(chosen, _Late(fit.grid.forces.rates))
+    model, base, threshold = _beside(fit, late, relevance)
     gain = _gain(model, base, len(base))
     if gain < threshold:
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
-    held = abs(delay / workspace.trajectories.sampling_interval - 0.5) < _HALF
+    held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < _HALF
     return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
 
 
 def _beside(
-    workspace: Workspace, structure: StructureFit, candidates: EulerLagrange
+    fit: Fit, candidates: EulerLagrange, relevance: float
 ) -> tuple[QuadraticModel, tuple[int, ...], float]:
     """Quadratic model of the chosen terms and those behind them, places of the chosen, a decisive gain."""
-    physics, _ = workspace.physics(structure.members)
-    quadratic = score_candidates(workspace.observations, physics, structure.fit, candidates)
-    chosen = len(structure.members)
-    here = np.concatenate([structure.estimates, np.zeros(len(candidates) - chosen)])
+    quadratic, chosen = fit.score(candidates), len(fit.structure)
+    here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
     model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-    threshold = _DECISIVE + RELEVANT * float(structure.fit.weights.slack.sum())
+    threshold = _DECISIVE + relevance * float(fit.weights.slack.sum())
     return model, tuple(range(chosen)), threshold
 
 
@@ -163,36 +159,33 @@ def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
     return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost
 
 
-def wrong_known(workspace: Workspace, selection: Selection) -> list[Cause]:
+def wrong_known(fit: Fit) -> list[Cause]:
     """Known coefficients without which the motion is explained better, or by fewer terms.
 
     Where no force acts and one coefficient is known there is nothing to test: it sets the scale.
     """
-    known = np.flatnonzero(~np.isnan(workspace.known))
-    if not known.size or (workspace.forces is None and known.size < 2):
+    known = np.flatnonzero(fit.problem.is_known)
+    if not known.size or (fit.grid.forces is None and known.size < 2):
         return []
-    structure = selection.structure
-    before, out = Refiner(workspace, silent).value(structure), []
+    out = []
     for k in known[:_MOST_RELEASED]:
-        released = workspace.changed(np.where(np.arange(workspace.known.size) == k, np.nan, workspace.known))
-        other = Refiner(released, silent)
-        members = tuple(sorted((*structure.members, int(k))))
-        found = other.refine(released.fit(members, structure.start))
-        gain = 2.0 * (other.value(found) - before)
+        released = fit.grid.posed(fit.problem.releasing(int(k)))
+        found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))
+        gain = 2.0 * (value(found) - value(fit))
         if not gain > BETTER:
             continue
-        value, text = found.coefficients[k], workspace.columns.terms[int(k)].text
-        fewer = len(structure.members) + 1 - len(found.members)
-        ratio = value / workspace.known[k]
+        estimate, text = found.coefficients[k], fit.problem.terms[int(k)].text
+        fewer = len(fit.structure) + 1 - len(found.structure)
+        ratio = estimate / fit.problem.known[k]
         wrong = find(
             "wrong-known-coefficient",
             text,
-            given=workspace.known[k],
-            estimate=value,
+            given=fit.problem.known[k],
+            estimate=estimate,
             fewer_terms=fewer,
             gain=gain,
-            force_factor=ratio if workspace.forces is not None and ratio > 0.0 else None,
+            force_factor=ratio if fit.grid.forces is not None and ratio > 0.0 else None,
         )
         # a term that is dropped when it is set free makes way for others that imitate what lacks
-        out.append(Cause(wrong, gain, k in found.members and equations_hold(released, found)))
+        out.append(Cause(wrong, gain, k in found.structure and equations_hold(found)))
     return out

@@ -6,20 +6,17 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import islice
+from collections.abc import Sequence
 
 import numpy as np
 
-from leastaction.diagnosis.cause import Cause
-from leastaction.estimation.weights import Start
-from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.diagnosis.cause import BETTER, Cause
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.knots import BETTER, RELEVANT, equations_hold, silent
-from leastaction.selection.select import Refiner, Selection
+from leastaction.selection.likelihood_refinement import refine, value
+from leastaction.selection.search_state import equations_hold
 
 __all__ = ["common_terms", "lacking_terms", "missing_term"]
 
@@ -27,37 +24,36 @@ _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, t
 _ROUNDS = 3  # a term that is lacking is found in the first
 
 
-def lacking_terms(workspace: Workspace, selection: Selection) -> list[Cause]:
+def lacking_terms(fit: Fit, relevance: float) -> list[Cause]:
     """Common terms that would explain the motion better than the candidates do."""
-    if not selection.structure.fit.converged:
+    if not fit.converged:
         return []
-    hold = equations_hold(workspace, selection.structure)
-    found = _with_common(workspace, selection.structure, hold, "compact")
+    hold = equations_hold(fit)
+    found = _with_common(fit, relevance, hold, "compact")
     if not found and not hold:
-        found = _with_common(workspace, selection.structure, hold, "standard")
+        found = _with_common(fit, relevance, hold, "standard")
     return found
 
 
-def _with_common(workspace: Workspace, structure: StructureFit, hold: bool, size: str) -> list[Cause]:
-    columns = workspace.columns
+def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Cause]:
+    columns = fit.problem.candidates
     common = common_terms(columns, size)
     if not common:
         return []
-    wider = workspace.wider(common)
-    refiner = _Best(wider, silent)
-    here = replace(structure, coefficients=np.append(structure.coefficients, np.zeros(len(common))))
-    found = refiner.refine(here, _ROUNDS)
-    gain = 2.0 * (refiner.value(found) - refiner.value(here))
-    new = [wider.columns.terms[m].text for m in found.members if m >= len(columns)]
-    threshold = BETTER + RELEVANT * float(structure.fit.weights.slack.sum())
+    here = fit.posed(fit.problem.wider(common))
+    # with the term that is lacking the best proposal succeeds at once
+    found = refine(here, rounds=_ROUNDS, most=1)
+    gain = 2.0 * (value(found) - value(here))
+    new = [found.problem.terms[m].text for m in found.structure if m >= len(columns)]
+    threshold = BETTER + relevance * float(fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
-    fewer = len(found.members) <= len(structure.members)
-    holds = equations_hold(wider, found)
-    if not (new and (fewer or (holds and not hold)) and found.fit.converged and gain > threshold):
+    fewer = len(found.structure) <= len(fit.structure)
+    holds = equations_hold(found)
+    if not (new and (fewer or (holds and not hold)) and found.converged and gain > threshold):
         return []
     figures = {
-        "free_terms": len(found.members),
-        "free_terms_before": len(structure.members),
+        "free_terms": len(found.structure),
+        "free_terms_before": len(fit.structure),
         "gain": gain if np.isfinite(gain) else None,
     }
     return [Cause(missing_term(new, columns.coordinates, **figures), gain, holds)]
@@ -70,13 +66,6 @@ def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | 
     """
     pushed = next((text for text in new if text in coordinates), None)
     return find("missing-term", new, constant_force=pushed, **figures)
-
-
-class _Best(Refiner):
-    """Tries only the best proposal of each round: with the term that is lacking it succeeds at once."""
-
-    def _propose(self, structure: StructureFit) -> Iterator[tuple[tuple[int, ...], Start]]:
-        return islice(super()._propose(structure), 1)
 
 
 def common_terms(columns: EulerLagrange, size: str) -> list[Term]:

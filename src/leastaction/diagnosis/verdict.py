@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
 
-from leastaction.curve.smoothing import Smooth
 from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.forces import doubts_about_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.wider_search import search_afresh
-from leastaction.estimation.workspace import StructureFit, Workspace
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
-from leastaction.selection.knots import EXPLAINED
-from leastaction.selection.select import Selection
+from leastaction.selection.alternatives import Alternative
+from leastaction.selection.search_state import EXPLAINED, Search
 
 __all__ = ["Verdict", "verify"]
 
@@ -46,26 +46,25 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: float) -> Verdict:
-    """Run every check on a selected structure; ``period`` is that of the fastest coordinate, in seconds."""
-    structure = selection.structure
-    fit = structure.fit
-    names = workspace.trajectories.coordinates
-    floor = workspace.observations.noise_floor
+def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
+    """Run every check on what a search has found: the very numbers that are returned."""
+    fit, smooth, period = search.found, search.curve, search.scales.period
+    names = fit.problem.coordinates
+    floor = fit.grid.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    every = np.maximum([*smooth.noise_std, *smooth.rate_std], workspace.observations.floors)
-    chi2 = fit.linearisation.squares / workspace.observations.counts / every**2
-    share, rms = workspace.equation_error(structure)
-    share = np.maximum(share, _behind_noise(workspace, structure, rms / np.maximum(share, 1e-300), period))
-    samples_per_period = period / workspace.trajectories.sampling_interval
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
+    chi2 = fit.linearisation.squares / fit.grid.observations.counts / every**2
+    share, rms = fit.equation_error()
+    share = np.maximum(share, _behind_noise(fit, rms / np.maximum(share, 1e-300), period))
+    samples_per_period = period / fit.problem.trajectories.sampling_interval
     found: list[Finding] = []
     if not fit.converged:
         found.append(find("not-converged", reason=fit.status))
-    excused = (share > EXPLAINED) & _as_forces_are(workspace, structure)
+    excused = (share > EXPLAINED) & _as_forces_are(fit)
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(workspace, selection, share, any(share[i] > EXPLAINED for i in unexplained))
+    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
     found += [
         find(
             "equations-off",
@@ -73,72 +72,68 @@ def verify(workspace: Workspace, selection: Selection, smooth: Smooth, period: f
             equation_error=share[i],
             residual_ratio=np.sqrt(chi2[i]),
             cause_named=bool(causes),
-            may_be_prescribed=len(names) - len(workspace.columns.prescribed) >= 2,
+            may_be_prescribed=len(names) - len(fit.problem.candidates.prescribed) >= 2,
         )
         for i in unexplained
     ]
-    found += _unexplained_rates(workspace, chi2) + causes
+    found += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
-        found += _looks_like_noise(workspace, noise)
+        found += _looks_like_noise(fit, noise)
     if unexplained:
-        found += _perhaps_degrees(workspace, structure)
+        found += _perhaps_degrees(fit)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < _FEW_SAMPLES:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=_FEW_SAMPLES))
-    found += _signal(workspace, structure) + _identifiability(workspace, selection)
-    found += rival_warnings(workspace, selection)
-    found += _mass_matrix(workspace, structure)
-    found += _friction(workspace, selection)
-    found += _whiteness(workspace, structure) + _zero_offsets(workspace, structure)
-    if not selection.knots_settled and fit.converged:
+    found += _signal(fit) + _identifiability(fit)
+    found += rival_warnings(fit, alternatives)
+    found += _mass_matrix(fit)
+    found += _friction(search)
+    found += _whiteness(fit) + _zero_offsets(fit)
+    if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
-def _likely_causes(workspace: Workspace, selection: Selection, share: np.ndarray, off: bool) -> list[Finding]:
+def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
-    structure = selection.structure
-    usable = structure.fit.converged and np.isfinite(structure.evidence)
-    known = wrong_known(workspace, selection) if usable else []
-    found = search_afresh(workspace) if off and not any(cause.holds for cause in known) else []
+    fit, relevance = search.found, search.relevance
+    usable = fit.converged and np.isfinite(fit.evidence)
+    known = wrong_known(fit) if usable else []
+    found = search_afresh(search) if off and not any(cause.holds for cause in known) else []
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
-    lacking = lacking_terms(workspace, selection)
+    lacking = lacking_terms(fit, relevance)
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
     found += [cause.finding for cause in likelier]
     for check in (hidden_friction, late_forces):
-        found += check(workspace, selection)
+        found += check(fit, relevance)
     if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
-        found = doubts_about_forces(workspace, structure)
+        found = doubts_about_forces(fit)
     return found
 
 
-def _behind_noise(
-    workspace: Workspace, structure: StructureFit, size: np.ndarray, period: float
-) -> np.ndarray:
+def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
     """Equation error that the fitted curve does not show, relative to the terms of each equation.
 
     Within the noise a curve bends to wrong equations.  The weights know better: 1/w_i is the spectral density
     of the error, which in a band about the motion amounts to this.  Not with dry friction: no spline follows
     its kinks, and what it misses there counts as equation error, too.
     """
-    friction = [
-        t for t in map(workspace.columns.terms.__getitem__, structure.members) if t.kind == "dissipation"
-    ]
+    friction = [t for t in map(fit.problem.terms.__getitem__, fit.structure) if t.kind == "dissipation"]
     if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
         return np.zeros(size.size)
-    weights = structure.fit.weights
+    weights = fit.weights
     rms = np.sqrt(2.0 * _BAND / period / weights.physics)
     return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
 
 
-def _as_forces_are(workspace: Workspace, structure: StructureFit) -> np.ndarray:
+def _as_forces_are(fit: Fit) -> np.ndarray:
     """(n_dof,) whether the equation error is what the scatter of the given forces accounts for.
 
     1/w_i is the spectral density of the one; what no curve can follow shows that of the other.
     """
-    return structure.fit.weights.physics * workspace.force_density * _OF_FORCES > 1.0
+    return fit.weights.physics * fit.grid.force_density * _OF_FORCES > 1.0
 
 
 def _unexplained_little(
@@ -156,50 +151,49 @@ def _unexplained_little(
     return notes
 
 
-def _looks_like_noise(workspace: Workspace, noise: np.ndarray) -> list[Finding]:
+def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
-    spread = np.sqrt(np.mean([np.nanvar(q, axis=0) for q in workspace.values], axis=0))
+    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.problem.trajectories], axis=0))
     return [
         find("looks-like-noise", name, share=part)
-        for name, part in zip(workspace.trajectories.coordinates, noise / spread, strict=True)
+        for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
         if part > _MUCH_NOISE
     ]
 
 
-def _perhaps_degrees(workspace: Workspace, structure: StructureFit) -> list[Finding]:
+def _perhaps_degrees(fit: Fit) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees."""
-    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
     return [
         find("angle-in-degrees", name, span=span)
-        for name, span in zip(workspace.trajectories.coordinates, spans, strict=True)
-        if name in workspace.columns.turning and span > _TWO_TURNS
+        for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
+        if name in fit.problem.candidates.turning and span > _TWO_TURNS
     ]
 
 
-def _signal(workspace: Workspace, structure: StructureFit) -> list[Finding]:
+def _signal(fit: Fit) -> list[Finding]:
     """A curve that hardly moves fits any noise, and any equations hold along it."""
-    curves = workspace.grid.evaluate(structure.fit.control_points, workspace.times)
+    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
     spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
     return [
         find("motion-in-noise", name, motion=size, noise=noise)
         for name, size, noise in zip(
-            workspace.trajectories.coordinates, spread, structure.fit.weights.position_std, strict=True
+            fit.problem.trajectories.coordinates, spread, fit.weights.position_std, strict=True
         )
         if size < _VISIBLE * noise
     ]
 
 
-def _identifiability(workspace: Workspace, selection: Selection) -> list[Finding]:
+def _identifiability(fit: Fit) -> list[Finding]:
     """The combination of coefficients that the data determine least."""
-    structure = selection.structure
-    covariance = structure.fit.covariance
+    covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
-    size = np.maximum(np.abs(structure.estimates), 1e-300)
+    size = np.maximum(np.abs(fit.estimates), 1e-300)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    relative = structure.standard_errors / size
-    texts = [workspace.columns.terms[m].text for m in structure.members]
+    relative = fit.standard_errors / size
+    texts = [fit.problem.terms[m].text for m in fit.structure]
     loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
     if not loose:
         return []
@@ -214,11 +208,11 @@ def _identifiability(workspace: Workspace, selection: Selection) -> list[Finding
     return [find("hardly-determined", loose, **figures)]
 
 
-def _mass_matrix(workspace: Workspace, structure: StructureFit) -> list[Finding]:
-    states = workspace.grid.at_quadrature(structure.fit.control_points)
+def _mass_matrix(fit: Fit) -> list[Finding]:
+    states = fit.grid.spline.at_quadrature(fit.control_points)
     points = Points(*(s[:, 0] for s in states))
-    physics, index = workspace.physics(structure.members)
-    mass = physics.columns.mass_matrix(points, structure.coefficients[index])
+    physics, index = fit.grid.physics(fit.structure)
+    mass = physics.columns.mass_matrix(points, fit.coefficients[index])
     if not np.isfinite(mass).all():
         return [find("mass-matrix-not-finite")]
     diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
@@ -230,15 +224,15 @@ def _mass_matrix(workspace: Workspace, structure: StructureFit) -> list[Finding]
     return [find("mass-matrix-not-positive", share=bad)]
 
 
-def _friction(workspace: Workspace, selection: Selection) -> list[Finding]:
-    return [find("negative-dissipation", workspace.columns.terms[m].text) for m in selection.feeding]
+def _friction(search: Search) -> list[Finding]:
+    return [find("negative-dissipation", search.problem.terms[m].text) for m in search.feeding]
 
 
-def _zero_offsets(workspace: Workspace, structure: StructureFit) -> list[Finding]:
+def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes = []
-    present = [*structure.members, *(int(k) for k in np.flatnonzero(~np.isnan(workspace.known)))]
-    terms = {workspace.columns.terms[k].expr: float(structure.coefficients[k]) for k in present}
+    present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
+    terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
@@ -248,28 +242,29 @@ def _zero_offsets(workspace: Workspace, structure: StructureFit) -> list[Finding
     return notes
 
 
-def _unexplained_rates(workspace: Workspace, chi2: np.ndarray) -> list[Finding]:
-    names = workspace.trajectories.coordinates
+def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
+    names = fit.problem.trajectories.coordinates
     return [
         find(
             "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
         )
-        for rate, value in zip(workspace.rates, chi2[len(names) :], strict=True)
+        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
         if value > _NOISE_RATIO**2
     ]
 
 
-def _whiteness(workspace: Workspace, structure: StructureFit) -> list[Finding]:
+def _whiteness(fit: Fit) -> list[Finding]:
     notes = []
-    observations, names = workspace.observations, workspace.trajectories.coordinates
-    loose = [names[i] for i in workspace.columns.prescribed]  # a curve that nothing holds follows the noise
+    observations, names = fit.grid.observations, fit.problem.trajectories.coordinates
+    # a curve that nothing holds follows the noise
+    loose = [names[i] for i in fit.problem.prescribed]
     channels = [(name, "position") for name in names]
-    channels += [(names[rate.coordinate], rate.quantity) for rate in workspace.rates]
+    channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
     for (name, quantity), r, least, sigma in zip(
         channels,
-        observations.residuals(structure.fit.control_points),
+        observations.residuals(fit.control_points),
         observations.floors,
-        structure.fit.weights.noise_std,
+        fit.weights.noise_std,
         strict=True,
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))

@@ -7,16 +7,17 @@ again.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import sympy as sp
 
-from leastaction.curve.smoothing import smooth
 from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms, missing_term
-from leastaction.estimation.workspace import Workspace
 from leastaction.findings import Finding
-from leastaction.selection.knots import equations_hold, silent
-from leastaction.selection.select import Refiner, best_structure, propose_supports
+from leastaction.selection.progress import silent
+from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.strategies import feeding_friction, weak_start
 
 __all__ = ["search_afresh"]
 
@@ -24,27 +25,29 @@ _CERTAIN = 20.0  # standard errors: laws have 170 and more, what imitates them h
 _MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
-def search_afresh(workspace: Workspace) -> list[Finding]:
+def search_afresh(search: Search) -> list[Finding]:
     """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
+    fit = search.found
     # dry friction has a kink, which a curve meets only where it is smoothed
-    friction = [term for term in usual_friction(workspace.columns) if not isinstance(term.expr, sp.Abs)]
-    more = [*common_terms(workspace.columns, "standard"), *friction]
-    if not more or workspace.trajectories.n_samples > _MOST_SAMPLES:
+    friction = [term for term in usual_friction(fit.problem.candidates) if not isinstance(term.expr, sp.Abs)]
+    more = [*common_terms(fit.problem.candidates, "standard"), *friction]
+    if not more or fit.problem.trajectories.n_samples > _MOST_SAMPLES:
         return []
-    wider = workspace.wider(more)
-    refiner = Refiner(wider, silent)
-    curve = smooth(wider.grid, wider.times, wider.values, rates=wider.rates)
-    found, _ = refiner.dissipate(best_structure(refiner, propose_supports(wider, curve, silent), None))
-    if not (found.fit.converged and equations_hold(wider, found)):
+    grid = fit.grid.posed(fit.problem.wider(more))
+    search = replace(search, grid=grid, curve=grid.smooth(), fit=None, feeding=(), report=silent)
+    for strategy in (weak_start, feeding_friction):
+        search = strategy.run(search)
+    found = search.found
+    if not (found.converged and equations_hold(found)):
         return []
     if np.any(np.abs(found.estimates) < _CERTAIN * found.standard_errors):
         return []
-    new = [m for m in found.members if m >= len(workspace.columns)]
-    terms = [wider.columns.terms[m].text for m in new if wider.columns.terms[m].kind == "lagrangian"]
-    free = len(found.members)
-    out = [missing_term(terms, workspace.columns.coordinates, free_terms=free)] if terms else []
+    new = [m for m in found.structure if m >= len(fit.problem.candidates)]
+    terms = [found.problem.terms[m].text for m in new if found.problem.terms[m].kind == "lagrangian"]
+    free = len(found.structure)
+    out = [missing_term(terms, fit.problem.candidates.coordinates, free_terms=free)] if terms else []
     return out + [
-        unmodelled_friction(wider.columns.terms[m], coefficient=float(found.coefficients[m]))
+        unmodelled_friction(found.problem.terms[m], coefficient=float(found.coefficients[m]))
         for m in new
-        if wider.columns.terms[m].kind == "dissipation"
+        if found.problem.terms[m].kind == "dissipation"
     ]

@@ -17,11 +17,13 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from leastaction.curve.bspline import SplineSpace
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
+from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics
-from leastaction.estimation.workspace import StructureFit, Workspace
-from leastaction.mechanics.euler_lagrange import Points
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start
 
 __all__ = ["SlowForces", "fit_with_forces", "slow_forces"]
 
@@ -39,23 +41,22 @@ class SlowForces:
     basis : (n_slow, n_intervals · n_quadrature) sparse array
     """
 
-    def __init__(self, workspace: Workspace, seconds: Mapping[int, float]) -> None:
-        self.times = workspace.times
+    def __init__(self, grid: Grid, seconds: Mapping[int, float]) -> None:
+        self.times, spline = grid.times, grid.spline
         self.spaces = {
             (i, k): SplineSpace(_DEGREE, np.linspace(t[0], t[-1], 1 + max(1, round((t[-1] - t[0]) / every))))
             for i, every in seconds.items()
-            for k, t in enumerate(workspace.times)
+            for k, t in enumerate(self.times)
         }
-        grid = workspace.grid
-        self.n_quadrature = grid.points.shape[1]
+        self.n_quadrature = spline.points.shape[1]
         self.equations = np.concatenate([np.full(s.n_ctrl, i) for (i, _), s in self.spaces.items()])
         rows = []
         for (_, k), space in self.spaces.items():
-            own = np.flatnonzero(grid.owner == k)
-            values = space.basis(grid.points[own].ravel()).T.tocoo()
+            own = np.flatnonzero(spline.owner == k)
+            values = space.basis(spline.points[own].ravel()).T.tocoo()
             functions, points = values.coords
             columns = own[0] * self.n_quadrature + points  # the intervals of a trajectory are successive
-            shape = (space.n_ctrl, grid.points.size)
+            shape = (space.n_ctrl, spline.points.size)
             rows.append(sp.csr_array((values.data, (functions, columns)), shape=shape))
         self.basis = sp.vstack(rows).tocsc()
 
@@ -95,9 +96,7 @@ class SlowForces:
         return {i: float(np.sqrt(np.mean(np.concatenate(parts)))) for i, parts in squares.items()}
 
 
-def slow_forces(
-    workspace: Workspace, structure: StructureFit, seconds: Mapping[int, float]
-) -> list[np.ndarray]:
+def slow_forces(fit: Fit, seconds: Mapping[int, float]) -> list[np.ndarray]:
     """What is missing beside the forces so far, by least squares along the fitted curve.
 
     Returns
@@ -105,21 +104,21 @@ def slow_forces(
     list of (n_times, n_dof) arrays
         At the samples, one for each trajectory; zero on the other coordinates.
     """
-    slow, n = SlowForces(workspace, seconds), workspace.trajectories.n_dof
-    states = [s[:, 0] for s in workspace.grid.at_quadrature(structure.fit.control_points)]
-    strong = workspace.columns.strong(Points(*states))
-    residual = -np.tensordot(structure.coefficients, strong, 1)
-    if workspace.forces is not None:
-        residual += workspace.forces[:, 0].T
-    root = np.sqrt(structure.fit.weights.physics)
+    grid, n = fit.grid, fit.problem.trajectories.n_dof
+    slow, members = SlowForces(grid, seconds), list(fit.structure)
+    strong = fit.problem.candidates.strong(fit.points())
+    residual = -np.tensordot(fit.coefficients, strong, 1)
+    if grid.forces is not None:
+        residual += grid.forces.values[:, 0].T
+    root = np.sqrt(fit.weights.physics)
     first = slow.basis[:, :: slow.n_quadrature].T
     blocks = []
     for i in range(n):
-        members = sp.csr_array(strong[list(structure.members), i].T)
-        blocks.append(root[i] * sp.hstack([members, -first * (slow.equations == i)]))
+        columns = sp.csr_array(strong[members, i].T)
+        blocks.append(root[i] * sp.hstack([columns, -first * (slow.equations == i)]))
     design = sp.vstack(blocks).tocsr()
     found = _least_squares(design, (root[:, None] * residual).ravel())
-    return slow.at_samples(found[len(structure.members) :], n)
+    return slow.at_samples(found[len(members) :], n)
 
 
 def _least_squares(design: sp.csr_array, right: np.ndarray) -> np.ndarray:
@@ -130,9 +129,9 @@ def _least_squares(design: sp.csr_array, right: np.ndarray) -> np.ndarray:
 
 
 def fit_with_forces(
-    workspace: Workspace, structure: StructureFit, seconds: Mapping[int, float]
+    grid: Grid, structure: Structure, start: Start, seconds: Mapping[int, float]
 ) -> tuple[JointFit, list[np.ndarray], dict[int, float]]:
-    """Fit curve, coefficients and slow forces together, at the weights of a structure.
+    """Fit curve, coefficients and slow forces together, at the weights of a start.
 
     Returns
     -------
@@ -143,17 +142,16 @@ def fit_with_forces(
     dict
         Coordinate → standard error of its slow force.
     """
-    slow = SlowForces(workspace, seconds)
-    physics, index = workspace.physics(structure.members)
+    slow = SlowForces(grid, seconds)
+    physics, index = grid.physics(structure)
     extended = Physics(
         WithPushes(physics.columns, slow),
         np.append(physics.free, np.ones(len(slow), bool)),
-        workspace.forces,
+        physics.forces,
     )
-    start = np.append(structure.coefficients[index], np.zeros(len(slow)))
-    fit = fit_joint(
-        workspace.observations, extended, structure.fit.weights, structure.fit.control_points, start
-    )
-    more = slow.at_samples(fit.coefficients[len(index) :], workspace.trajectories.n_dof)
-    n = len(structure.members)
+    values = grid.problem.completed(start.coefficients)
+    first = np.append(values[index], np.zeros(len(slow)))
+    fit = fit_joint(grid.observations, extended, start.weights, start.control_points, first)
+    more = slow.at_samples(fit.coefficients[len(index) :], grid.problem.trajectories.n_dof)
+    n = len(structure)
     return fit, more, slow.errors(fit.covariance[n:, n:])

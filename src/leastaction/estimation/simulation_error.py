@@ -1,4 +1,4 @@
-"""Coefficients by free runs, for machines that move in ways the library knows nothing of.
+"""Coefficients by simulation error, for machines that move in ways the library knows nothing of.
 
 Where equations hold only to some per cent, what they leave is not white: gears, belts and drives push at
 some frequencies and hardly at others, and an estimate that takes all of them alike is drawn to those that
@@ -12,7 +12,6 @@ errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +20,12 @@ from scipy.optimize import least_squares
 
 from leastaction.curve.smoothing import Smooth
 from leastaction.data.trajectories import Trajectory
-from leastaction.estimation.workspace import Workspace
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
 from leastaction.mechanics.equations import Mechanics
 from leastaction.simulation.integrate import rk4
 
-__all__ = ["FreeRuns", "minimise_free_runs"]
+__all__ = ["SimulationFit", "minimise_simulation_error"]
 
 _STEPS = 64  # of a free run
 _MOST_RUNS = 300
@@ -37,7 +37,7 @@ _EVALUATIONS = 15
 
 
 @dataclass(frozen=True, eq=False)
-class FreeRuns:
+class SimulationFit:
     """Coefficients and covariance of the members that were moved.
 
     Attributes
@@ -50,41 +50,41 @@ class FreeRuns:
     covariance: np.ndarray
 
 
-def minimise_free_runs(
-    workspace: Workspace,
+def minimise_simulation_error(
+    grid: Grid,
     curve: Smooth,
-    members: Sequence[int],
+    structure: Structure,
     coefficients: np.ndarray,
     horizon: float,
-) -> FreeRuns | None:
+) -> SimulationFit | None:
     """Minimise the errors of free runs along a smoothed curve, beginning at given coefficients.
 
     Parameters
     ----------
-    workspace : Workspace
-        With the grid of ``curve``.
+    grid : Grid
+        That of ``curve``.
     curve : Smooth
-    members : sequence of int
-        Columns to move; the coefficients of dissipation stay positive.
-    coefficients : (n_columns,) array
+    structure : Structure
+        Terms to move; the coefficients of dissipation stay positive.
+    coefficients : (n_candidates,) array
     horizon : float
         Seconds.
 
     Returns
     -------
-    FreeRuns or None
+    SimulationFit or None
         None where there are fewer than ten runs, or they cannot be followed.
     """
-    runs = _Runs(workspace, curve, horizon)
+    runs, members = _Runs(grid, curve, horizon), list(structure)
     if runs.n_runs < _FEWEST_RUNS:
         return None
-    flow = _Flow(workspace, members, coefficients, runs)
+    flow = _Flow(grid, members, coefficients, runs)
     one = np.ones(len(members))
     before = np.abs(flow.errors(one[None])[0])
     if not 0.0 < before.max() < _LOST:
         return None
     flow.scale = np.sqrt(np.mean(before**2, axis=(0, 1)))
-    kinds = [workspace.columns.terms[k].kind for k in members]
+    kinds = [grid.problem.terms[k].kind for k in members]
     found = least_squares(
         lambda x: flow.errors(x[None]).ravel(),
         one,
@@ -93,8 +93,8 @@ def minimise_free_runs(
         loss="soft_l1",
         max_nfev=_EVALUATIONS,
     )
-    size = coefficients[list(members)]
-    return FreeRuns(found.x * size, _sandwich(found.x, flow) * np.outer(size, size))
+    size = coefficients[members]
+    return SimulationFit(found.x * size, _sandwich(found.x, flow) * np.outer(size, size))
 
 
 def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
@@ -121,26 +121,26 @@ class _Runs:
         At the nodes and between them.
     """
 
-    def __init__(self, workspace: Workspace, curve: Smooth, horizon: float) -> None:
+    def __init__(self, grid: Grid, curve: Smooth, horizon: float) -> None:
         self.nodes = np.linspace(0.0, horizon, _STEPS + 1)
-        begins = [_begins(trajectory, horizon) for trajectory in workspace.trajectories]
+        begins = [_begins(trajectory, horizon) for trajectory in grid.problem.trajectories]
         owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
         keep = np.linspace(0, owner.size - 1, min(owner.size, _MOST_RUNS)).round().astype(int)
         begin, owner = np.concatenate(begins)[keep], owner[keep]
-        self.n_runs, n_dof = begin.size, workspace.trajectories.n_dof
+        self.n_runs, n_dof = begin.size, grid.problem.trajectories.n_dof
         self.q = np.empty((self.n_runs, self.nodes.size, n_dof))
         self.qdot = np.empty((self.n_runs, n_dof))
         half = np.linspace(0.0, horizon, 2 * _STEPS + 1)
-        prescribed = workspace.columns.prescribed
-        moved = workspace.trajectories.driven or prescribed
+        prescribed = grid.problem.prescribed
+        moved = grid.problem.trajectories.driven or prescribed
         self.forces = np.empty((half.size, self.n_runs, n_dof)) if moved else None
-        for k, part in enumerate(workspace.grid.split(curve.control_points)):
-            own, space = owner == k, workspace.grid.spaces[k]
+        for k, part in enumerate(grid.spline.split(curve.control_points)):
+            own, space = owner == k, grid.spline.spaces[k]
             self.q[own] = space.evaluate(part, begin[own][:, None] + self.nodes)
             self.qdot[own] = space.evaluate(part, begin[own], 1)
             if self.forces is not None:
                 times = half[:, None] + begin[own]
-                self.forces[:, own] = workspace.force_at(k, times)
+                self.forces[:, own] = grid.force_at(k, times)
                 for i in prescribed:  # its force is its acceleration
                     self.forces[:, own, i] = space.evaluate(part, times, 2)[..., i]
 
@@ -161,15 +161,15 @@ def _begins(trajectory: Trajectory, horizon: float) -> np.ndarray:
 class _Flow:
     """Free runs as a function of the members' coefficients, in units of those at the start."""
 
-    def __init__(self, workspace: Workspace, members, coefficients: np.ndarray, runs: _Runs) -> None:
-        self.runs, self.size = runs, coefficients[list(members)]
+    def __init__(self, grid: Grid, members: list[int], coefficients: np.ndarray, runs: _Runs) -> None:
+        self.runs, self.size = runs, coefficients[members]
         self.scale = np.ones(runs.q.shape[-1])
-        columns, symbols = workspace.columns, [sp.Dummy(real=True) for _ in members]
+        candidates, symbols = grid.problem.candidates, [sp.Dummy(real=True) for _ in members]
         values: list[sp.Expr] = [sp.Float(float(value)) for value in coefficients]
         for k, symbol in zip(members, symbols, strict=True):
             values[k] = symbol
         self.mechanics = Mechanics.of_terms(
-            columns.terms, values, columns.coordinates, symbols, columns.prescribed
+            candidates.terms, values, candidates.coordinates, symbols, candidates.prescribed
         )
 
     def errors(self, x: np.ndarray) -> np.ndarray:

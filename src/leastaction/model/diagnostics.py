@@ -28,12 +28,19 @@ class PathPoint:
     bic : float
         ``cost`` + (number of free terms) · log(number of samples), relative to the chosen structure.
     chosen : bool
+    reason : str
+        Why it was not chosen; see `leastaction.selection.alternatives.Alternative`.
+    coefficients, standard_errors : tuple of float
+        Of the expressions, as the quadratic model of the likelihood about the chosen structure expects them.
     """
 
     expressions: tuple[str, ...]
     cost: float
     bic: float
     chosen: bool = False
+    reason: str = ""
+    coefficients: tuple[float, ...] = ()
+    standard_errors: tuple[float, ...] = ()
 
     @property
     def n_terms(self) -> int:

@@ -2,125 +2,91 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 import sympy as sp
 
 from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
-from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.workspace import Workspace
+from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Prepared", "prepare"]
+__all__ = ["Request", "Setup", "build_problem"]
 
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 _NEAR, _ROUNDED = 0.1, 1e-3  # radians
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class Request:
+    """What a user says about a system, beside the data; see :func:`leastaction.discover`."""
+
+    library: Library | Iterable[str]
+    known: Mapping[str, float] = field(default_factory=dict)
+    dissipation: Iterable[str] = ()
+    angles: Iterable[str] | None = None
+    degree: int = 5
+    force_offset: Iterable[str] = ()
+    prescribed: Iterable[str] = ()
+    robust: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
     """A problem that can be searched.
 
     Attributes
     ----------
-    trajectories : Trajectories
-    searched : Trajectories
-        Those that the structure is searched on: pieces of long recordings, otherwise all.
+    problem : Problem
+        On all data.
+    searched : Problem
+        The same on the data that the structure is searched on: pieces of long recordings, otherwise all.
     library : Library
         Reduced: no null, duplicate or dependent candidates.
-    columns : tuple of Term
-        Candidates of L, then of the dissipation function.
-    known : (n_columns,) array
-        Known coefficients, NaN where free.
-    prescribed : tuple of int
-        Coordinates whose equations are not used.
-    knots : Knots
-        Of ``searched``.
-    degree : int
+    scales : Knots
+        Time scales of the searched motion, and the smooth curve through it.
     findings : tuple of Finding
         What was done to the data or the library on the user's behalf, and what is doubtful about them.
     """
 
-    trajectories: Trajectories
-    searched: Trajectories
+    problem: Problem
+    searched: Problem
     library: Library
-    columns: tuple[Term, ...]
-    known: np.ndarray
-    prescribed: tuple[int, ...]
-    knots: Knots
-    degree: int
+    scales: Knots
     findings: tuple[Finding, ...]
 
-    @property
-    def euler_lagrange(self) -> EulerLagrange:
-        """All candidates, as functions."""
-        return EulerLagrange(self.columns, self.library.coordinates, self.prescribed)
 
-    def workspace(self, columns) -> Workspace:
-        """To search in."""
-        return Workspace(self.searched, columns, self.known, self.knots.per_second, self.degree)
-
-    def pushed(self, forces: Sequence[np.ndarray]) -> Prepared:
-        """The same problem with other forces, (n_times, n_dof) in each trajectory; not for pieces."""
-        trajectories = self.trajectories.with_forces(forces)
-        return replace(self, trajectories=trajectories, searched=trajectories)
-
-    def whole_workspace(self, columns, knots_per_second: float) -> tuple[Workspace, Smooth]:
-        """All data on a grid, and the curve through them, smoothed as strongly as those searched."""
-        workspace = Workspace(self.trajectories, columns, self.known, knots_per_second, self.degree)
-        penalty = self.knots.smooth.penalty
-        return workspace, smooth(workspace.grid, workspace.times, workspace.values, penalty, workspace.rates)
-
-
-def prepare(
-    trajectories,
-    library: Library | Iterable[str],
-    known: Mapping[str, float] | None,
-    dissipation: Iterable[str],
-    angles: Iterable[str] | None,
-    degree: int,
-    most_samples: int | None = None,
-    force_offset: Iterable[str] = (),
-    robust: bool = True,
-    prescribed: Iterable[str] = (),
-) -> Prepared:
+def build_problem(trajectories, request: Request, most_samples: int | None = None) -> Setup:
     """Check and complete everything that a search needs.
 
     Parameters
     ----------
+    trajectories : Trajectory, Trajectories or iterable of Trajectory
+    request : Request
     most_samples : int, optional
         Search on pieces of longer recordings.
-    robust : bool
-        Leave out outliers.
 
     Raises
     ------
     InputError, DataError
     """
     trajectories = Trajectories.coerce(trajectories)
-    if not isinstance(library, Library):
-        library = Library(library, trajectories.coordinates)
-    if library.coordinates != trajectories.coordinates:
-        raise InputError(
-            f"the library is written for the coordinates {', '.join(library.coordinates)}, but the data have "
-            f"{', '.join(trajectories.coordinates)}; give both the same names in the same sequence"
-        )
-    angles = library.angles if angles is None else tuple(angles)
+    library = _library(request.library, trajectories.coordinates)
+    angles = library.angles if request.angles is None else tuple(request.angles)
     trajectories = trajectories.unwrap(angles)
     _check_data(trajectories)
-    places = _prescribed(prescribed, trajectories.coordinates)
+    places = _prescribed(request.prescribed, trajectories.coordinates)
     trajectories, unused_forces = _without_forces_on(places, trajectories)
-    library = _with_offsets(library.with_dissipation(dissipation), force_offset)
-    known_terms = _resolve_known(library, dict(known or {}))
-    if not known_terms and not trajectories.driven:
+    library = _with_offsets(library.with_dissipation(request.dissipation), request.force_offset)
+    known = _resolve_known(library, dict(request.known or {}))
+    if not known and not trajectories.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
             "coefficient of at least one term, e.g. known={'"
@@ -131,46 +97,61 @@ def prepare(
     findings += unused_forces
     findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
-    if robust:
-        trajectories, left_out = leave_out_outliers(trajectories, degree)
+    if request.robust:
+        trajectories, left_out = leave_out_outliers(trajectories, request.degree)
         findings += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
-    knots = lay_knots(searched, degree)
+    scales = lay_knots(searched, request.degree)
+    library, known, smoothed = _smooth_friction(library, known, scales.rates)
+    library = library.reduced(keep=list(known), prescribed=[library.coordinates[i] for i in places])
+    terms = (*library.terms, *library.dissipation)
+    coefficients = _coefficients(terms, known)
+    candidates = EulerLagrange(terms, library.coordinates, places)
+    problem = Problem(trajectories, candidates, coefficients, request.degree)
+    return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:
+    library = given if isinstance(given, Library) else Library(given, coordinates)
+    if library.coordinates != coordinates:
+        raise InputError(
+            f"the library is written for the coordinates {', '.join(library.coordinates)}, but the data have "
+            f"{', '.join(coordinates)}; give both the same names in the same sequence"
+        )
+    return library
+
+
+def _smooth_friction(
+    library: Library, known: dict[Term, float], rates: np.ndarray
+) -> tuple[Library, dict[Term, float], list[Finding]]:
+    """The library with |v| smoothed near zero velocity, and a note on where."""
     smoothing = {
         f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
-        for c, r in zip(library.coordinates, knots.rates, strict=True)
+        for c, r in zip(library.coordinates, rates, strict=True)
     }
     softened = smooth_abs(library, smoothing)
-    if softened is not library:
-        known_terms = {smooth_abs(term, smoothing): value for term, value in known_terms.items()}
-        terms = (*library.terms, *library.dissipation)
-        changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in terms)}
-        findings.append(find("friction-smoothed", changed, widths=list(changed.values())))
-    driven = [library.coordinates[i] for i in places]
-    reduced = softened.reduced(keep=list(known_terms), prescribed=driven)
-    columns = (*reduced.terms, *reduced.dissipation)
-    coefficients = np.array([known_terms.get(term, np.nan) for term in columns])
-    missing = [term.text for term in known_terms if term not in columns]
+    if softened is library:
+        return library, known, []
+    terms = (*library.terms, *library.dissipation)
+    changed = {v: e for v, e in smoothing.items() if any(_is_smoothed(t, v) for t in terms)}
+    note = find("friction-smoothed", changed, widths=list(changed.values()))
+    return softened, {smooth_abs(term, smoothing): value for term, value in known.items()}, [note]
+
+
+def _coefficients(terms: tuple[Term, ...], known: dict[Term, float]) -> np.ndarray:
+    """(n_candidates,) known coefficients, NaN where free."""
+    missing = [term.text for term in known if term not in terms]
     if missing:
         raise InputError(
             f"the known term {missing[0]!r} has no effect on the equations of motion (or repeats another "
             "known term); give the coefficient of a term that has"
         )
+    coefficients = np.array([known.get(term, np.nan) for term in terms])
     if not np.isnan(coefficients).any():
         raise InputError(
             "nothing is left to find: every candidate is known, or is a constant or total time derivative"
         )
-    return Prepared(
-        trajectories,
-        searched,
-        reduced,
-        columns,
-        coefficients,
-        places,
-        knots,
-        degree,
-        tuple(findings),
-    )
+    return coefficients
 
 
 def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int, ...]:

@@ -1,0 +1,125 @@
+"""From what a search has found to the model that the user keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+
+import numpy as np
+
+from leastaction.diagnosis.verdict import Verdict
+from leastaction.estimation.build import Setup
+from leastaction.estimation.fit import Fit
+from leastaction.findings import find
+from leastaction.model.diagnostics import Diagnostics, PathPoint
+from leastaction.model.model import LagrangianModel
+from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.selection.alternatives import Alternative
+from leastaction.selection.search_state import Search
+
+__all__ = ["assemble_model"]
+
+
+def assemble_model(
+    setup: Setup,
+    search: Search,
+    verdict: Verdict,
+    alternatives: Sequence[Alternative],
+    options: dict,
+    timings: dict[str, float],
+) -> LagrangianModel:
+    """The model of a search's fit; ``options`` and ``timings`` are kept as they are."""
+    fit, grid = search.found, search.found.grid
+    density = fit.weights.physics.copy()
+    density[list(setup.problem.prescribed)] = np.nan
+    noise = _rate_noise(fit)
+    findings = (
+        *setup.findings,
+        *verdict.findings,
+        *search.findings,
+        *search.bias.findings(),
+        *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
+    )
+    doubtful = any(finding.severity == "warning" for finding in findings)
+    diagnostics = Diagnostics(
+        fit.problem.trajectories,
+        grid.spline,
+        fit.control_points,
+        fit.weights.position_std,
+        density,
+        verdict.equation_error,
+        _path(fit, alternatives),
+        setup.library.dropped,
+        timings=timings,
+        rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in noise.items()},
+        force_offset=search.bias.found(),
+    )
+    terms = _terms(setup, fit)
+    return LagrangianModel(
+        setup.library.coordinates,
+        tuple(term for kind, term in terms if kind == "lagrangian"),
+        tuple(term for kind, term in terms if kind == "dissipation"),
+        None if np.isnan(fit.covariance).any() else fit.covariance,
+        fit.weights.position_std,
+        FitSummary(
+            "doubtful" if doubtful else "ok", verdict.chi2_per_sample, density.tolist(), findings=findings
+        ),
+        {
+            "version": _version(),
+            "options": options,
+            "data": setup.problem.trajectories.digest(),
+            "n_samples": int(grid.observations.counts.sum()),
+            "n_candidates": len(setup.problem.terms),
+            "knots_per_second": float(grid.knots_per_second),
+        },
+        diagnostics,
+    )
+
+
+def _terms(setup: Setup, fit: Fit) -> list[tuple[str, ModelTerm]]:
+    """The kind of every term in the model, and the term with its number."""
+    errors = dict(zip(fit.structure, fit.standard_errors.tolist(), strict=True))
+    out = []
+    for k, term in enumerate(setup.problem.terms):
+        is_known = bool(setup.problem.is_known[k])
+        if is_known or k in errors:
+            value = float(fit.coefficients[k])
+            out.append((term.kind, ModelTerm(term.text, value, errors.get(k, 0.0), is_known)))
+    return out
+
+
+def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
+    """(``"velocity"`` or ``"acceleration"``, coordinate) → noise of what was measured."""
+    names = fit.problem.coordinates
+    noise = fit.weights.noise_std[len(names) :].tolist()
+    channels = [(rate.quantity, names[rate.coordinate]) for rate in fit.problem.trajectories.rates]
+    return dict(zip(channels, noise, strict=True))
+
+
+def _path(fit: Fit, alternatives: Sequence[Alternative]) -> tuple[PathPoint, ...]:
+    """Best structure of each size, then the runners-up of the chosen size."""
+    best: dict[int, Alternative] = {}
+    for alternative in alternatives:
+        best.setdefault(len(alternative.structure), alternative)
+    size = len(fit.structure)
+    others = [a for a in alternatives if len(a.structure) == size and a is not best[size]]
+    texts = [term.text for term in fit.problem.terms]
+    return tuple(
+        PathPoint(
+            tuple(texts[m] for m in a.structure),
+            a.cost,
+            a.criterion,
+            a.structure == fit.structure,
+            a.reason,
+            tuple(a.coefficients[list(a.structure)].tolist()),
+            tuple(a.standard_errors.tolist()),
+        )
+        for a in (*best.values(), *others)
+    )
+
+
+def _version() -> str:
+    try:
+        return version("leastaction")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,166 @@
+"""One structure fitted on one grid, and what it says about the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candidates
+from leastaction.estimation.joint import Linearisation, Weights
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+
+if TYPE_CHECKING:
+    from leastaction.estimation.grid import Grid
+    from leastaction.estimation.problem import Problem
+
+__all__ = ["Fit"]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A structure on a grid: one vector of coefficients, their covariance, weights, curve, and the outcome.
+
+    Attributes
+    ----------
+    grid : Grid
+        With the problem.
+    structure : Structure
+    coefficients : (n_candidates,) array
+        Of all candidates: known ones in place, zero for those not in the structure.
+    covariance : (n_members, n_members) array
+        Of the members' coefficients.
+    control_points : (n_ctrl, n_dof) array
+        The curve.
+    weights : Weights
+    linearisation : Linearisation
+        At the curve and these coefficients.
+    logdet : float
+        log |H| of the curve's block.
+    status : str
+        "converged", "stalled", "step limit" or "not finite".
+    n_steps : int
+    evidence : float
+        Log marginal likelihood, up to a constant of data and grid.
+    """
+
+    grid: Grid
+    structure: Structure
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    control_points: np.ndarray
+    weights: Weights
+    linearisation: Linearisation
+    logdet: float
+    status: str
+    n_steps: int
+    evidence: float
+
+    @classmethod
+    def of(
+        cls, grid: Grid, structure: Structure, coefficients: np.ndarray, solution: JointFit, evidence: float
+    ) -> Fit:
+        """The solution of the joint problem for a structure, with the coefficients of all candidates."""
+        return cls(
+            grid,
+            structure,
+            coefficients,
+            solution.covariance,
+            solution.control_points,
+            solution.weights,
+            solution.linearisation,
+            solution.logdet,
+            solution.status,
+            solution.n_steps,
+            evidence,
+        )
+
+    @property
+    def problem(self) -> Problem:
+        """The problem that was fitted."""
+        return self.grid.problem
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solver came to its end."""
+        return self.status in ("converged", "stalled")
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is something to go on from, converged or not."""
+        return self.status != "not finite"
+
+    @property
+    def estimates(self) -> np.ndarray:
+        """(n_members,) coefficients of the members."""
+        return self.coefficients[list(self.structure)]
+
+    @property
+    def standard_errors(self) -> np.ndarray:
+        """(n_members,)"""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+    @property
+    def z(self) -> np.ndarray:
+        """(n_members,) estimates over standard errors."""
+        return self.estimates / np.maximum(self.standard_errors, 1e-300)
+
+    @property
+    def start(self) -> Start:
+        """Where a fit of another structure may begin."""
+        return Start(self.control_points, self.coefficients, self.weights)
+
+    def posed(self, problem: Problem) -> Fit:
+        """The same fit as one of another problem, which may have further candidates behind the others."""
+        more = len(problem.candidates) - self.coefficients.size
+        coefficients = np.append(self.coefficients, np.zeros(more))
+        return replace(self, grid=self.grid.posed(problem), coefficients=coefficients)
+
+    def points(self, most: int | None = None) -> Points:
+        """States of the fitted curve, one in each knot interval, or about ``most`` of them."""
+        states = self.grid.spline.at_quadrature(self.control_points)
+        stride = 1 if most is None else max(1, self.grid.spline.n_intervals // most)
+        return Points(*(s[::stride, 0] for s in states))
+
+    def regular(self, coefficients: np.ndarray | None = None) -> float:
+        """Share of the motion along which the mass matrix is positive definite."""
+        values = self.coefficients if coefficients is None else coefficients
+        return self.grid.regular(values, self.control_points)
+
+    def mass_matrix(self) -> np.ndarray:
+        """(n_points, n_dof, n_dof) along the curve."""
+        physics, index = self.grid.physics(self.structure)
+        return physics.columns.mass_matrix(self.points(), self.coefficients[index])
+
+    def equation_error(self) -> tuple[np.ndarray, np.ndarray]:
+        """Root mean square of the equation residual, relative to the terms of each equation, and absolute.
+
+        Where a coordinate has no equation: zero, and NaN.
+        """
+        physics, index = self.grid.physics(self.structure)
+        spline = self.grid.spline
+        states = spline.at_quadrature(self.control_points)
+        points = Points(*(s[:, 0] for s in states))
+        coefficients = self.coefficients[index]
+        size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
+        # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
+        mass = physics.columns.mass_matrix(points, coefficients)
+        size += np.einsum("pij,pj->ip", mass**2, states[2][:, 0] ** 2)
+        if self.grid.forces is not None:
+            size += self.grid.forces.values[:, 0].T ** 2
+        rms = np.sqrt(self.linearisation.equation / spline.weights.sum())
+        share = rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300))
+        none = list(physics.columns.prescribed)
+        share[none], rms[none] = 0.0, np.nan
+        return share, rms
+
+    def score(self, candidates: EulerLagrange | None = None) -> Quadratic:
+        """Quadratic model of the cost in candidates about this fit, by default in all that are free."""
+        physics, index = self.grid.physics(self.structure)
+        if candidates is None:
+            candidates = self.problem.candidates.subset(self.problem.free.tolist())
+        here = Start(self.control_points, self.coefficients[index], self.weights)
+        return score_candidates(self.grid.observations, physics, here, candidates)

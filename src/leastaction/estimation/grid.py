@@ -1,0 +1,171 @@
+"""A problem laid on spline grids: what every fit of one discretisation shares.
+
+Refining returns a new grid; a grid itself never changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.sparse.linalg import splu
+
+from leastaction.curve.bspline import SplineGrid, uniform_grid
+from leastaction.curve.smoothing import Smooth, smooth
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.forces import GridForces, forces_on
+from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.joint import Observations, Physics, positive_definite
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
+from leastaction.mechanics.euler_lagrange import Points
+
+__all__ = ["Grid", "greville_sites"]
+
+_POINTS = 200  # along the motion, at which the mass matrix is looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """A discretisation of a problem; make one by :meth:`lay`.
+
+    Attributes
+    ----------
+    problem : Problem
+    knots_per_second : float
+    spline : SplineGrid
+    observations : Observations
+    forces : GridForces or None
+        Known forces at the quadrature points; None where nothing acts.
+    """
+
+    problem: Problem
+    knots_per_second: float
+    spline: SplineGrid
+    observations: Observations
+    forces: GridForces | None
+
+    @classmethod
+    def lay(cls, problem: Problem, knots_per_second: float) -> Grid:
+        """Uniform knots on every trajectory of a problem."""
+        data = problem.trajectories
+        times = [t.t for t in data]
+        # with a prescribed coordinate there are more curves than equations; compared at two points an
+        # interval they would lock: a spline that meets both must be smoother than the motion
+        n_quadrature = 1 if problem.prescribed else 2
+        spline = uniform_grid(times, knots_per_second, problem.degree, n_quadrature)
+        observations = Observations(spline, times, [t.q for t in data], data.rates)
+        forces = _forces(spline, data, [t.forces for t in data])
+        return cls(problem, knots_per_second, spline, observations, forces)
+
+    def posed(self, problem: Problem) -> Grid:
+        """The same discretisation for another problem on the same data."""
+        return replace(self, problem=problem)
+
+    def pushed(self, forces: Sequence[np.ndarray | None]) -> Grid:
+        """The same discretisation with other known forces, (n_times, n_dof) in each trajectory."""
+        problem = self.problem.with_forces(forces)
+        return replace(self, problem=problem, forces=_forces(self.spline, problem.trajectories, list(forces)))
+
+    @property
+    def times(self) -> list[np.ndarray]:
+        """Sample times of each trajectory."""
+        return [trajectory.t for trajectory in self.problem.trajectories]
+
+    @property
+    def force_density(self) -> np.ndarray:
+        """(n_dof,) spectral density of the scatter of the known forces."""
+        return np.zeros(self.observations.n_dof) if self.forces is None else self.forces.density
+
+    def smooth(self, penalty: np.ndarray | None = None) -> Smooth:
+        """The curve through the samples on this grid, before any law; ``penalty`` fixes its smoothness."""
+        data = self.problem.trajectories
+        return smooth(self.spline, self.times, [t.q for t in data], penalty, data.rates)
+
+    def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:
+        """(n_times, n_dof) known forces on one trajectory, between their samples; zero where none act."""
+        given = self.problem.trajectories[trajectory]
+        if given.forces is None:
+            return np.zeros((*times.shape, given.n_dof))
+        return CubicSpline(given.t, given.forces)(times)
+
+    def physics(self, structure: Structure) -> tuple[Physics, list[int]]:
+        """The equations of a structure, and the candidates that they hold: members, then known ones."""
+        index = [*structure, *(int(k) for k in np.flatnonzero(self.problem.is_known))]
+        is_free = np.arange(len(index)) < len(structure)
+        values = None if self.forces is None else self.forces.values
+        return Physics(self.problem.candidates.subset(index), is_free, values), index
+
+    def start(self, structure: Structure, control_points, coefficients: np.ndarray, noise_std) -> Start:
+        """Starting weights for a structure at given curve and coefficients of all candidates."""
+        physics, index = self.physics(structure)
+        values = self.problem.completed(coefficients)
+        weights = start_weights(self.observations, physics, noise_std, control_points, values[index])
+        return Start(control_points, values, weights)
+
+    def _begin(self, start: Start, index: list[int]) -> Start:
+        """A start for some of the candidates: what is known comes from the problem, never from the start."""
+        weights = replace(start.weights, force_density=self.force_density)
+        return Start(start.control_points, self.problem.completed(start.coefficients)[index], weights)
+
+    def fit_curve(self, structure: Structure, start: Start) -> tuple[Start, float]:
+        """Fit the curve with the coefficients held; see :func:`leastaction.estimation.weights.fit_curve`."""
+        physics, index = self.physics(structure)
+        moved, value = fit_curve(self.observations, physics, self._begin(start, index))
+        return Start(moved.control_points, start.coefficients, moved.weights), value
+
+    def fit(self, structure: Structure, start: Start, max_rounds: int = 25) -> Fit:
+        """Fit a structure; ``start.coefficients`` covers all candidates."""
+        physics, index = self.physics(structure)
+        begin = self._begin(start, index)
+        solution = fit_weights(self.observations, physics, begin, max_rounds=max_rounds)
+        coefficients = np.zeros(len(self.problem.candidates))
+        coefficients[index] = solution.coefficients
+        return Fit.of(self, structure, coefficients, solution, evidence(self.observations, solution))
+
+    def held(self, fit: Fit, coefficients: np.ndarray, covariance: np.ndarray) -> Fit:
+        """A fit with other coefficients, which are held while the curve follows them."""
+        physics, index = self.physics(fit.structure)
+        rigid = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
+        values = self.problem.completed(coefficients)
+        solution = fit_joint(
+            self.observations, rigid, fit.weights, fit.control_points, values[index], tolerance=1.0
+        )
+        value = evidence(self.observations, solution)
+        return replace(Fit.of(self, fit.structure, values, solution, value), covariance=covariance)
+
+    def carried(self, fit: Fit, growth: np.ndarray) -> Start:
+        """A fit of another grid on this one, its equation weights raised by ``growth``, (n_dof,)."""
+        old, degree = fit.grid.spline, self.problem.degree
+        moved = np.empty((self.spline.n_ctrl, fit.control_points.shape[1]))
+        for k, (space, part) in enumerate(
+            zip(self.spline.spaces, old.split(fit.control_points), strict=True)
+        ):
+            sites = greville_sites(space.knots, degree)
+            values = old.spaces[k].evaluate(part, sites)
+            own = slice(self.spline.offsets[k], self.spline.offsets[k + 1])
+            moved[own] = splu(space.basis(sites).tocsc()).solve(values)
+        weights = replace(fit.weights, physics=growth * fit.weights.physics)
+        return Start(moved, fit.coefficients, weights)
+
+    def regular(self, coefficients: np.ndarray, control_points: np.ndarray) -> float:
+        """Share of the motion along which the mass matrix of all candidates is positive definite."""
+        states = self.spline.at_quadrature(control_points)
+        stride = max(1, self.spline.n_intervals // _POINTS)
+        points = Points(*(s[::stride, 0] for s in states))
+        mass = self.problem.candidates.mass_matrix(points, coefficients)
+        return float(np.mean(positive_definite(mass)))
+
+
+def _forces(spline: SplineGrid, data, samples: Sequence[np.ndarray | None]) -> GridForces | None:
+    return forces_on(spline, [t.t for t in data], samples) if data.driven else None
+
+
+def greville_sites(knots: np.ndarray, degree: int) -> np.ndarray:
+    """Averages of ``degree`` successive knots: interpolation there is well conditioned."""
+    sums = np.concatenate([[0.0], np.cumsum(knots)])
+    sites = (sums[degree + 1 : -1] - sums[1 : -degree - 1]) / degree
+    return np.clip(sites, knots[0], knots[-1])

@@ -1,0 +1,122 @@
+"""What is asked of the data: the only place that knows what is known.
+
+The equations of motion are
+
+    Σ_k λ_k E_i[φ_k] + Σ_k c_k ∂ψ_k/∂q̇_i = f_i      for every coordinate i that is not prescribed,
+
+and a problem says which candidates φ_k, ψ_k may enter, which coefficients are known, which candidates are
+ruled out, and what the data and the known forces f are.  It never changes: every step that learns something
+makes a new one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from leastaction.curve.knots import excerpt
+from leastaction.data.trajectories import Trajectories
+from leastaction.library import Term
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["Problem"]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Data, candidates, and what is known of them.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Measured coordinates (rad, m, …) and rates, known forces.
+    candidates : EulerLagrange
+        All candidates of L and of the dissipation function, as functions; they hold the prescribed
+        coordinates, too.
+    known : (n_candidates,) array
+        Known coefficients; NaN where a coefficient is free.
+    degree : int
+        Of the splines.
+    excluded : frozenset of int
+        Free candidates that no structure may contain, such as friction that would feed energy in.
+    """
+
+    trajectories: Trajectories
+    candidates: EulerLagrange
+    known: np.ndarray
+    degree: int = 5
+    excluded: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        known = np.array(self.known, dtype=float)
+        if known.shape != (len(self.candidates),):
+            raise ValueError(f"{known.size} known coefficients for {len(self.candidates)} candidates")
+        known.flags.writeable = False
+        object.__setattr__(self, "known", known)
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The candidates."""
+        return self.candidates.terms
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the coordinates."""
+        return self.trajectories.coordinates
+
+    @property
+    def prescribed(self) -> tuple[int, ...]:
+        """Coordinates whose equations are not used."""
+        return self.candidates.prescribed
+
+    @cached_property
+    def is_known(self) -> np.ndarray:
+        """(n_candidates,) truth values."""
+        return ~np.isnan(self.known)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Numbers of the candidates that a structure may contain."""
+        allowed = ~self.is_known
+        allowed[list(self.excluded)] = False
+        return np.flatnonzero(allowed)
+
+    def completed(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients of all candidates with the known ones in place and excluded ones at zero."""
+        out = np.where(self.is_known, self.known, coefficients)
+        out[list(self.excluded)] = 0.0
+        return out
+
+    def named(self, coefficients: np.ndarray) -> dict[str, float]:
+        """Coefficients of all candidates by the texts of their terms; zeros are left out."""
+        texts = [term.text for term in self.terms]
+        return {k: v for k, v in zip(texts, coefficients.tolist(), strict=True) if v != 0.0}
+
+    def excluding(self, members: Sequence[int]) -> Problem:
+        """The problem without some of its candidates."""
+        return replace(self, excluded=self.excluded | {int(m) for m in members})
+
+    def releasing(self, member: int) -> Problem:
+        """The problem with one known coefficient set free."""
+        return replace(self, known=np.where(np.arange(self.known.size) == member, np.nan, self.known))
+
+    def wider(self, terms: Sequence[Term]) -> Problem:
+        """The problem with further candidates, behind the others."""
+        known = np.append(self.known, np.full(len(terms), np.nan))
+        return replace(self, candidates=self.candidates.of([*self.terms, *terms]), known=known)
+
+    def on(self, trajectories: Trajectories) -> Problem:
+        """The same questions asked of other data."""
+        return replace(self, trajectories=trajectories)
+
+    def with_forces(self, forces: Sequence[np.ndarray | None]) -> Problem:
+        """The problem with other known forces, (n_times, n_dof) in each trajectory."""
+        return self.on(self.trajectories.with_forces(forces))
+
+    def excerpt(self, n_samples: int) -> Problem:
+        """The problem on pieces of its data, about ``n_samples`` in all."""
+        pieces = excerpt(self.trajectories, n_samples)
+        return self if pieces is self.trajectories else self.on(pieces)

@@ -1,0 +1,52 @@
+"""How a search tells what it has found so far, and where its time goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from leastaction.estimation.problem import Problem
+
+__all__ = ["Clock", "Progress", "law_so_far", "silent"]
+
+Progress = Callable[[str, dict], None]
+
+
+def silent(stage: str, details: dict) -> None:
+    """For searches that nobody follows."""
+
+
+def law_so_far(problem: Problem, coefficients: np.ndarray, evidence: float) -> dict:
+    """What a user may see of a structure on the way; known terms are in the coefficients only."""
+    free = np.count_nonzero(coefficients[problem.free])
+    return {"terms": free, "evidence": evidence, "coefficients": problem.named(coefficients)}
+
+
+class Clock:
+    """Seconds of each stage, passed on to the user's progress display."""
+
+    def __init__(self, progress: Progress | None) -> None:
+        self.timings: dict[str, float] = {}
+        self._progress = progress
+        self._stage, self._since = "", 0.0
+
+    def start(self, stage: str) -> None:
+        self.stop()
+        self._stage, self._since = stage, time.perf_counter()
+        if self._progress:
+            self._progress(stage, {})
+
+    def report(self, stage: str, details: dict) -> None:
+        if stage != self._stage:
+            self.stop()
+            self._stage, self._since = stage, time.perf_counter()
+        if self._progress:
+            self._progress(stage, details)
+
+    def stop(self) -> None:
+        if self._stage:
+            spent = time.perf_counter() - self._since
+            self.timings[self._stage] = self.timings.get(self._stage, 0.0) + spent
+        self._stage = ""

@@ -1,0 +1,52 @@
+"""The search for a structure, as a list of strategies.
+
+Each strategy is one file of `leastaction.selection.strategies` with a function ``run(search) -> search``; it
+decides itself whether it has anything to do, and says in its docstring what it costs. The order is that of
+the lists below, and nowhere else.
+"""
+
+from __future__ import annotations
+
+from leastaction.selection.search_state import Search
+from leastaction.selection.strategies import (
+    all_data,
+    coarse_restart,
+    feeding_friction,
+    finer_knots,
+    force_bias,
+    irrelevant_terms,
+    kinetic_restart,
+    simulation_error,
+    terms_again,
+    weak_start,
+)
+
+__all__ = ["ON_ONE_GRID", "find_structure", "run_search"]
+
+ON_ONE_GRID = (
+    weak_start,
+    finer_knots,
+    kinetic_restart,
+    terms_again,
+    irrelevant_terms,
+    feeding_friction,
+)
+"""Strategies that find a structure from nothing but a first grid, in order."""
+
+
+def find_structure(search: Search) -> Search:
+    """Run the strategies that find a structure, from the grid of the search."""
+    for strategy in ON_ONE_GRID:
+        search = strategy.run(search)
+    return search
+
+
+def run_search(search: Search) -> Search:
+    """Run every strategy."""
+    return simulation_error.run(force_bias.run(search, _on_data))
+
+
+def _on_data(search: Search) -> Search:
+    """Find a structure on pieces of long recordings, then on all data."""
+    search.report("search", {})
+    return all_data.run(coarse_restart.run(find_structure(search), find_structure))

@@ -1,0 +1,139 @@
+"""Where a search stands: what every strategy takes and returns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leastaction.curve.knots import Knots
+from leastaction.curve.smoothing import Smooth
+from leastaction.estimation.build import Setup
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.force_bias import ForceBias, no_bias
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Problem
+from leastaction.findings import Finding
+from leastaction.selection.progress import Progress, silent
+
+__all__ = ["EXPLAINED", "Search", "begin_search", "equations_hold", "explains", "restarted"]
+
+EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
+_REGULAR = 0.999
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A search for a structure; strategies return it with a better fit.
+
+    Attributes
+    ----------
+    problem : Problem
+        As asked, on all data.
+    searched : Problem
+        The same on the data that the structure is searched on: pieces of long recordings, otherwise all.
+    scales : Knots
+        Time scales of the searched motion.
+    grid : Grid
+        On which the next fit is made: of pieces of long recordings until all data are taken.
+    curve : Smooth
+        The smooth curve on that grid.
+    bias : ForceBias
+        Slow forces that were found beside the known ones.
+    fit : Fit or None
+        The best so far.
+    first : Fit or None
+        The best on the first grid.
+    relevance : float
+        Share of the equation error's variance that a term has to remove to stay.
+    seed : int
+    thorough : bool
+        Search longer where the equations do not hold.
+    knots_settled : bool
+        Whether finer knots changed nothing any more.
+    vibrates : bool
+        Whether finer knots made a large equation error larger.
+    feeding : tuple of int
+        Candidates of dissipation that were left out because they would have fed energy in.
+    findings : tuple of Finding
+        What a strategy did that the user should know.
+    report : callable
+        See :mod:`leastaction.selection.progress`.
+    """
+
+    problem: Problem
+    searched: Problem
+    scales: Knots
+    grid: Grid
+    curve: Smooth
+    bias: ForceBias
+    fit: Fit | None = None
+    first: Fit | None = None
+    relevance: float = 0.05
+    seed: int = 0
+    thorough: bool = True
+    knots_settled: bool = False
+    vibrates: bool = False
+    feeding: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    report: Progress = silent
+
+    @property
+    def found(self) -> Fit:
+        """The best fit so far, which there is after the first strategy."""
+        assert self.fit is not None
+        return self.fit
+
+    def now(self, fit: Fit, **changes) -> Search:
+        """The search with another fit, and its grid."""
+        return replace(self, fit=fit, grid=fit.grid, **changes)
+
+
+def begin_search(
+    setup: Setup,
+    slow: Mapping[int, float] | None = None,
+    *,
+    relevance: float = 0.05,
+    seed: int = 0,
+    thorough: bool = True,
+    report: Progress = silent,
+) -> Search:
+    """A search that has not found anything yet, on the grid that the motion asks for.
+
+    Parameters
+    ----------
+    setup : Setup
+    slow : mapping of int to float, optional
+        Coordinates with a slow force of unknown size → seconds within which it may change.
+    """
+    return Search(
+        setup.problem,
+        setup.searched,
+        setup.scales,
+        Grid.lay(setup.searched, setup.scales.per_second),
+        setup.scales.smooth,
+        no_bias(setup.problem.trajectories, slow or {}),
+        relevance=relevance,
+        seed=seed,
+        thorough=thorough,
+        report=report,
+    )
+
+
+def restarted(search: Search, problem: Problem) -> Search:
+    """The search before it found anything, for another problem on the same data, all of them."""
+    grid = Grid.lay(problem, search.scales.per_second)
+    return replace(search, problem=problem, searched=problem, grid=grid, curve=search.scales.smooth, fit=None)
+
+
+def equations_hold(fit: Fit) -> bool:
+    """Whether every equation holds to one per cent of its terms."""
+    return bool(np.all(fit.equation_error()[0] <= EXPLAINED))
+
+
+def explains(fit: Fit, value: float) -> bool:
+    """Whether the equations hold to one per cent and can be solved; if not, look for a better structure."""
+    if not fit.converged or not np.isfinite(value):
+        return False
+    return equations_hold(fit) and fit.linearisation.regular > _REGULAR

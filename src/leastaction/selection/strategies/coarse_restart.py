@@ -1,0 +1,60 @@
+"""A second search on a coarse grid, for hardware that moves in ways the library knows nothing of.
+
+Belts and joints vibrate, clocks jitter, motors ripple.  A fine spline follows all of it, and the equations
+then fight accelerations of the wrong origin.  Where the first search leaves a large equation error, another
+one begins on the coarsest grid that shows the motion; simulation errors along the data judge which of them is
+right.
+
+Cost: that of the first search, on fewer knots, and two rounds of simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from leastaction.curve.knots import KNOTS_PER_RADIAN
+from leastaction.estimation.grid import Grid
+from leastaction.selection.forecast_error import forecast_error
+from leastaction.selection.search_state import Search, equations_hold
+
+__all__ = ["horizon", "run"]
+
+_HORIZON = 0.5  # of the simulations that judge, in periods of the motion
+_CLEARLY = 0.95  # the coarse grid has to be better by 5 %
+
+
+def run(search: Search, again: Callable[[Search], Search]) -> Search:
+    """Search again from the coarsest grid if an equation is off by more than one per cent.
+
+    Parameters
+    ----------
+    search : Search
+    again : callable
+        The strategies that find a structure on one grid.
+
+    Returns
+    -------
+    Search
+        That of the better forecasts.
+    """
+    fine, knots = search.found, search.scales.coarse
+    if not search.thorough or equations_hold(fine) or not knots < fine.grid.knots_per_second:
+        return search
+    grid = Grid.lay(search.searched, knots)
+    other = again(replace(search, grid=grid, curve=grid.smooth(), fit=None, feeding=(), thorough=False))
+    coarse = other.found
+    if not coarse.converged:
+        return search
+    first, second = (forecast_error(fit, horizon(knots)) for fit in (fine, coarse))
+    search.report("coarse", {"forecast_error": second, "before": first})
+    # where its equations hold the first search went astray, and no machine need vibrate
+    better = second < (first if equations_hold(coarse) else _CLEARLY * first)
+    return replace(other, curve=search.curve, thorough=search.thorough) if better else search
+
+
+def horizon(knots_per_second: float) -> float:
+    """Seconds of the simulations that judge."""
+    return _HORIZON * 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second

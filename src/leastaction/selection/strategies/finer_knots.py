@@ -1,0 +1,76 @@
+"""Finer knots, until they no longer matter.
+
+Cost: one joint fit for each grid, two or three as a rule.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.weights import SLACK_LEFT
+from leastaction.selection.search_state import EXPLAINED, Search
+
+__all__ = ["run"]
+
+_FINER = 1.4  # between one grid and the next
+_CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured: docs/method.md)
+_MOST_MOVED = 0.1  # standard errors
+_MOST_SHRUNK = 0.03
+_DIGITS = 1e-6
+_FASTEST_GROWTH = 10.0
+_GROWN = 1.1
+_MOST_ROUNDS = 6
+_MOST_KNOTS = 3.0  # a sample
+
+
+def run(search: Search) -> Search:
+    """Refine until still finer knots would move coefficients by less than a tenth of a standard error,
+    and standard errors by less than 3 %.
+
+    Where the library is not exact, finer splines may follow vibrations that it knows nothing of: refinement
+    ends when it makes a large equation error larger.
+    """
+    fit = search.found
+    rate = max(t.size / (t[-1] - t[0]) for t in fit.grid.times)
+    growth, factor = np.ones(fit.grid.observations.n_dof), _FINER
+    for done in range(_MOST_ROUNDS):
+        before = fit.grid.knots_per_second
+        if not fit.converged or before > _MOST_KNOTS * rate:
+            return search.now(fit, knots_settled=False, vibrates=False)
+        left = fit.equation_error()[0]
+        grid = Grid.lay(fit.problem, before * factor)
+        search.report("knots", {"knots_per_second": grid.knots_per_second})
+        finer = grid.fit(fit.structure, grid.carried(fit, growth))
+        if not finer.converged or not np.isfinite(finer.evidence):
+            return search.now(fit, knots_settled=False, vibrates=False)
+        off = finer.equation_error()[0]
+        if np.any((off > EXPLAINED) & (off > _GROWN * left)):
+            return search.now(fit, knots_settled=True, vibrates=True)
+        if done and np.any(off > EXPLAINED):  # not for want of knots
+            return search.now(finer, knots_settled=False, vibrates=False)
+        # finer splines leave a smaller equation error, by nearly the same factor in every round, until
+        # hardly any of it is left and its weight no longer matters
+        growth = np.clip(finer.weights.physics / fit.weights.physics, 1.0, _FASTEST_GROWTH)
+        growth[finer.weights.slack < SLACK_LEFT] = 1.0
+        ahead = _change_ahead(fit, finer, 1.0 / (factor**_CONVERGENCE - 1.0))
+        fit = finer
+        if ahead < 1.0:
+            return search.now(fit, knots_settled=True, vibrates=False)
+        skip = ahead > _FINER**_CONVERGENCE and np.all(off <= EXPLAINED)  # the next round would not do
+        factor = _FINER**2 if skip else _FINER
+    return search.now(fit, knots_settled=False, vibrates=False)
+
+
+def _change_ahead(coarser: Fit, finer: Fit, share: float) -> float:
+    """By how much still finer knots will change a fit, relative to what is allowed.
+
+    Where errors fall with a power of the spacing, that is a fixed share of what the last round changed.
+    """
+    # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
+    least = np.maximum(_DIGITS * np.abs(finer.estimates), 1e-150)
+    before, now = (np.maximum(fit.standard_errors, least) for fit in (coarser, finer))
+    move = share * np.abs(finer.estimates - coarser.estimates) / now
+    shrink = np.minimum(share * (before - now), now - least) / now
+    return float(max((move / _MOST_MOVED).max(), (shrink / _MOST_SHRUNK).max()))

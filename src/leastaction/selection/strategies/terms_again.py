@@ -1,0 +1,22 @@
+"""Better structures on the final knots: a grid that was too coarse keeps terms that imitate its error.
+
+Cost: one quadratic model, and a fit for each better structure that it proposes.
+"""
+
+from __future__ import annotations
+
+from leastaction.selection.likelihood_refinement import refine
+from leastaction.selection.search_state import Search
+from leastaction.selection.strategies import finer_knots
+
+__all__ = ["run"]
+
+_ROUNDS = 4
+
+
+def run(search: Search) -> Search:
+    """Refine the structure where it stands, and its knots if it changed."""
+    again = refine(search.found, search.report, _ROUNDS)
+    if again.structure == search.found.structure:
+        return search.now(again)
+    return finer_knots.run(search.now(again))

@@ -1,0 +1,114 @@
+"""Structures proposed by the weak form, which needs no accelerations and no start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start
+from leastaction.selection.kinetic_seeds import kinetic_bases
+from leastaction.selection.likelihood_search import term_penalty
+from leastaction.selection.progress import Progress, law_so_far
+from leastaction.selection.weak_form import WeakForm, WeakGram
+from leastaction.selection.weak_search import beam_search, grow_bases, solve_support, support_score
+
+__all__ = ["Proposal", "propose_structures"]
+
+_WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
+_REPLICATES = 8
+_EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
+_EXPLAINED = 3.0
+_MAX_SIZE = 24  # largest structure that the weak search proposes; the likelihood may add to it
+_TRIED = 60  # structures whose mass matrix is looked at
+_MOSTLY_REGULAR = 0.9
+_OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """A structure with a start for its joint fit on a grid, and the evidence there."""
+
+    grid: Grid
+    structure: Structure
+    start: Start
+    evidence: float
+
+
+def propose_structures(
+    grid: Grid, curve: Smooth, report: Progress, seed: int = 0, thorough: bool = False
+) -> list[Proposal]:
+    """Proposals of several test-function widths, distinct, best first; stops when two widths agree.
+
+    Where no proposal has equations that can be solved for q̈, structures are grown again from kinetic
+    energies that can: with much noise, near-identities of a large library explain the rows as well as the
+    law does. A thorough search does so in any case.
+    """
+    problem = grid.problem
+    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
+    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
+    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
+    widths = [factor * period for factor in _WIDTHS]
+    forces = None if grid.forces is None else grid.forces.values
+    known = problem.completed(np.full(len(problem.candidates), np.nan))
+    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
+    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
+    found: list[Proposal] = []
+    grams = form.grams(curve.control_points, replicates)
+    for from_bases in (False, True):
+        bases = kinetic_bases(grid, curve) if from_bases else None
+        for gram in grams:
+            proposal = _settle(grid, curve, *_best_support(grid, curve, gram, bases))
+            report("search", law_so_far(problem, proposal.start.coefficients, proposal.evidence))
+            if any(proposal.structure == p.structure for p in found):
+                break
+            found.append(proposal)
+        if not thorough and any(np.isfinite(p.evidence) for p in found):
+            break
+    return sorted(found, key=lambda p: -p.evidence)
+
+
+def _best_support(
+    grid: Grid, curve: Smooth, gram: WeakGram, bases: list[tuple[int, ...]] | None
+) -> tuple[Structure, np.ndarray]:
+    """Best structure of one width whose mass matrix is positive definite, and all coefficients."""
+    problem = grid.problem
+    free = problem.free
+    n_rows = max(gram.n_rows / _OVERLAP, 4.0)
+    price = term_penalty(int(n_rows), free.size)
+    first = None
+    for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
+        most = min(free.size, _MAX_SIZE)
+        if bases is None:
+            levels = beam_search(gram, error, price, n_rows, most)
+        else:
+            levels = grow_bases(gram, error, price, n_rows, most, bases)
+        ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
+        if ranked[0].ratio < _EXPLAINED:
+            break
+    for support in ranked[:_TRIED]:
+        coefficients = problem.completed(np.zeros(len(problem.candidates)))
+        coefficients[free] = solve_support(gram, error, support.members)
+        answer = Structure(free[list(support.members)]), coefficients
+        if grid.regular(coefficients, curve.control_points) > _MOSTLY_REGULAR:
+            return answer
+        first = first or answer
+    assert first is not None
+    return first
+
+
+def _settle(grid: Grid, curve: Smooth, structure: Structure, coefficients: np.ndarray) -> Proposal:
+    """Curve and weights for the proposed coefficients, held.
+
+    At small weights the scale of L is hardly determined; in a joint fit it would drift away.
+    """
+    start = grid.start(structure, curve.control_points, coefficients, curve.noise_std)
+    evidence = -np.inf
+    for _ in range(3):
+        start, evidence = grid.fit_curve(structure, start)
+        if not np.isfinite(evidence):
+            break
+    return Proposal(grid, structure, start, evidence)
