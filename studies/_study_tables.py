@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from studies._tables import (
     title_of,
 )
 from studies.faults import FAULTS
+from studies.said import causes_in, codes_in, sentences_in
 
 __all__ = ["tables"]
 
@@ -144,7 +144,7 @@ def _noise_row(records: Records) -> tuple[str, ...]:
     found, run = results(records), [r["result"] for r in records]
     terms = _terms(found)
     ratios = [x for r in found if r["noise_ratio"] for x in r["noise_ratio"]]
-    said = Counter(short(text.split(":")[0], 60) for r in found for text in _each(r["warnings"], r["notes"]))
+    said = Counter(code for r in found for code in codes_in(r))
     commonest = said.most_common(1)
     return (
         share(r.get("exact", False) for r in run),
@@ -159,11 +159,6 @@ def _noise_row(records: Records) -> tuple[str, ...]:
     )
 
 
-def _each(*texts: list[str]) -> dict[str, None]:
-    # not a set: its sequence, which decides among equally common ones, changes with every process
-    return dict.fromkeys(chain(*texts))
-
-
 def _is_right(result: dict) -> bool:
     return bool(result.get("exact")) and result["l2"] <= _RIGHT
 
@@ -175,7 +170,7 @@ def _verdict(result: dict, cause: str) -> str:
         return "no model"
     if result["status"] == "ok":
         return "right" if _is_right(result) else "wrong"
-    return "named" if cause and cause in result["causes"] else "unnamed"
+    return "named" if cause and cause in causes_in(result, "warning") else "unnamed"
 
 
 def _faults(records: Records) -> Iterator[Table]:
@@ -211,8 +206,8 @@ def _fault_row(records: Records, cause: str) -> tuple[str, ...]:
     return (
         str(len(run)),
         *(str(counts[k]) for k in ("right", "wrong", "named", "unnamed", "no model", "failed")),
-        number(np.mean([len(r["causes"]) for r in doubtful]) if doubtful else None, ".1f"),
-        str(sum(bool(cause) and cause in r["causes_in_notes"] for r in quiet)),
+        number(np.mean([len(causes_in(r, "warning")) for r in doubtful]) if doubtful else None, ".1f"),
+        str(sum(bool(cause) and cause in causes_in(r, "note") for r in quiet)),
         f"{sum(r['covered'] for r in quiet)}/{sum(len(r['terms']) for r in quiet)}",
         number(median(seconds), ".1f"),
     )
@@ -222,8 +217,8 @@ def _what_was_said(records: Records, order: dict[str, int]) -> Table:
     rows = []
     groups = cells(records, lambda c: (c["setup"], c["system"], c["noise"]))
     for (setup, system, noise), group in sorted(groups.items(), key=lambda item: order[item[0][0]]):
-        said = Counter(short(w, 160) for r in group for w in _each(r["result"].get("warnings", [])))
-        hints = Counter(short(w, 160) for r in group for w in _each(r["result"].get("notes", [])))
+        said = Counter(short(w, 160) for r in group for w in sentences_in(r["result"], "warning"))
+        hints = Counter(short(w, 160) for r in group for w in sentences_in(r["result"], "note"))
         verdicts = Counter(_verdict(r["result"], FAULTS[setup].cause) for r in group)
         rows.append(
             (

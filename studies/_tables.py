@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import binomtest
 
+from studies.said import sentences_in
+
 __all__ = ["Table", "cells", "failures", "median", "number", "percent", "share", "support_table"]
 
 Records = Sequence[dict]
@@ -133,7 +135,8 @@ def failures(records: Records) -> Table:
                 ", ".join(f"`{p}`" for p in result.get("spurious", {})) or "–",
                 ", ".join(f"`{p}`" for p in result.get("missed", {})) or "–",
                 number(result.get("wall_s"), ".0f"),
-                "; ".join(short(w) for w in result.get("warnings", [])) or result.get("reason", ""),
+                "; ".join(short(text) for text in sentences_in(result, "warning"))
+                or result.get("reason", ""),
             )
         )
     head = ("system", "noise", "set-up", "library", "seed", "status", "spurious", "missed", "s", "warnings")

@@ -1,4 +1,4 @@
-"""Set-ups that are wrong on purpose, one change each, and the words by which a warning would name it.
+"""Set-ups that are wrong on purpose, one change each, and the findings that would name it.
 
 A fault takes a `Question`, what a user would pass to ``discover()``, and returns it with one thing wrong.
 Coefficients are chosen so that a fault is of a size that matters; where the data cannot show it at all, the
@@ -7,14 +7,14 @@ title says so.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 import leastaction as la
 from leastaction import systems
+from leastaction.findings import Finding
 
 __all__ = ["CAUSES", "FAULTS", "SETUPS", "Fault", "Question", "causes_named"]
 
@@ -53,7 +53,7 @@ class Fault:
     title : str
     systems : tuple of str
     cause : str
-        Key of `CAUSES`; "": nothing is wrong, or the data cannot show it.
+        One of `CAUSES`; "": nothing is wrong, or the data cannot show it.
     ask : callable
         Question → question with the fault.
     nature : callable
@@ -70,32 +70,54 @@ class Fault:
     given: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
 
-# The words of each cause, looked for in the warnings; one sentence may name several.
-CAUSES = {
-    "term": r"\bterms?\b[^.:]*missing|missing[^.:]*\bterms?\b|add[^.:]*candidate|larger library",
-    "friction": r"friction|dissipation|damping",
-    "known": r"known (coefficient|term|value)|value[^.:]* known",
-    "sign": r"\bsigns?\b[^.:]*(force|torque)|(force|torque)s?[^.:]*\bsign",
-    "delay": r"delay|\blags?\b|\blate\b|clock|synchron|shifted in time",
-    "scale": r"(force|torque)s?(?:[^.:]|\.\d)*(scale|unit|factor|gain|times too)"
-    r"|(scale|unit|gain)s? of the force",
-    "force": r"\bforces?\b[^.:]*missing|missing[^.:]*\bforces?\b|unknown force",
-    "columns": r"column|swap|interchang|mislabel|mixed up",
-    "sampling": r"sampl\w+ (too )?(fast|slow|rate|more often|often)|too few samples|alias",
-    "wrapped": r"wrap|2π|angles=|--angles",
-    "excitation": r"larger\b[^.:]*motion|cannot tell|hardly (determine|show)|larger (amplitude|swing)",
-    "units": r"degree|radian",
-    "singular": r"undefined|singular|infinite|outside its domain|\bpoles?\b",
+CAUSES = (
+    *("term", "friction", "known", "sign", "delay", "scale", "force", "columns"),
+    *("sampling", "wrapped", "excitation", "units", "singular"),
+)
+
+# The causes that a finding names, to a reader of its remedy; one may name several.
+_NAMED = {
+    "equations-off": ("term", "friction", "known", "sign", "force", "columns"),
+    "missing-term": ("term",),
+    "unmodelled-friction": ("friction",),
+    "energy-fed-in": ("friction", "known", "sign", "force"),
+    "negative-dissipation": ("term", "friction", "known", "sign", "force"),
+    "wrong-known-coefficient": ("known",),
+    "late-forces": ("delay",),
+    "scaled-forces": ("scale",),
+    "swapped-forces": ("columns",),
+    "rate-unrelated": ("columns",),
+    "rate-scaled": ("units",),
+    "looks-like-noise": ("sampling",),
+    "slow-sampling": ("sampling",),
+    "knots-not-settled": ("sampling",),
+    "undeclared-angle": ("wrapped",),
+    "angle-unwrapped": ("wrapped",),
+    "angle-in-degrees": ("units",),
+    "motion-in-noise": ("excitation",),
+    "hardly-determined": ("excitation",),
+    "competing-structures": ("excitation",),
+    "mass-matrix-not-positive": ("term", "known", "sign", "force"),
+    "mass-matrix-not-finite": ("singular",),
+    "equation-error": ("term", "friction"),
 }
 
 
-def causes_named(texts: Sequence[str]) -> list[str]:
-    """Return the causes that some text names.
+def causes_named(findings: Iterable[Finding]) -> list[str]:
+    """Return the causes that some finding names.
 
-    >>> causes_named(["a term, a force or friction may be missing"])
-    ['term', 'friction', 'force']
+    >>> from leastaction.findings import find
+    >>> causes_named([find("mass-matrix-not-positive", share=1.0)])
+    ['term', 'known', 'sign', 'force']
     """
-    return [name for name, words in CAUSES.items() if any(re.search(words, text, re.I) for text in texts)]
+    named = {cause for finding in findings for cause in _causes_of(finding)}
+    return [cause for cause in CAUSES if cause in named]
+
+
+def _causes_of(finding: Finding) -> tuple[str, ...]:
+    named = _NAMED.get(finding.code, ())
+    forces = finding.code == "wrong-known-coefficient" and finding.values.get("force_factor") is not None
+    return (*named, "scale") if forces else named
 
 
 def _without(terms: dict[str, str]) -> Callable[[Question], Question]:

@@ -36,7 +36,7 @@ def _line(case: Case, result: dict) -> str:
     if not result["finished"]:
         return f"{case.key}: {result['status']}: {result['reason']}"
     if result["status"] == "no model":
-        return f"{case.key}: no model: {result['warnings'][0]}"
+        return f"{case.key}: no model: {result['reason']}"
     verdict = "exact" if result["exact"] else "wrong"
     return f"{case.key}: {verdict}, {result['status']}, l2 {result['l2']:.2e}, {result['wall_s']:.1f} s"
 

@@ -12,7 +12,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies.case import Case
-from studies.faults import FAULTS, Question, causes_named
+from studies.faults import FAULTS, Question
 from studies.noises import measured
 
 __all__ = ["pose", "solve"]
@@ -66,22 +66,17 @@ def solve(case: Case) -> dict:
     except (la.InputError, la.DataError) as error:
         return {
             "status": "no model",
-            "warnings": [str(error)],
-            "notes": [],
-            "causes": causes_named([str(error)]),
+            "reason": str(error),
+            "findings": [],
             "exact": False,
             "wall_s": time.perf_counter() - wall,
             "cpu_s": time.process_time() - cpu,
         }
     cost = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     diagnostics = model.diagnostics
-    notes = list(diagnostics.notes) if diagnostics else []
     said = {
         "status": model.fit.status,
-        "warnings": list(model.fit.warnings),
-        "notes": notes,
-        "causes": causes_named(model.fit.warnings),
-        "causes_in_notes": causes_named(notes),
+        "findings": [finding.to_dict() for finding in model.fit.findings],
         "chi2_per_sample": model.fit.chi2_per_sample,
         "noise_ratio": np.divide(model.noise_std, sigma) if np.all(sigma > 0) else None,
         "knots_per_second": model.provenance.get("knots_per_second"),

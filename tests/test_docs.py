@@ -15,6 +15,7 @@ import pytest
 import leastaction as la
 from leastaction import systems
 from leastaction.cli.program import program
+from leastaction.findings import CODES, TEXT
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -80,30 +81,40 @@ def test_every_command_is_on_its_page() -> None:
         assert f"```{{program-output}} leastaction {name} --help\n" in page
 
 
-def _sentences(path: Path) -> list[str]:
-    """The texts of a module, with … for what is filled in."""
-    found = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.JoinedStr):
-            found.append("".join(str(p.value) if isinstance(p, ast.Constant) else "…" for p in node.values))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found.append(node.value)
-    return found
+def _documented(title: str) -> dict[str, set[str]]:
+    """Code → values in one of the tables of report.md."""
+    page = (DOCS / "report.md").read_text(encoding="utf-8").split("## The findings")[1].split("\n## ")[0]
+    rows = re.findall(
+        r"^\| `([a-z-]+)` \|[^|]*\|([^|]*)\|", page.split(f"### {title}")[1].split("### ")[0], re.M
+    )
+    return {code: set(re.findall(r"`([a-z_]+)`", values)) for code, values in rows}
 
 
-def test_every_warning_is_explained() -> None:
-    """The first column of the table in report.md: the beginnings of the sentences of all checks."""
-    page = (DOCS / "report.md").read_text(encoding="utf-8").split("## The warnings")[1].split("\n## ")[0]
-    explained = tuple(re.findall(r"^\| ([^|]+?) \|", page, re.MULTILINE))[1:]
-    explained = tuple(text for text in explained if not text.startswith("---"))
-    modules = sorted((ROOT / "src/leastaction/diagnosis").glob("*.py"))
-    sentences = [text for path in modules for text in _sentences(path)]
-    for beginning in explained:
-        assert any(text.startswith(beginning) for text in sentences), beginning
-    subjects = ("the library", "these data", "the mass", "the motion", "the dissipation", "the solver")
-    subjects += ("friction seems", "energy seems", "the known", "the forces", "the measured", "sampling is")
-    for text in sentences:
-        assert not text.startswith(subjects) or text.startswith(explained), text
+@pytest.mark.parametrize(("title", "severity"), [("Warnings", "warning"), ("Notes", "note")])
+def test_every_code_is_explained(title, severity) -> None:
+    codes = {code for code, row in CODES.items() if row.severity == severity}
+    assert set(_documented(title)) == codes | ({TEXT} if severity == "warning" else set())
+
+
+def test_the_values_of_every_code_are_explained() -> None:
+    documented = _documented("Warnings") | _documented("Notes")
+    given: dict[str, set[str]] = {}
+    partly = set()  # a check that passes a mapping on
+    for path in sorted((ROOT / "src/leastaction").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if (
+                not isinstance(node, ast.Call)
+                or not isinstance(node.func, ast.Name)
+                or node.func.id != "find"
+            ):
+                continue
+            code = node.args[0].value if isinstance(node.args[0], ast.Constant) else None
+            if code in CODES:
+                given.setdefault(code, set()).update(k.arg for k in node.keywords if k.arg)
+                partly.update(code for k in node.keywords if k.arg is None)
+    assert len(given) > 25
+    for code, values in given.items():
+        assert values <= documented[code] if code in partly else values == documented[code], code
 
 
 def _examples() -> list[tuple[str, str]]:

@@ -19,7 +19,7 @@ from leastaction.cli import program
 
 LINES = [f"{k / 50!r},{np.cos(k / 9):.6f},{np.sin(k / 20):.6f}" for k in range(100)]
 SPRING = {
-    "schema": 1,
+    "schema": 2,
     "coordinates": ["x"],
     "terms": [
         {"expression": "x_dot**2", "coefficient": 0.5, "standard_error": 0.0, "known": True},
@@ -27,7 +27,7 @@ SPRING = {
     ],
     "dissipation": [],
     "noise_std": [0.01],
-    "fit": {"status": "ok", "chi2_per_sample": 1.0, "physics_weight": [1.0], "warnings": []},
+    "fit": {"status": "ok", "chi2_per_sample": 1.0, "physics_weight": [1.0], "findings": [], "warnings": []},
     "provenance": {},
 }
 
@@ -363,7 +363,7 @@ def test_other_errors_of_the_system(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"schema": 2}, ("schema", "newer version")),
+        ({"schema": 3}, ("schema", "newer version")),
         ({"schema": "1"}, "schema"),
         ({"coordinates": ["__class__"]}, "__class__"),
         ({"coordinates": "x"}, "coordinates"),

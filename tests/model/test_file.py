@@ -3,11 +3,13 @@ from __future__ import annotations
 import copy
 import json
 import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from leastaction.errors import InputError
+from leastaction.findings import Finding, find
 from leastaction.model.file import MAX_BYTES, MAX_TERMS
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm, load
 
@@ -48,6 +50,60 @@ def test_round_trip(tmp_path):
     assert os.listdir(tmp_path) == ["model.json"]
 
 
+# as version 0.1.0 wrote it
+SCHEMA_1 = """{
+ "schema": 1,
+ "coordinates": ["x"],
+ "terms": [
+  {"expression": "x_dot**2", "coefficient": 0.5, "standard_error": 0.0, "known": true},
+  {"expression": "x**2", "coefficient": -2.0, "standard_error": 0.01, "known": false}
+ ],
+ "dissipation": [],
+ "noise_std": [0.01],
+ "fit": {
+  "status": "doubtful",
+  "chi2_per_sample": 1.4,
+  "physics_weight": [1200.0],
+  "warnings": ["the library seems to lack x**4: with it, 2 free terms explain the motion; add it"]
+ },
+ "provenance": {"version": "0.1.0"},
+ "covariance": [[0.0001]]
+}
+"""
+
+
+def test_a_file_of_schema_1_is_read_and_written_as_schema_2(tmp_path):
+    (tmp_path / "old.json").write_text(SCHEMA_1, encoding="utf-8")
+    old = load(tmp_path / "old.json")
+    sentence = json.loads(SCHEMA_1)["fit"]["warnings"][0]
+    assert old.fit.warnings == (sentence,)
+    assert old.fit.findings == (Finding("text", "warning", message=sentence),)
+    old.save(tmp_path / "new.json")
+    new = json.loads((tmp_path / "new.json").read_text(encoding="utf-8"))
+    assert new["schema"] == 2
+    assert new["fit"]["warnings"] == [sentence]
+    assert [finding["code"] for finding in new["fit"]["findings"]] == ["text"]
+    assert load(tmp_path / "new.json").fit == old.fit
+    stale = json.loads(SCHEMA_1)
+    stale["fit"]["findings"] = []  # that schema has none
+    with pytest.raises(InputError, match="fit has the unknown entry 'findings'"):
+        LagrangianModel.from_dict(stale)
+
+
+def test_findings_are_kept_in_the_file_and_warnings_are_read_off_them(tmp_path):
+    findings = (find("late-forces", delay=0.03, half_a_sample=False, gain=90.0), find("knots-not-settled"))
+    fit = FitSummary("doubtful", 1.0, [1.0, 1.0], findings=findings)
+    replace(pendulum(), fit=fit).save(tmp_path / "model.json")
+    document = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
+    assert document["fit"]["warnings"] == [str(findings[0])]
+    assert document["fit"]["findings"][0]["values"] == {"delay": 0.03, "half_a_sample": False, "gain": 90.0}
+    document["fit"]["warnings"] = ["changed by hand"]
+    again = LagrangianModel.from_dict(document).fit
+    assert again.findings == findings
+    assert again.warnings == (str(findings[0]),)
+    assert again.notes == (str(findings[1]),)
+
+
 def test_schema_of_the_file(tmp_path):
     path = tmp_path / "model.json"
     pendulum().save(path)
@@ -67,7 +123,7 @@ def test_schema_of_the_file(tmp_path):
         "covariance",
     ]
     assert list(saved) == expected
-    assert saved["schema"] == 1
+    assert saved["schema"] == 2
     term = {"expression": "cos(theta)", "coefficient": 9.81, "standard_error": 0.0, "known": True}
     assert saved["terms"][1] == term
     assert saved["dissipation"][0]["standard_error"] is None
@@ -128,8 +184,8 @@ def nested(depth):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (put(["schema"], 2), "newer version of leastaction .* upgrade"),
-        (put(["schema"], True), "schema is True; expected the number 1"),
+        (put(["schema"], 3), "newer version of leastaction .* upgrade"),
+        (put(["schema"], True), "schema is True; expected a whole number up to 2"),
         (put(["schema"], "1"), "schema is '1'"),
         (drop("schema"), "no leastaction model"),
         (drop("terms"), "no entry 'terms'"),
@@ -175,6 +231,24 @@ def nested(depth):
         (put(["fit", "physics_weight"], [1.0]), "physics_weight has 1"),
         (put(["fit", "warnings"], "text"), "fit.warnings is 'text'; expected a list"),
         (put(["fit", "warnings"], [1]), r"fit.warnings\[0\] is 1; expected text"),
+        (put(["fit", "findings"], "text"), "fit.findings is 'text'; expected a list"),
+        (put(["fit", "findings"], ["text"]), r"fit.findings\[0\] is 'text'; expected an object with code"),
+        (put(["fit", "findings", 0, "code"], "Not a code"), r"fit.findings\[0\]: the code is 'Not a code'"),
+        (put(["fit", "findings", 0, "severity"], "fatal"), r"fit.findings\[0\]: the severity is 'fatal'"),
+        (put(["fit", "findings", 0, "subject"], "x"), r"fit.findings\[0\].subject is 'x'; expected a list"),
+        (put(["fit", "findings", 0, "subject"], [1]), r"fit.findings\[0\]: subject\[0\] is 1; expected text"),
+        (
+            put(["fit", "findings", 0, "values"], [1]),
+            r"findings\[0\]: values is \[1\]; expected a mapping",
+        ),
+        (
+            put(["fit", "findings", 0, "values", "a"], {}),
+            r"findings\[0\]: values.a is {}; expected",
+        ),
+        (put(["fit", "findings", 0, "values", "a"], [[1]]), r"fit.findings\[0\]: values.a\[0\] is \[1\]"),
+        (put(["fit", "findings", 0, "message"], None), r"fit.findings\[0\]: message is None; expected text"),
+        (put(["fit", "findings", 0, "extra"], 1), r"fit.findings\[0\] has the unknown entry 'extra'"),
+        (drop("fit", "findings"), "fit has no entry 'findings'"),
         (put(["provenance"], None), "provenance is None"),
         (put(["provenance", "deep"], nested(100)), "nested"),
         (put(["covariance"], [[1.0]]), "covariance has shape"),

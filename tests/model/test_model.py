@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 import pickle
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ import sympy as sp
 from leastaction import io, systems
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.findings import Finding
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.model.notation import rounded
+from report_helpers import spring as spring_with_curve
 
 
 def model_of(system, dissipation=()):
@@ -229,6 +232,9 @@ def test_wrong_parts_are_refused(change, message):
         (lambda: FitSummary(warnings="text"), "sequence"),
         (lambda: FitSummary(physics_weight=3.0), "sequence"),
         (lambda: FitSummary(warnings=[3]), "expected text"),
+        (lambda: FitSummary(findings="text"), "sequence"),
+        (lambda: FitSummary(findings=["text"]), "expected a Finding"),
+        (lambda: FitSummary(warnings=["a"], findings=[Finding.of_text("b")]), "give one of the two"),
     ],
 )
 def test_wrong_terms_and_summaries_are_refused(make, message):
@@ -379,3 +385,17 @@ def test_measured_double_pendulum_is_forecast_in_seconds():
     assert time.perf_counter() - start < 20
     assert result.n_starts == 52
     assert (result.rms < 0.02).all()
+
+
+def test_diagnostics_show_the_findings_of_the_fit():
+    diagnostics = spring_with_curve().diagnostics
+    assert diagnostics is not None
+    assert diagnostics.notes == ()
+    note = Finding.of_text("a bump", "note")
+    fit = FitSummary("doubtful", findings=[Finding.of_text("the shaft is bent"), note])
+    model = replace(spring_with_curve(), fit=fit)
+    assert model.fit.warnings == ("the shaft is bent",)
+    assert model.fit.notes == model.diagnostics.notes == ("a bump",)
+    assert model.diagnostics.findings == fit.findings
+    assert replace(model, fit=FitSummary()).diagnostics.notes == ()
+    assert replace(fit, status="ok").findings == fit.findings

@@ -20,7 +20,6 @@ from leastaction.report.captions import (
 )
 from leastaction.report.mathml import Notation, number_parts
 from leastaction.report.series import Series
-from leastaction.report.text import warning_parts
 from leastaction.report.verdict import verdict
 from leastaction.report.whisker import whisker
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
@@ -99,21 +98,6 @@ def test_energy_and_path_titles():
         "2 free terms; difference in BIC: one term less +50.0, the best rival of this size +7.0"
     )
     assert path_title(points[1:2]) == "2 free terms, without a rival"
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "the library cannot explain x: the equation is off by 2 %; see the likely cause",
-        "likely cause (93 % of the equation error): friction: give abs(x_dot)",
-        "nothing to divide",
-        "unbalanced (: still ( here: there",
-    ],
-)
-def test_warnings_keep_every_word(text):
-    what, rest = warning_parts(text)
-    assert (f"{what}: {rest}" if rest else what) == text
-    assert what.count("(") == what.count(")") or not rest
 
 
 def test_least_sure_term_is_named():

@@ -20,6 +20,7 @@ from leastaction import (
     write_report,
 )
 from leastaction.curve.bspline import SplineGrid
+from leastaction.findings import Finding
 from leastaction.library import Dropped, make_term
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.mathml import number_parts
@@ -158,16 +159,17 @@ def test_same_model_same_page(source, pendulum, tmp_path):
 
 def test_everything_untrusted_is_escaped(tmp_path):
     model = spring(name=HOSTILE)
+    note, warning = Finding.of_text(HOSTILE, "note"), Finding("hostile", "warning", (), {}, HOSTILE, HOSTILE)
+    findings = [note, warning]
     diagnostics = replace(
         model.diagnostics,
-        notes=(HOSTILE,),
         dropped=(Dropped(make_term("x", ["x", "x_dot"]), "null", HOSTILE),),
         timings={HOSTILE: 1.0},
     )
     model = replace(
         model,
         diagnostics=diagnostics,
-        fit=FitSummary("doubtful", 1.0, [1.0], [HOSTILE]),
+        fit=FitSummary("doubtful", 1.0, [1.0], findings=findings),
         provenance={
             "version": HOSTILE,
             "options": {HOSTILE: HOSTILE},
@@ -190,13 +192,18 @@ def test_verdict_comes_first_and_keeps_the_words_of_the_warnings(tmp_path):
     assert verdict.attributes["class"] == "ok"
     assert verdict.one(class_="badge").text.split()[-1] == "ok"
     assert "Hold out a trial" in verdict.text
-    warnings = ["the library cannot explain x: friction (or a force: any) is missing", "no colon <here>"]
-    page = Page(written(tmp_path, replace(model, fit=FitSummary("doubtful", 2.0, [1.0], warnings))))
+    message, remedy = "the library cannot explain x", "friction (or a force: any) is missing"
+    findings = [
+        Finding("missing", "warning", ("x",), {}, message, remedy),
+        Finding.of_text("no colon <here>"),
+    ]
+    fit = FitSummary("doubtful", 2.0, [1.0], findings=findings)
+    page = Page(written(tmp_path, replace(model, fit=fit)))
     main = page.root.one("main")
     verdict = next(c for c in main.children if not isinstance(c, str))
     assert verdict.attributes["class"] == "doubtful"
     assert verdict.one(class_="badge").text.split()[-1] == "doubtful"
-    assert [li.text for li in verdict.all("li")] == warnings
+    assert [li.text for li in verdict.all("li")] == [*fit.warnings]
     assert verdict.all("li")[0].one("b").text == "the library cannot explain x"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from set_ups import SET_UPS, fresh, searched
 
 

@@ -132,9 +132,10 @@ class Finding:
         if isinstance(self.subject, (str, bytes)) or not isinstance(self.subject, Iterable):
             raise InputError(f"the subject is {quoted(self.subject)}; expected a sequence of texts")
         subject = tuple(self.subject)
-        for text in (*subject, self.message, self.remedy):
+        parts = [(f"subject[{i}]", text) for i, text in enumerate(subject)]
+        for name, text in (*parts, ("message", self.message), ("remedy", self.remedy)):
             if not isinstance(text, str):
-                raise InputError(f"a part is {quoted(text)}; expected text")
+                raise InputError(f"{name} is {quoted(text)}; expected text")
         object.__setattr__(self, "subject", tuple(str(text) for text in subject))
         object.__setattr__(self, "values", Figures.of(self.values))
         object.__setattr__(self, "message", str(self.message))

@@ -1,0 +1,176 @@
+"""Every code has sentences, every sentence its figures, and nothing outside the table makes any."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+from string import Formatter
+
+import pytest
+
+from leastaction.findings import CODES, TEXT, Finding, find, sentence
+
+SOURCES = Path(__file__).parents[2] / "src" / "leastaction"
+
+
+def calls() -> list[tuple[str, ast.Call]]:
+    """(file, call) of every ``find(...)`` in the package."""
+    return [
+        (path.name, node)
+        for path in sorted(SOURCES.rglob("*.py"))
+        if path.parent.name != "findings"
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "find"
+    ]
+
+
+def test_every_code_is_used_and_every_code_that_is_used_has_sentences():
+    used = {node.args[0].value for _, node in calls() if isinstance(node.args[0], ast.Constant)}
+    # rates.py chooses among its own
+    by_name = {"rate-constant", "rate-unrelated", "rate-scaled", "rate-offset"}
+    text = (SOURCES / "diagnosis" / "rates.py").read_text(encoding="utf-8")
+    assert all(f'"{code}"' in text for code in by_name)
+    assert used | by_name == set(CODES)
+    assert TEXT not in CODES
+
+
+def test_checks_give_the_figures_that_templates_need():
+    for file, node in calls():
+        if not isinstance(node.args[0], ast.Constant) or any(k.arg is None for k in node.keywords):
+            continue
+        row = CODES[node.args[0].value]
+        given = {"subject", *(k.arg for k in node.keywords)}
+        for text in (row.message, row.remedy, row.on_command_line, row.on_page):
+            if isinstance(text, str):
+                needed = {name for _, name, _, _ in Formatter().parse(text) if name}
+                assert needed <= given, (file, node.lineno)
+
+
+SAID = [
+    (
+        find(
+            "equations-off",
+            "x",
+            equation_error=0.032,
+            residual_ratio=1.2,
+            cause_named=True,
+            may_be_prescribed=True,
+        ),
+        "the library cannot explain x (the equation is off by 3.2 % of its forces, the residual is 1.20 "
+        "times the noise): a term of L, friction or a force may be missing, columns may be swapped, or "
+        "a known value or sign be wrong; see the likely cause below",
+    ),
+    (
+        find("missing-term", ["x"], constant_force="x", free_terms=2, free_terms_before=4, gain=40.2),
+        "the library seems to lack x (with it, 2 free terms instead of 4 explain the motion better, -2 "
+        "log likelihood 40, the price of the terms included): add it to the candidates; in L, x by "
+        "itself is a constant force on it (force_offset)",
+    ),
+    (
+        find("missing-term", ["x**4", "x**6"], constant_force=None, free_terms=3),
+        "the library seems to lack x**4, x**6 (with them, 3 free terms explain the motion): add them to "
+        "the candidates",
+    ),
+    (
+        find(
+            "unmodelled-friction",
+            "(x_dot-y_dot)**2/2",
+            velocities=["x_dot", "y_dot"],
+            coefficient=0.4,
+            gain=50.0,
+        ),
+        "friction seems to act on x_dot, y_dot (coefficient about 0.4, -2 log likelihood 50): give "
+        "(x_dot-y_dot)**2/2 as a candidate for dissipation",
+    ),
+    (
+        find(
+            "wrong-known-coefficient",
+            "x**2",
+            given=1.0,
+            estimate=0.5,
+            fewer_terms=3,
+            gain=40.0,
+            force_factor=0.5,
+        ),
+        "the known coefficient of x**2 may be wrong (set free it becomes 0.5 instead of 1, and 3 terms "
+        "fewer explain the motion better): correct it, or leave it free; or the forces are 0.5 times "
+        "too large",
+    ),
+    (
+        find("late-forces", delay=-0.01, half_a_sample=True, gain=99.0),
+        "the forces seem to act about 10 ms earlier than recorded (-2 log likelihood 99, half a sample; "
+        "are they held from one sample to the next?): find the delay with la.delay.estimate",
+    ),
+    (
+        find("rate-scaled", "x", quantity="velocity", factor=-57.3, unit="deg/s"),
+        "the measured velocity of x is -57.3 times the derivative of its coordinate (degrees per "
+        "second, with the opposite sign?): convert it, or leave it out",
+    ),
+    (
+        find("rate-scaled", "x", quantity="velocity", factor=-1.0, unit="1"),
+        "the measured velocity of x is -1 times the derivative of its coordinate (the opposite sign?): "
+        "convert it, or leave it out",
+    ),
+    (
+        find(
+            "competing-structures", ["x"], others=["y", "z"], at_names=["x", "x_dot"], at_values=[0.123, -2.0]
+        ),
+        "these data cannot tell x from y, z: record motions in which they differ, e.g. through x = "
+        "0.12, x_dot = -2, or leave one of them out",
+    ),
+    (
+        find("hardly-determined", ["x", "y"], scale_open=False, combination=["+ x", "- y"], open=0.4),
+        "these data hardly determine x, y (open to 40 %: the combination + x, - y): record larger or "
+        "different motions, or fix one of the coefficients with known",
+    ),
+    (
+        find("correlated-residuals", "x", quantity="velocity", correlation=0.5),
+        "residuals of velocity of x are correlated from sample to sample (+0.50): coloured noise, "
+        "encoder steps or filtered data; intervals may be too narrow or too wide",
+    ),
+    (
+        find("friction-smoothed", ["x_dot", "y_dot"], widths=[0.01, 0.2]),
+        "abs() of velocities is smoothed (x_dot below 0.01, y_dot below 0.2)",
+    ),
+]
+
+
+@pytest.mark.parametrize(("finding", "text"), SAID, ids=[f.code for f, _ in SAID])
+def test_sentences(finding, text):
+    assert str(finding) == text
+    assert finding.severity == CODES[finding.code].severity
+
+
+def test_what_is_not_finite_still_has_a_sentence():
+    off = find(
+        "equations-off",
+        "x",
+        equation_error=float("inf"),
+        residual_ratio=float("nan"),
+        cause_named=False,
+        may_be_prescribed=False,
+    )
+    assert "off by inf % of its forces" in str(off)
+    assert off.values["equation_error"] is None
+
+
+def test_remedies_speak_of_the_command_line_and_of_the_page():
+    jumps = find("undeclared-angle", "theta", jumps=3)
+    assert str(jumps).endswith("if it is an angle, say so with angles=['theta']")
+    assert sentence(jumps) == str(jumps)
+    assert sentence(jumps, "command line").endswith("say so with --angles theta")
+    assert sentence(jumps, "page").endswith("mark theta as an angle")
+    late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
+    assert "give --force-delay 0.03" in sentence(late, "command line")
+    other = find("motion-in-noise", "x", motion=0.01, noise=0.1)
+    assert sentence(other, "page") == sentence(other, "command line") == str(other)
+
+
+@pytest.mark.parametrize("values", [{}, {"delay": None}, {"delay": "soon"}])
+def test_figures_of_another_version_leave_the_sentence_as_it_was(values):
+    late = Finding("late-forces", "warning", (), values, "the forces are late", "wait")
+    assert sentence(late, "command line") == "the forces are late: wait"
+
+
+def test_codes_nobody_knows_are_shown():
+    assert sentence(Finding("from-the-future", "note", (), {}, "what will be"), "page") == "what will be"
