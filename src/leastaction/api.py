@@ -104,7 +104,8 @@ def discover(
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
         Called as ``progress(stage, details)``; where a stage has an intermediate law, ``details`` holds its
-        ``"coefficients"`` (term → value) and the number of free ``"terms"``.
+        ``"coefficients"`` (term → value) and the number of free ``"terms"``. Raise `leastaction.StopSearch`
+        in it to end a long search: the best law so far comes back, with the finding ``stopped-early``.
 
     Returns
     -------
@@ -181,7 +182,7 @@ def discover(
             "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
     clock.start("verify")
-    alternatives = () if descent else find_alternatives(search.found, relevance)
+    alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
     verdict = verify(search, alternatives)
     clock.stop()
     given = {

@@ -64,7 +64,11 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
+    causes = (
+        []
+        if search.stopped
+        else _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
+    )
     found += [
         find(
             "equations-off",
@@ -96,6 +100,8 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
 
 def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
+    if search.stopped:
+        return []
     fit, relevance = search.found, search.relevance
     usable = fit.converged and np.isfinite(fit.evidence)
     known = wrong_known(fit) if usable else []
