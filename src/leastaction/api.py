@@ -24,6 +24,7 @@ from leastaction.selection.descent import run_descent
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
+from leastaction.threads import single_threaded
 
 __all__ = ["discover"]
 
@@ -31,6 +32,7 @@ _ENOUGH = 50_000  # samples to search on; longer recordings enter when the struc
 _DEGREES = {"gauss-newton": 5, "adam": 3}  # of the splines, by method
 
 
+@single_threaded()
 def discover(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory],
     library: Library | Iterable[str],
