@@ -88,12 +88,6 @@ def build_problem(trajectories, request: Request, most_samples: int | None = Non
     trajectories, unused_forces = _without_forces_on(places, trajectories)
     library = _with_offsets(library.with_dissipation(request.dissipation), request.force_offset)
     known = _resolve_known(library, dict(request.known or {}))
-    for term, value in known.items():
-        if value and not 1.0 / _LARGEST**2 <= abs(value) <= _LARGEST**2:
-            raise InputError(
-                f"the known coefficient of {term.text} is {value:g}; use units in which it lies between "
-                f"{1.0 / _LARGEST**2:g} and {_LARGEST**2:g}"
-            )
     if not known and not trajectories.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
@@ -245,6 +239,11 @@ def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, f
     for text, value in known.items():
         if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):  # type: ignore[arg-type]
             raise InputError(f"the known coefficient of {text!r} is {value!r}; expected a finite number")
+        if value and not 1.0 / _LARGEST**2 <= abs(value) <= _LARGEST**2:
+            raise InputError(
+                f"the known coefficient of {text!r} is {value:g}; use units in which it lies between "
+                f"{1.0 / _LARGEST**2:g} and {_LARGEST**2:g}"
+            )
         kind = "lagrangian"
         if library.dissipation:
             try:
