@@ -131,7 +131,8 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
         return np.zeros(size.size)
     weights = fit.weights
     rms = np.sqrt(2.0 * _BAND / period / weights.physics)
-    return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
+    # an equation without terms has no size to compare with
+    return np.divide(rms, size, out=np.zeros(size.size), where=(weights.slack > _EVIDENT) & (size > 0.0))
 
 
 def _as_forces_are(fit: Fit) -> np.ndarray:
