@@ -64,11 +64,7 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = (
-        []
-        if search.stopped
-        else _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
-    )
+    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
     found += [
         find(
             "equations-off",
