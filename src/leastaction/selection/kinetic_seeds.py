@@ -61,9 +61,9 @@ def kinetic_bases(workspace: Workspace, smooth: Smooth) -> list[tuple[int, ...]]
 def cheapest_combinations(options: Sequence[Sequence[Option]]) -> Iterator[tuple[int, ...]]:
     """Yield the members of all combinations, one option of each coordinate, the cheapest first.
 
-    Best-first: each combination but the first has one parent, with the last option that is not the first of
-    its coordinate exchanged for the one before.  No child is cheaper than its parent, so a heap that holds the
-    children of what was yielded has the next one on top: seven coordinates cost no more than two.
+    Best-first: each combination but the first has one parent, in which its last option that is not a cheapest
+    one is the option before.  No child is cheaper than its parent, so a heap that holds the children of what
+    was yielded has the next one on top: seven coordinates cost no more than two.
 
     Parameters
     ----------
