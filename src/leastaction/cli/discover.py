@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from leastaction.cli.interrupt import stoppable
 from leastaction.cli.options import (
     DataOptions,
     blame,
@@ -160,7 +161,7 @@ def discover(
         )
     import leastaction
 
-    with live_progress("prepare") as progress:
+    with live_progress("prepare") as shown_progress, stoppable(shown_progress) as progress:
         model = leastaction.discover(
             fitted,
             candidates,
