@@ -21,7 +21,7 @@ import resource
 import subprocess
 import sys
 import time
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import click
@@ -159,14 +159,10 @@ def _library(links: int, names: list[str], own: list[str], others: list[str], re
     data = simulate(links, names, relative)
     friction = [f"{a}_dot**2/2" for a in names] if relative else []
     if not relative:  # in the joints, between neighbours
-        friction = [f"{names[0]}_dot**2/2", *(f"({b}_dot-{a}_dot)**2/2" for a, b in _pairs(names))]
+        friction = [f"{names[0]}_dot**2/2", *(f"({b}_dot-{a}_dot)**2/2" for a, b in pairwise(names))]
     library = la.Library([*own, *others], names, angles=names, dissipation=friction)
     texts = {term.text for term in library.terms[: len(own)]} | {t.text for t in library.dissipation}
     return data, library, {}, texts
-
-
-def _pairs(names: list[str]):
-    return zip(names[:-1], names[1:], strict=True)
 
 
 def generated(links: int):

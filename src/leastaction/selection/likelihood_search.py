@@ -162,7 +162,7 @@ class QuadraticModel:
         gradient = right + border @ inside
         turned = border @ inverse
         pivot = np.maximum(np.diag(self.matrix) + _RIDGE - np.einsum("kj,kj->k", turned, border), _RIDGE)
-        # the ridge holds the steps δ_S: a candidate that enters brings its own, one that leaves takes it along
+        # the ridge holds the steps δ_S: a candidate that enters brings its own, one that leaves takes it
         held = _RIDGE * self.here**2
         pull = gradient - _RIDGE * self.here
         added = cost - pull**2 / pivot + held

@@ -322,7 +322,7 @@ class Refiner:
         """Curve and coefficients after the step of the quadratic model to new free coefficients."""
         free, quadratic = self.workspace.free, self._quadratic
         step = there - structure.coefficients[free]
-        shift = quadratic.curve_shift + quadratic.curve_response @ step
+        shift = quadratic.curve_step(step)
         points = structure.fit.control_points
         coefficients = structure.coefficients.copy()
         coefficients[free] = there
