@@ -176,13 +176,22 @@ def generated(links: int):
 
 
 def rows(rows: int):
-    """Long recordings of the double pendulum with a compact library."""
+    """Long recordings of the double pendulum with a compact library, made in another process."""
+    from multiprocessing import get_context
+
+    from leastaction import systems
+
+    with get_context("spawn").Pool(1) as pool:  # the simulation takes more memory than the search
+        data = pool.apply(_long_recordings, (rows,))
+    return data, systems.compact_library("double_pendulum"), {}, _own("double_pendulum")
+
+
+def _long_recordings(rows: int):
     from leastaction import systems
 
     trials = max(1, round(rows / 2000))
     shape = {"trials": trials, "duration": rows / trials / 100.0, "rate": 100.0, "seed": 0}
-    data = systems.generate("double_pendulum", noise=0.1, **shape)
-    return data, systems.compact_library("double_pendulum"), {}, _own("double_pendulum")
+    return systems.generate("double_pendulum", noise=0.1, **shape)
 
 
 def large():
