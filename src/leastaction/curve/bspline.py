@@ -222,30 +222,48 @@ class SplineGrid:
         cuts = [0, *(np.flatnonzero(np.diff(owner)) + 1), owner.size]
         return [(slice(a, b), int(self.first[chunk.start + a])) for a, b in pairwise(cuts)]
 
-    def add_gram(self, banded: np.ndarray, local: np.ndarray, chunk: slice, n_dof: int) -> None:
-        """Add Σ LᵀL of the knot intervals to lower banded storage.
+    def add_products(self, rows: np.ndarray, products: np.ndarray, chunk: slice, origin: int = 0) -> None:
+        """Add what each knot interval contributes to its control points.
 
-        ``local`` is (k, n_quadrature, n_intervals), k = (degree + 1) n_dof: derivatives in the control
-        points that matter in each interval.
+        Parameters
+        ----------
+        rows : (n_points, …) array
+            One row for each control point from ``origin`` on.
+        products : (n_intervals in chunk, degree + 1, …) array
         """
-        k = local.shape[0]
         for run, first in self._runs(chunk):
-            start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
-            part = local[:, :, run]
-            for column in range(k):
-                # the rows of a block's column below the diagonal are a run of one banded column
-                products = np.einsum("rqm,qm->rm", part[column:], part[column])
-                banded[: k - column, start + column : stop + column : n_dof] += products
+            start, length = first - origin, run.stop - run.start
+            for a in range(self.degree + 1):
+                rows[start + a : start + a + length] += products[run, a]
 
-    def add_products(
-        self, rows: np.ndarray, local: np.ndarray, values: np.ndarray, chunk: slice, n_dof: int
-    ) -> None:
-        """Add Σ Lᵀv of the intervals, v (n_columns, n_quadrature, n_intervals), to (size, n_columns) rows."""
+    def add_gram(self, rows: np.ndarray, blocks: np.ndarray, chunk: slice) -> None:
+        """Add symmetric matrices over the local control points of each knot interval to block rows.
+
+        Parameters
+        ----------
+        rows : (n_ctrl, n_dof, (degree + 1) n_dof) array
+            ``rows[p, i]`` is the row of coordinate i of control point p, from the columns of p on.
+        blocks : (n_intervals in chunk, (degree + 1) n_dof, (degree + 1) n_dof) array
+        """
+        n, size = rows.shape[1:]
         for run, first in self._runs(chunk):
-            start, stop = first * n_dof, (first + run.stop - run.start) * n_dof
-            part, value = local[:, :, run], values[:, :, run]
-            for row in range(local.shape[0]):
-                rows[start + row : stop + row : n_dof] += np.einsum("kqm,qm->mk", value, part[row])
+            length = run.stop - run.start
+            for a in range(self.degree + 1):
+                rows[first + a : first + a + length, :, : size - a * n] += blocks[
+                    run, a * n : (a + 1) * n, a * n :
+                ]
+
+    def local_gram(self, rows: np.ndarray, chunk: slice) -> np.ndarray:
+        """Block rows → (n_intervals in chunk, k, k) local matrices whose lower blocks are left zero.
+
+        The inverse of :meth:`add_gram` as far as indices go.
+        """
+        n, size = rows.shape[1:]
+        first = self.first[chunk]
+        out = np.zeros((first.size, size, size))
+        for a in range(self.degree + 1):
+            out[:, a * n : (a + 1) * n, a * n :] = rows[first + a, :, : size - a * n]
+        return out
 
     def design(self, times: Sequence[np.ndarray], nu: int = 0) -> sp.csr_array:
         """Block-diagonal design matrix for one array of times per trajectory."""

@@ -162,5 +162,14 @@ class Fit:
         physics, index = self.grid.physics(self.structure)
         if candidates is None:
             candidates = self.problem.candidates.subset(self.problem.free.tolist())
-        here = Start(self.control_points, self.coefficients[index], self.weights)
-        return score_candidates(self.grid.observations, physics, here, candidates)
+        solution = JointFit(
+            self.control_points,
+            self.coefficients[index],
+            self.covariance,
+            self.linearisation,
+            self.logdet,
+            self.weights,
+            self.status,
+            self.n_steps,
+        )
+        return score_candidates(self.grid.observations, physics, solution, candidates)

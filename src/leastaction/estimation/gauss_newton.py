@@ -1,6 +1,6 @@
 """Gauss–Newton with Levenberg–Marquardt damping on the joint problem.
 
-The control points are eliminated by a banded Cholesky factorisation H = RᵀR; the coefficients solve
+The control points are eliminated by a banded Cholesky factorisation H = LLᵀ; the coefficients solve
 the dense Schur complement
 
     (A − Cᵀ H⁻¹ C) Δλ = −(g_λ − Cᵀ H⁻¹ g_P),
@@ -14,15 +14,25 @@ that cannot leave this region ends as "not finite".
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from leastaction.estimation.joint import Linearisation, Observations, Physics, Weights, linearise
+from leastaction.estimation.banded import BandedFactor
+from leastaction.estimation.candidates import CandidateBorder, schur_complement
+from leastaction.estimation.joint import (
+    Linearisation,
+    NormalEquations,
+    Observations,
+    Physics,
+    Weights,
+    linearise,
+    volume_term,
+)
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates"]
+__all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
 
 _LARGEST_DAMPING = 1e8
 _MOST_IDLE = 3
@@ -69,33 +79,34 @@ class JointFit:
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """The cost as a function of the coefficients alone, the curve eliminated: ½-gradient and matrix."""
+    """The cost as a function of the coefficients alone, the curve eliminated.
+
+    Attributes
+    ----------
+    gradient, matrix : (n_border,) and (n_border, n_border) arrays
+        Half gradient, and half second derivative.
+    factor : BandedFactor
+        Of H.
+    curve_gradient : (n_ctrl · n_dof,) array
+        Half gradient in the control points.
+    border : callable
+        (n_border,) step → C · step.
+    """
 
     gradient: np.ndarray
     matrix: np.ndarray
-    curve_shift: np.ndarray
-    curve_response: np.ndarray
-    logdet: float
+    factor: BandedFactor
+    curve_gradient: np.ndarray
+    border: Callable[[np.ndarray], np.ndarray]
 
+    @property
+    def logdet(self) -> float:
+        """log |H|"""
+        return self.factor.logdet
 
-def assemble(observations: Observations, linearisation: Linearisation, weights: Weights) -> np.ndarray:
-    """H in lower banded storage, its diagonal raised by a rounding error."""
-    banded = weights.physics[0] * linearisation.bands[0]
-    for weight, band in zip(weights.physics[1:], linearisation.bands[1:], strict=True):
-        banded += weight * band
-    observations.add_band(banded, weights.noise_std)
-    banded[0] *= 1.0 + 1e-14
-    return banded
-
-
-def cholesky(banded: np.ndarray) -> np.ndarray:
-    """Banded Cholesky factor, in place; raises LinAlgError when H is not positive definite."""
-    return cholesky_banded(banded, overwrite_ab=True, lower=True, check_finite=False)
-
-
-def logdet(factor: np.ndarray) -> float:
-    """log |H| from its Cholesky factor."""
-    return 2.0 * float(np.log(factor[0]).sum())
+    def curve_step(self, step: np.ndarray) -> np.ndarray:
+        """H⁻¹(g_P + C · step), flat: subtract it from the control points as λ moves by the step."""
+        return self.factor.solve(self.curve_gradient + self.border(step))
 
 
 def condense(
@@ -108,25 +119,22 @@ def condense(
     numpy.linalg.LinAlgError
         When H is not positive definite, or not finite.
     """
-    banded = assemble(observations, linearisation, weights)
-    banded[0] *= 1.0 + damping
-    factor = cholesky(banded)
-    if not np.isfinite(factor[0]).all():  # LAPACK may factorise NaN without complaint
+    return _eliminate(linearisation.normal(weights), damping)
+
+
+def _eliminate(normal: NormalEquations, damping: float = 0.0) -> Quadratic:
+    """A − CᵀH⁻¹C and g_λ − CᵀH⁻¹g_P from the triangular factor alone."""
+    factor = BandedFactor.of(normal.rows, damping)
+    if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
         raise np.linalg.LinAlgError("the normal matrix is not finite")
-    curve_gradient, gradient = linearisation.gradients(weights)
-    border = np.tensordot(weights.physics, linearisation.borders, 1)
-    corner = np.tensordot(weights.physics, linearisation.corners, 1)
-    corner += linearisation.mean(weights.volume) * linearisation.volume_corner
-    right = np.column_stack([curve_gradient, border])
-    solved = cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False)
-    shift, response = solved[:, 0], solved[:, 1:]
-    matrix = corner - border.T @ response
+    half = factor.forward(normal.border)
+    products = half.T @ half
     return Quadratic(
-        gradient - border.T @ shift,
-        0.5 * (matrix + matrix.T),
-        shift,
-        response,
-        logdet(factor),
+        normal.gradient - products[1:, 0],
+        normal.corner - products[1:, 1:],
+        factor,
+        normal.border[:, 0],
+        normal.border[:, 1:].dot,
     )
 
 
@@ -177,11 +185,12 @@ def fit_joint(
     if not np.isfinite(cost):
         return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
     step = idle = 0
+    normal = here.normal(weights)
     while step < max_steps:
         step += 1
         try:
-            quadratic = condense(observations, here, weights, damping)
-            shift, delta, predicted = _step(here, weights, quadratic, damping)
+            quadratic = _eliminate(normal, damping)
+            shift, delta, predicted = _step(normal, quadratic, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -196,6 +205,7 @@ def fit_joint(
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < tolerance else 0
             control_points, coefficients, here, cost = new_points, new_coefficients, there, new_cost
+            normal = here.normal(weights)
             damping = damping / 10.0 if damping > 1e-6 else 0.0
             if predicted < tolerance and damping < 1e-3:
                 status = "converged"
@@ -212,16 +222,15 @@ def fit_joint(
     return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
 
 
-def _step(here: Linearisation, weights: Weights, quadratic: Quadratic, damping: float):
+def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
     """Steps of curve and coefficients, and how much they should lower the cost.
 
     Raises LinAlgError when they are not finite.
     """
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
-    shift = -(quadratic.curve_shift + quadratic.curve_response @ delta)
-    curve_gradient, gradient = here.gradients(weights)
-    predicted = -float(curve_gradient @ shift + gradient @ delta)
+    shift = -quadratic.curve_step(delta)
+    predicted = -float(quadratic.curve_gradient @ shift + normal.gradient @ delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
     return shift, delta, predicted
@@ -250,14 +259,29 @@ def score_candidates(
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
 
     Candidates that overflow along the curve promise nothing: their gradient and couplings are zero.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When H is not positive definite.
     """
-    at_fit = linearise(observations, physics, fit.control_points, fit.coefficients, candidates)
-    quadratic = condense(observations, at_fit, fit.weights)
-    diagonal = np.diag(quadratic.matrix)
-    lost = ~(np.isfinite(diagonal) & np.isfinite(quadratic.gradient))
-    if not lost.any():
-        return quadratic
-    gradient = np.where(lost, 0.0, quadratic.gradient)
-    matrix = np.where(lost[:, None] | lost, np.diag(np.ones(lost.size)), quadratic.matrix)
-    response = np.where(lost, 0.0, quadratic.curve_response)
-    return replace(quadratic, gradient=gradient, matrix=matrix, curve_response=response)
+    at, weights = fit.linearisation, fit.weights
+    normal = at.normal(weights)
+    curve_gradient = normal.border[:, 0].copy()
+    factor = BandedFactor.of(normal.rows)
+    border = CandidateBorder(at, weights, fit.control_points, candidates)
+    volume = volume_term(observations.grid, physics.columns, fit.control_points, fit.coefficients, candidates)
+    schur = schur_complement(border, factor, curve_gradient)
+    gradient = schur[1:, 0] - weights.volume @ volume.slope
+    matrix = schur[1:, 1:] + at.mean(weights.volume) * volume.corner
+    lost = ~(np.isfinite(np.diag(matrix)) & np.isfinite(gradient))
+    if lost.any():
+        gradient = np.where(lost, 0.0, gradient)
+        matrix = np.where(lost[:, None] | lost, np.eye(lost.size), matrix)
+    return Quadratic(
+        gradient,
+        matrix,
+        factor,
+        curve_gradient,
+        lambda step: border(np.where(lost, 0.0, step)),
+    )

@@ -10,6 +10,7 @@ Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural C
     σ_c² = Σ (y_c − N_c P)² / (n_c − η_c),   η_c = ∂ log|H| / ∂ log σ_c⁻²,
 
 the latter for every channel c: positions, and velocities and accelerations where they are measured.
+The derivatives are traces, tr(H⁻¹ ∂H/∂ log w_i), taken exactly (:mod:`leastaction.estimation.banded`).
 
 An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
 """
@@ -20,13 +21,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.gauss_newton import JointFit, assemble, cholesky, fit_joint, logdet
+from leastaction.estimation.banded import BandedFactor, trace_product
+from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Observations, Physics, Weights, linearise
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is left
-_LOG_STEP = 0.05
 # equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
 _SMALL, _EXACT = 1e-3, 1e-5
 # below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
@@ -112,25 +113,15 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         When H is not positive definite, or not finite.
     """
     weights, at = fit.weights, fit.linearisation
-
-    band = assemble(observations, at, weights)
-
-    def slope(part: np.ndarray, stride: int = 1, offset: int = 0) -> float:
-        """Derivative of log|H| in the logarithm of one weight, whose part of H is given."""
-        both = []
-        for factor in (np.expm1(_LOG_STEP), np.expm1(-_LOG_STEP)):
-            moved = band.copy()
-            moved[::stride, offset::stride] += factor * part
-            both.append(logdet(cholesky(moved)))
-        return 0.5 * (both[0] - both[1]) / _LOG_STEP
-
+    inverse = BandedFactor.of(at.normal(weights).rows).inverse_rows()
+    used = at.traces(weights, inverse)
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):
         if at.equation[i] <= _NOTHING:
             slack[i], new_physics[i] = rank, weights.physics[i]
             continue
-        slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
+        slack[i] = max(rank - used[i], 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
         lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
@@ -141,8 +132,8 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
             least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
             new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
     for c, i in enumerate(observations.coordinates):
-        used = slope(observations.gram(c) / weights.noise_std[c] ** 2, n, i)
-        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
+        freedom = trace_product(inverse, i, observations.gram(c)) / weights.noise_std[c] ** 2
+        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - freedom, 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
     slack[list(at.prescribed)] = 0.0
     if not (np.isfinite(new_physics).all() and np.isfinite(new_noise).all()):

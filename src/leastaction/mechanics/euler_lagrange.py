@@ -72,6 +72,12 @@ def _clean(expr: sp.Expr) -> sp.Expr:
     return expr.replace(sp.DiracDelta, lambda *_: sp.Integer(0)) if expr.has(sp.DiracDelta) else expr
 
 
+def _gradient(expr: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]:
+    """∂expr/∂symbol for each; most are zero where there are many coordinates, and SymPy is not asked."""
+    present = expr.free_symbols
+    return [_clean(sp.diff(expr, s)) if s in present else sp.S.Zero for s in symbols]
+
+
 class _Compiled:
     """Several expressions of (q, q̇, q̈) as one numpy function; zeros are left out."""
 
@@ -137,46 +143,38 @@ class _Column:
 
     def _weak(self) -> dict[tuple[int, ...], sp.Expr]:
         """(0, i): what χ̇ multiplies, ∂φ/∂q̇_i; (1, i): what χ multiplies, ∂φ/∂q_i or −∂ψ/∂q̇_i."""
-        phi, out = self.term.expr, {}
-        for i in range(self.n_dof):
-            rate = _clean(sp.diff(phi, self.qdot[i]))
-            if self.term.kind == "dissipation":
-                out[1, i] = -rate
-            else:
-                out[0, i] = rate
-                out[1, i] = _clean(sp.diff(phi, self.q[i]))
-        return out
+        rates = _gradient(self.term.expr, self.qdot)
+        if self.term.kind == "dissipation":
+            return {(1, i): -rate for i, rate in enumerate(rates)}
+        slopes = _gradient(self.term.expr, self.q)
+        return {(part, i): e for part, row in enumerate((rates, slopes)) for i, e in enumerate(row)}
 
     def _mass(self) -> dict[tuple[int, ...], sp.Expr]:
         if self.term.kind == "dissipation":
             return {}
-        momentum = [sp.diff(self.term.expr, v) for v in self.qdot]
-        return {
-            (i, j): _clean(sp.diff(p, self.qdot[j]))
-            for i, p in enumerate(momentum)
-            for j in range(self.n_dof)
-        }
+        rows = [_gradient(p, self.qdot) for p in _gradient(self.term.expr, self.qdot)]
+        return {(i, j): entry for i, row in enumerate(rows) for j, entry in enumerate(row)}
 
     def _strong(self) -> dict[tuple[int, ...], sp.Expr]:
-        phi, out = self.term.expr, {}
-        for i in range(self.n_dof):
-            momentum = _clean(sp.diff(phi, self.qdot[i]))
-            if self.term.kind == "dissipation":
-                out[(i,)] = momentum
-                continue
-            pieces = [_clean(sp.diff(momentum, v)) * a for v, a in zip(self.qdot, self.qddot, strict=True)]
-            pieces += [_clean(sp.diff(momentum, x)) * v for x, v in zip(self.q, self.qdot, strict=True)]
-            out[(i,)] = sp.Add(*pieces, -_clean(sp.diff(phi, self.q[i])))
+        momenta = _gradient(self.term.expr, self.qdot)
+        if self.term.kind == "dissipation":
+            return {(i,): momentum for i, momentum in enumerate(momenta)}
+        out, slopes = {}, _gradient(self.term.expr, self.q)
+        state, rates = [*self.qdot, *self.q], [*self.qddot, *self.qdot]
+        for i, (momentum, slope) in enumerate(zip(momenta, slopes, strict=True)):
+            pieces = [d * rate for d, rate in zip(_gradient(momentum, state), rates, strict=True)]
+            out[(i,)] = sp.Add(*pieces, -slope)
         return out
 
     def _jacobian(self) -> dict[tuple[int, ...], sp.Expr]:
         """(nu, i, j): ∂E_i/∂q_j^{(nu)}."""
-        out = {}
-        for (i,), expr in self._strong().items():
-            for nu, symbols in enumerate((self.q, self.qdot, self.qddot)):
-                for j, s in enumerate(symbols):
-                    out[nu, i, j] = _clean(sp.diff(expr, s))
-        return out
+        states = [(nu, j) for nu in range(3) for j in range(self.n_dof)]
+        symbols = [*self.q, *self.qdot, *self.qddot]
+        return {
+            (nu, i, j): entry
+            for (i,), expr in self._strong().items()
+            for (nu, j), entry in zip(states, _gradient(expr, symbols), strict=True)
+        }
 
 
 @lru_cache(maxsize=2048)

@@ -93,7 +93,7 @@ class Neighbourhood:
         free = self.fit.problem.free
         coefficients = self.coefficients(positions)
         step = (coefficients - self.fit.coefficients)[free]
-        shift = self.quadratic.curve_shift + self.quadratic.curve_response @ step
+        shift = self.quadratic.curve_step(step)
         points = self.fit.control_points
         return Start(points - shift.reshape(points.shape), coefficients, self.fit.weights)
 

@@ -61,7 +61,9 @@ def backward_search(
         if len(smaller[0].members) > 1:
             base = {s.members for s in _reductions(scaled, smaller[:1], width)}
             again = best_extensions(scaled, base, width)
-            smaller = sorted({s.members: s for s in [*again, *smaller]}.values(), key=lambda s: s.ratio)[:width]
+            smaller = sorted({s.members: s for s in [*again, *smaller]}.values(), key=lambda s: s.ratio)[
+                :width
+            ]
         levels.append(smaller)
         kept = smaller
     return levels[::-1]

@@ -61,7 +61,9 @@ class ScaledGram:
         """ρ of one support."""
         index = np.array([*members, self.known])
         root = inverse_root(self.reference[np.ix_(index, index)])
-        return max(float(np.linalg.eigvalsh(root @ self.residual[np.ix_(index, index)] @ root.T)[0]), _SMALLEST)
+        return max(
+            float(np.linalg.eigvalsh(root @ self.residual[np.ix_(index, index)] @ root.T)[0]), _SMALLEST
+        )
 
     def extended(self, supports: np.ndarray) -> np.ndarray:
         """ρ of every support with every candidate added: (n_supports, size) → (n_supports, n_candidates).

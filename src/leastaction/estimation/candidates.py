@@ -1,0 +1,103 @@
+"""All candidates scored about a fit, the curve eliminated, in one pass along the motion.
+
+With H = LLᵀ from the fit and Y = L⁻¹[g_P, C], C the columns of all candidates, the Schur complement
+
+    A − CᵀH⁻¹C = A − YᵀY,    g_λ − CᵀH⁻¹g_P = g_λ − Yᵀy_g
+
+adds up over the rows of Y.  L is banded, so the rows of one stretch of the motion follow from those of the
+last few control points before it: nothing of the size candidates × control points is ever held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.estimation.banded import BandedFactor
+from leastaction.estimation.joint import (
+    Linearisation,
+    Weights,
+    by_interval,
+    points_at,
+)
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["CandidateBorder", "schur_complement"]
+
+_STRETCH, _SHORTEST = 512, 16  # knot intervals
+_NUMBERS = 2_000_000  # in the columns of one stretch, at most: 16 MB
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateBorder:
+    """The columns of candidates along the motion of a fit.  Called: C · step, without C."""
+
+    linearisation: Linearisation
+    weights: Weights
+    control_points: np.ndarray
+    candidates: EulerLagrange
+
+    def __call__(self, step: np.ndarray) -> np.ndarray:
+        out = np.zeros(self.control_points.shape)
+        (moved,) = np.nonzero(step)
+        if moved.size:
+            moving = CandidateBorder(
+                self.linearisation, self.weights, self.control_points, self.candidates.subset(moved.tolist())
+            )
+            for chunk, jacobian, columns in moving.stretches():
+                grid = self.linearisation.observations.grid
+                values = columns[:, :, 1:] @ step[moved]
+                products = (jacobian.transpose(0, 2, 1) @ values[:, :, None])[:, :, 0]
+                grid.add_products(out, products.reshape(len(values), -1, out.shape[1]), chunk)
+        return out.ravel()
+
+    def stretches(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Runs of knot intervals with √w J and √w [r, e], (m, n_equations, n_local or 1 + n) each."""
+        grid, size = self.linearisation.observations.grid, 1 + len(self.candidates)
+        n, n_quad = self.control_points.shape[1], grid.weights.shape[1]
+        root = np.sqrt(self.weights.physics)[:, None, None]
+        length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
+        for part in self.linearisation.parts:
+            for a in range(part.chunk.start, part.chunk.stop, length):
+                chunk = slice(a, min(a + length, part.chunk.stop))
+                inside = slice(chunk.start - part.chunk.start, chunk.stop - part.chunk.start)
+                columns = np.empty((chunk.stop - chunk.start, n, n_quad, size))
+                columns[..., 0] = part.right[inside, ..., 0]
+                strong = self.candidates.strong(points_at(grid, self.control_points, chunk))
+                by_interval(strong, columns[..., 1:])
+                columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
+                columns[..., :1] *= root
+                jacobian = root * part.jacobian[inside]
+                yield (
+                    chunk,
+                    jacobian.reshape(len(columns), n * n_quad, -1),
+                    columns.reshape(len(columns), n * n_quad, size),
+                )
+
+
+def schur_complement(border: CandidateBorder, factor: BandedFactor, curve_gradient: np.ndarray) -> np.ndarray:
+    """(1 + n, 1 + n): moments of [r, e] less those of [y_g, Y]."""
+    grid, n = border.linearisation.observations.grid, border.control_points.shape[1]
+    size = 1 + len(border.candidates)
+    out = np.zeros((size, size))
+    carried, solved = np.zeros((0, n, size)), np.zeros((0, size))
+    for chunk, jacobian, columns in border.stretches():
+        flat = columns.reshape(-1, size)
+        out += flat.T @ flat
+        start, last = int(grid.first[chunk.start]), int(grid.first[chunk.stop - 1])
+        rows = np.zeros((last + grid.degree + 1 - start, n, size))
+        rows[: len(carried)] = carried
+        products = jacobian.transpose(0, 2, 1) @ columns
+        grid.add_products(rows, products.reshape(len(columns), -1, n, size), chunk, start)
+        # control points that no later interval reaches
+        stop = len(rows) if chunk.stop == grid.n_intervals else int(grid.first[chunk.stop]) - start
+        right = rows[:stop].reshape(-1, size)
+        right[:, 0] = curve_gradient[start * n : (start + stop) * n]
+        carried = rows[stop:].copy()
+        # L reaches back over `degree` control points, more than a short stretch may have
+        fresh = factor.forward(right, start * n, solved)
+        out -= fresh.T @ fresh
+        solved = np.concatenate([solved, fresh])[-(grid.degree + 1) * n :]
+    return out
