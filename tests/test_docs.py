@@ -81,7 +81,7 @@ def test_every_command_is_on_its_page() -> None:
         assert f"```{{program-output}} leastaction {name} --help\n" in page
 
 
-def _documented(title: str) -> dict[str, set[str]]:
+def _explained(title: str) -> dict[str, set[str]]:
     """Code → values in one of the tables of report.md."""
     page = (DOCS / "report.md").read_text(encoding="utf-8").split("## The findings")[1].split("\n## ")[0]
     rows = re.findall(
@@ -93,19 +93,17 @@ def _documented(title: str) -> dict[str, set[str]]:
 @pytest.mark.parametrize(("title", "severity"), [("Warnings", "warning"), ("Notes", "note")])
 def test_every_code_is_explained(title, severity) -> None:
     codes = {code for code, row in CODES.items() if row.severity == severity}
-    assert set(_documented(title)) == codes | ({TEXT} if severity == "warning" else set())
+    assert set(_explained(title)) == codes | ({TEXT} if severity == "warning" else set())
 
 
 def test_the_values_of_every_code_are_explained() -> None:
-    documented = _documented("Warnings") | _documented("Notes")
+    documented = _explained("Warnings") | _explained("Notes")
     given: dict[str, set[str]] = {}
     partly = set()  # a check that passes a mapping on
     for path in sorted((ROOT / "src/leastaction").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if (
-                not isinstance(node, ast.Call)
-                or not isinstance(node.func, ast.Name)
-                or node.func.id != "find"
+            if not (
+                isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "find"
             ):
                 continue
             code = node.args[0].value if isinstance(node.args[0], ast.Constant) else None
