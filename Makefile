@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
 TEST_ARGS ?=
+KERNELS ?= Haswell Sandybridge
 RUN_ARGS ?=
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
@@ -14,7 +15,7 @@ export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
 STUDIES := structure single calibration faults noise further
-.PHONY: help demo test lint format docs gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
+.PHONY: help demo test test-kernels lint format docs gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
   reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
@@ -22,6 +23,7 @@ STUDIES := structure single calibration faults noise further
 help:
 	@echo "make demo           find the Lagrangian of a measured double pendulum; report in demo-output/"
 	@echo "make test           run the tests (TEST_ARGS='-k spline' for some of them)"
+	@echo "make test-kernels   run the numeric tests under other kernels of OpenBLAS (KERNELS='$(KERNELS)')"
 	@echo "make lint           check style, types and the direction of imports"
 	@echo "make format         put the code into the style that lint checks"
 	@echo "make docs           build the documentation into docs/_build/html, gallery included (minutes)"
@@ -42,6 +44,10 @@ demo: $(STAMPS)/core
 # Two workers with one BLAS thread each: small matrices gain nothing from more threads.
 test: $(STAMPS)/test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -q $(TEST_ARGS)
+
+# Kernels of OpenBLAS round differently: results must not depend on the processor.
+test-kernels: $(STAMPS)/test
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/kernels.py $(KERNELS) -- -n 2 -q $(TEST_ARGS)
 
 lint: $(STAMPS)/lint
 	$(BIN)/ruff check .
@@ -70,12 +76,12 @@ bench: $(STAMPS)/core
 study-systems: $(STAMPS)/core
 	$(BIN)/python benchmarks/accuracy.py
 
-# What has a record in studies/results/ is not run again.
+# What has a record in studies/results/NAME.jsonl is not run again.
 $(STUDIES:%=study-%): study-%: $(STAMPS)/core
 	$(BIN)/python -m studies.run $* $(RUN_ARGS)
 	$(BIN)/python -m studies.collate $*
 
-# What has a record in reproduction/results/ is not run again.
+# What has a record in reproduction/results/METHOD.jsonl is not run again.
 table1 table2: table%: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.run --table $* $(RUN_ARGS)
 	$(BIN)/python -m reproduction.collate
@@ -92,7 +98,7 @@ reproduce-smoke: $(STAMPS)/reproduction
 
 clean:
 	rm -rf demo-output build dist docs/_build docs/gallery .pytest_cache .hypothesis .ruff_cache .import_linter_cache
-	find src tests benchmarks examples docs -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find src tests benchmarks examples docs reproduction runner studies -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # A working environment is kept, whoever made it; a broken or too old one is made anew.
 $(STAMPS)/venv:

@@ -2,39 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
-import platform
-import subprocess
 import sys
 import threading
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-import leastaction as la
 from reproduction.problem import Case, pose
 from reproduction.scoring import score
+from runner.origin import commit, failure, machine, versions
 
-__all__ = [
-    "ROOT",
-    "commit",
-    "end_with_parent",
-    "execute",
-    "failure",
-    "machine",
-    "to_json",
-    "versions",
-    "write",
-]
+__all__ = ["end_with_parent", "execute", "record"]
 
-ROOT = Path(__file__).resolve().parents[1]
-_ALWAYS = ("numpy", "scipy", "sympy", "leastaction")
+_CODE = ":(glob)reproduction/**/*.py"
 # module → package whose version is noted if the run has loaded it
 _PEERS = {
     "pysindy": "pysindy",
@@ -78,70 +62,17 @@ def execute(case: Case, method: ModuleType, parallel: int = 1) -> dict:
     return record(case.as_dict(), result, method, parallel)
 
 
-def failure(status: str, reason: str) -> dict:
-    """Return the result of a run without an answer; the reason without this machine's folders."""
-    for folder in (str(ROOT), sys.prefix):
-        reason = reason.replace(folder, ".")
-    return {"finished": False, "status": status, "reason": reason}
-
-
 def record(config: Mapping, result: Mapping, method: ModuleType | None, parallel: int) -> dict:
     """Return what is kept of a run."""
     return {
         "config": dict(config),
         "result": dict(result),
         "method": {"title": getattr(method, "TITLE", None), "reference": getattr(method, "REFERENCE", None)},
-        "versions": versions(),
+        "versions": versions(_PEERS),
         "machine": machine() | {"parallel_runs": parallel},
-        "commit": commit(),
+        "commit": commit(_CODE),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, of our packages, and of those peers that this process has loaded."""
-    peers = (package for module, package in _PEERS.items() if module in sys.modules)
-    return {"python": platform.python_version()} | {
-        name: metadata.version(name) for name in (*_ALWAYS, *peers)
-    }
-
-
-def machine() -> dict:
-    """What a timing depends on; nothing that names the machine."""
-    processor = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        processor = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return {"processor": processor, "cores": os.cpu_count(), "system": platform.system()}
-
-
-def commit(code: Sequence[str] = ("src", ":(glob)reproduction/**/*.py")) -> str:
-    """The checked-out commit, with "+changes" if code differs from it; "" outside a repository."""
-    try:
-        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True)
-        clean = subprocess.run(["git", "status", "--porcelain", "--", *code], cwd=ROOT, capture_output=True)
-    except OSError:
-        return ""
-    return head.stdout.strip() + ("+changes" if clean.stdout else "")
-
-
-def to_json(document: Mapping) -> str:
-    """JSON text of a record; numbers that are not finite become null."""
-    return json.dumps(_plain(document), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value):
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if hasattr(value, "tolist"):  # NumPy arrays and scalars
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
 
 
 def _peak_mb() -> float:
@@ -175,8 +106,3 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()
-
-
-def write(path: Path, document: Mapping) -> None:
-    """Write a record, all or nothing."""
-    la.io.write_text(path, to_json(document))

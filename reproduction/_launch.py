@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from reproduction._execute import ROOT, failure, record
+from reproduction._execute import record
 from reproduction.problem import Case
+from runner.origin import ROOT, failure
+from runner.processes import end, environment, last_words
 
 __all__ = ["Options", "launch", "launched"]
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ class _Running:
         try:
             yield process
         finally:
-            _end(process)
+            end(process)
             with self._lock:
                 self._processes.discard(process)
 
@@ -71,19 +69,7 @@ class _Running:
         with self._lock:
             self._stopped = True
             for process in self._processes:
-                _end(process)
-
-
-def _end(process: subprocess.Popen) -> None:
-    """End a process and what it has started, if it still runs."""
-    if process.poll() is None:
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, signal.SIGKILL)  # it leads a group of its own
-        else:
-            process.kill()
-        process.wait()
-    if process.stdin:
-        process.stdin.close()
+                end(process)
 
 
 def launch(case: Case, options: Options, running: _Running | None = None) -> dict:
@@ -93,7 +79,7 @@ def launch(case: Case, options: Options, running: _Running | None = None) -> dic
         command = [sys.executable, "-m", "reproduction.run", "--one", json.dumps(asdict(case))]
         command += ["--record", str(target), "--methods-from", options.methods, "--jobs", str(options.jobs)]
         with log.open("wb") as stream:
-            how = {"cwd": ROOT, "env": _environment(), "stdout": stream, "stderr": stream}
+            how = {"cwd": ROOT, "env": environment(), "stdout": stream, "stderr": stream}
             how |= {"stdin": subprocess.PIPE, "start_new_session": True}
             with (running or _Running()).start(command, **how) as process:
                 try:
@@ -106,23 +92,11 @@ def launch(case: Case, options: Options, running: _Running | None = None) -> dic
         if late:
             result = failure("timed out", f"no result after {options.timeout:g} s")
         else:
-            result = failure("failed", _last_words(process.returncode, log))
+            result = failure("failed", last_words(process.returncode, log))
     return record(case.as_dict(), result, None, options.jobs)
 
 
-def _environment() -> dict[str, str]:
-    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
-    return {**os.environ, **dict.fromkeys(_THREADS, "1"), "MPLBACKEND": "Agg", "PYTHONPATH": path}
-
-
-def _last_words(code: int, log: Path) -> str:
-    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
-    last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-    how = f"ended by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-    return f"the process {how}" + (f": {last}" if last else "")
-
-
-def launched(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict]]:
+def launched(cases: Sequence[Case], options: Options) -> Generator[tuple[Case, dict], None, None]:
     """Run cases and yield (case, record) as they end; every case once.
 
     A Dask worker that dies gives its cases to the others; a case that takes several workers with it becomes a

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,8 @@ import numpy as np
 
 from leastaction import systems
 from reproduction import methods
+from reproduction.problem import Case
+from runner.store import Store
 
 __all__ = ["Column", "Group", "Results", "best", "complete", "read"]
 
@@ -40,18 +41,8 @@ class Group:
 
 
 def read(folder: Path) -> Results:
-    """Read every record of a folder; ValueError names a file that is not one."""
-    records = []
-    for path in sorted(folder.glob("*.json")):
-        try:
-            record = json.loads(path.read_text(encoding="utf-8"))
-            record["config"]["system"], record["result"]["finished"]
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(
-                f"{path} is not the record of a run: {error!r}; remove it and run again"
-            ) from None
-        records.append(record)
-    return Results(records)
+    """Read every record of a folder; ValueError names a file, and its line, that is not one."""
+    return Results(Store(folder, Case.from_dict).read())
 
 
 class Results:

@@ -57,13 +57,22 @@ class Case:
 
     @property
     def key(self) -> str:
-        """Name of the run's file."""
+        """Name of the run."""
         parts = [self.method, self.variant, self.system, f"{self.noise:g}", self.noise_convention]
         parts += [self.library, f"{self.trajectories}x", f"missing{self.missing:g}", f"trial{self.trial}"]
         return "-".join(p for p in parts if p)
 
+    @property
+    def part(self) -> str:
+        """Name of the file that holds the run's record."""
+        return self.method
+
     def as_dict(self) -> dict:
         return {**asdict(self), "seed": self.seed}
+
+    @classmethod
+    def from_dict(cls, config: Mapping) -> Case:
+        return cls(**{name: value for name, value in config.items() if name != "seed"})
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Run cases of the tables, one process and one JSON file each; what is there already is not run again.
+"""Run cases of the tables, one process each; what has a record in reproduction/results/ is not run again.
 
     python -m reproduction.run --table 1 --jobs 2
     python -m reproduction.run --system double_pendulum --method ours --method adam:short --trials 1
@@ -13,18 +13,22 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Sequence
+from functools import partial
 from importlib import import_module
 from itertools import product
 from pathlib import Path
 
 import click
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
+import leastaction as la
 from leastaction import systems
-from reproduction._execute import ROOT, end_with_parent, execute, write
+from reproduction._execute import end_with_parent, execute
 from reproduction._launch import Options, launched
 from reproduction.problem import Case
+from runner.course import carry_out, say
+from runner.origin import ROOT
+from runner.store import Store, to_line
 
 RESULTS = ROOT / "reproduction" / "results"
 # Table 2: A complete data, B with missing samples, C without the regularisation that only Adam's loss has
@@ -33,8 +37,6 @@ TABLE2_MISSING = 0.05
 TABLE2_PLAIN = ("adam", "no-regularisation")
 
 _LEVELS = {"1": (0.0, 0.01, 0.1), "2": (0.0, 0.1)}
-
-_PLAIN = {"markup": False, "highlight": False, "soft_wrap": True}  # one line is one line
 
 Method = tuple[str, str]  # name, variant
 
@@ -76,38 +78,8 @@ def usable(cases: Sequence[Case], methods: str, console: Console) -> list[Case]:
         except Exception as error:  # a broken package may raise anything when it is imported
             absent[name] = f"{error}".split("\n")[0] or type(error).__name__
     for name, reason in absent.items():
-        console.print(f"{name} is left out: {reason}", **_PLAIN)
+        say(console, f"{name} is left out: {reason}")
     return [case for case in cases if case.method not in absent]
-
-
-def path_of(case: Case, results: Path) -> Path:
-    return results / f"{case.key}.json"
-
-
-def open_cases(cases: Sequence[Case], results: Path, retry_failed: bool = False) -> list[Case]:
-    """Return the cases without a record, or, if wished, also those whose record is of a failure."""
-
-    def is_open(case: Case) -> bool:
-        path = path_of(case, results)
-        if not path.exists():
-            return True
-        return retry_failed and not json.loads(path.read_text(encoding="utf-8"))["result"]["finished"]
-
-    return [case for case in cases if is_open(case)]
-
-
-def run(cases: Sequence[Case], results: Path, options: Options, console: Console) -> list[dict]:
-    """Run cases, write their records as they come, and return them."""
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), "left", TimeRemainingColumn())
-    records = []
-    with Progress(*columns, console=console, speed_estimate_period=3600.0) as progress:
-        task = progress.add_task("", total=len(cases))
-        for case, record in launched(cases, options):
-            write(path_of(case, results), record)
-            records.append(record)
-            progress.console.print(_line(case, record["result"]), **_PLAIN)
-            progress.advance(task)
-    return records
 
 
 def _line(case: Case, result: dict) -> str:
@@ -159,31 +131,21 @@ def main(
     if config:
         end_with_parent()
         case = Case(**json.loads(config))
-        write(record, execute(case, import_module(home).load(case.method), jobs))
+        done = execute(case, import_module(home).load(case.method), jobs)
+        la.io.write_text(record, to_line(done))
         return
     console = Console()
     chosen = settings(table, _methods(methods, variant, home), missing)
     shape = (library, convention, trials, trajectories)
     everything = build_cases(chosen, names or systems.names(), levels or _LEVELS[table], *shape)
     here = usable(everything, home, console)
-    wanted = open_cases(here, results, retry_failed)
-    console.print(f"{len(here)} cases, {len(here) - len(wanted)} of them done already")
-    if dry_run:
-        for case in wanted:
-            console.print(case.key, **_PLAIN)
-        return
-    try:
-        records = run(wanted, results, Options(jobs, scheduler, timeout, home), console)
-    except KeyboardInterrupt:
-        left = len(open_cases(here, results, retry_failed))
-        console.print(f"interrupted; {left} cases are left: the same command goes on")
-        sys.exit(130)
-    except OSError as error:
-        console.print(f"the runs have ended early: {error}; the same command goes on", **_PLAIN)
-        sys.exit(2)
-    failed = sum(not r["result"]["finished"] for r in records)
-    console.print(f"{len(records) - failed} finished, {failed} failed; records in {results}", **_PLAIN)
-    sys.exit(int(strict and (failed > 0 or len(here) < len(everything))))
+    options = Options(jobs, scheduler, timeout, home)
+    store = Store(results, Case.from_dict)
+    records = carry_out(
+        here, store, partial(launched, options=options), _line, console, retry_failed, dry_run
+    )
+    failed = any(not r["result"]["finished"] for r in records)
+    sys.exit(int(strict and not dry_run and (failed or len(here) < len(everything))))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ import json
 import os
 import queue
 import selectors
-import signal
 import subprocess
 import sys
 import tempfile
@@ -16,12 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from studies._record import ROOT, failure
+from runner.origin import ROOT, failure
+from runner.processes import end, environment, last_words
 from studies.case import Case
 
 __all__ = ["Options", "solved"]
-
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -65,13 +63,11 @@ class Worker:
         with self._lock:
             if self._closed:
                 raise InterruptedError("interrupted before the run began")
-            path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
-            settings = {**dict.fromkeys(_THREADS, "1"), "MPLBACKEND": "Agg", "PYTHONPATH": path}
             with self._log.open("wb") as log:
                 process = subprocess.Popen(
                     [sys.executable, "-m", self._options.worker],
                     cwd=ROOT,
-                    env=os.environ | settings,
+                    env=environment(),
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     stderr=log,
@@ -97,7 +93,7 @@ class Worker:
         if not line.endswith(b"\n"):
             code = process.wait()
             self.end()
-            return failure("failed", self._last_words(code))
+            return failure("failed", last_words(code, self._log))
         return json.loads(line)
 
     def _answer(self, process: subprocess.Popen) -> bytes | None:
@@ -115,12 +111,6 @@ class Worker:
                 kept += chunk
         return kept
 
-    def _last_words(self, code: int) -> str:
-        lines = self._log.read_text(encoding="utf-8", errors="replace").split("\n")
-        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
-        how = f"ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        return f"the process {how}; its last words: {last}"
-
     def close(self) -> None:
         """End the process for good."""
         with self._lock:
@@ -130,14 +120,8 @@ class Worker:
     def end(self) -> None:
         """End the process and what it has started."""
         process, self._process = self._process, None
-        if process is None:
-            return
-        if process.poll() is None:
-            os.killpg(process.pid, signal.SIGKILL)  # it leads a group of its own
-            process.wait()
-        for pipe in (process.stdin, process.stdout):
-            if pipe:
-                pipe.close()
+        if process is not None:
+            end(process)
 
 
 def solved(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict]]:

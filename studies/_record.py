@@ -1,30 +1,24 @@
-"""What is kept of a run, and how it is written: the same as in reproduction/, of which it uses the pieces."""
+"""What is kept of a run."""
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from functools import cache
 
-from reproduction._execute import ROOT, commit, failure, machine, to_json, versions, write
+from runner.origin import commit, machine, versions
 from studies.case import Case
 
-__all__ = ["ROOT", "failure", "one_line", "record", "to_json", "write"]
+__all__ = ["record"]
 
-_CODE = ("src", ":(glob)studies/*.py")
+_CODE = ":(glob)studies/*.py"
 
 
 @cache
 def _origin() -> dict:
     # of the moment when the first run ended: a study should not be run while its code is being changed
     return {"versions": versions(), "machine": machine(), "commit": commit(_CODE)}
-
-
-def one_line(document: Mapping) -> str:
-    """JSON without line breaks; numbers that are not finite become null."""
-    return json.dumps(json.loads(to_json(document)), ensure_ascii=False)
 
 
 def record(case: Case, result: Mapping, parallel: int) -> dict:

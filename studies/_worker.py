@@ -15,7 +15,8 @@ import threading
 import traceback
 from pathlib import Path
 
-from studies._record import failure, one_line
+from runner.origin import failure
+from runner.store import to_line
 from studies.case import Case
 
 __all__ = ["main"]
@@ -53,7 +54,7 @@ def main() -> None:
     while True:
         case = Case(**json.loads(lines.get()))
         print(f"case {case.key}", file=sys.stderr, flush=True)
-        answers.write(one_line(_run(case)) + "\n")
+        answers.write(to_line(_run(case)) + "\n")
         answers.flush()
         gc.collect()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 __all__ = ["Case"]
@@ -46,10 +47,19 @@ class Case:
 
     @property
     def key(self) -> str:
-        """Path of the record without its ending, relative to the folder of results."""
+        """Name of the run."""
         shape = f"{self.trajectories}x{self.duration:g}s-{self.rate:g}Hz"
         parts = [self.setup, f"{self.noise:g}", self.library, shape, f"trial{self.trial}"]
         return f"{self.study}/{self.system}/" + "-".join(parts)
 
+    @property
+    def part(self) -> str:
+        """Name of the file that holds the run's record."""
+        return self.study
+
     def as_dict(self) -> dict:
         return {**asdict(self), "seed": self.seed}
+
+    @classmethod
+    def from_dict(cls, config: Mapping) -> Case:
+        return cls(**{name: value for name, value in config.items() if name != "seed"})

@@ -6,25 +6,24 @@ python -m studies.collate            # every study that has records
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from pathlib import Path
 
 import click
 
 import leastaction as la
-from studies._record import ROOT
+from runner.origin import ROOT
+from runner.store import RecordError, Store
 from studies._study_tables import tables
+from studies.case import Case
 from studies.plans import PLANS
 from studies.run import RESULTS
 
 TABLES = ROOT / "studies" / "tables"
 
 
-def read(folder: Path) -> list[dict]:
+def read(results: Path, study: str) -> list[dict]:
     """Return the records of a study, in the sequence of its systems, set-ups and noise levels."""
-    records = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.rglob("*.json"))]
-    study = folder.name
     place = {(c.system, c.setup): k for k, c in reversed([*enumerate(PLANS[study].first)])}
 
     def key(record: dict) -> tuple:
@@ -32,7 +31,7 @@ def read(folder: Path) -> list[dict]:
         shape = (c["library"], -c["rate"])
         return (*shape, place.get((c["system"], c["setup"]), 10**6), c["noise"], c["trial"])
 
-    return sorted(records, key=key)
+    return sorted(Store(results, Case.from_dict).read(study), key=key)
 
 
 def page(study: str, records: list[dict]) -> str:
@@ -68,7 +67,10 @@ def _origin(records: list[dict]) -> str:
 def main(studies: tuple[str, ...], results: Path, output: Path) -> None:
     made = 0
     for study in studies or PLANS:
-        records = read(results / study)
+        try:
+            records = read(results, study)
+        except RecordError as error:
+            raise click.ClickException(str(error)) from None
         if not records:
             continue
         text = page(study, records)

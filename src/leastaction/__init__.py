@@ -2,7 +2,8 @@
 
 The names below are public, and only these.  They are loaded when first used, so that
 ``leastaction --help`` does not wait for SymPy.  What needs an extra is public too, but not in ``__all__``, so
-that ``from leastaction import *`` works without: `SparseLagrangian`, `casadi` and `control`.
+that ``from leastaction import *`` works without: `SparseLagrangian`, `casadi` and `control`.  `StopSearch` is
+for those who follow a search.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from leastaction.curve.motion import smooth
     from leastaction.data.trajectories import Trajectories, Trajectory
     from leastaction.errors import DataError, InputError
+    from leastaction.errors import StopSearch as StopSearch
     from leastaction.estimation.adam_options import AdamOptions
     from leastaction.exporters.write import export
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
@@ -38,6 +40,7 @@ _HOMES = {
     "Library": "library",
     "SimulationResult": "simulation.integrate",
     "SparseLagrangian": "sklearn",
+    "StopSearch": "errors",
     "Trajectories": "data.trajectories",
     "Trajectory": "data.trajectories",
     "discover": "api",

@@ -24,13 +24,16 @@ from leastaction.selection.descent import run_descent
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
+from leastaction.threads import single_threaded
 
 __all__ = ["discover"]
 
+_LARGEST = 1e120  # of a column: weighted products of two columns, summed over the data, remain finite
 _ENOUGH = 50_000  # samples to search on; longer recordings enter when the structure is confirmed
 _DEGREES = {"gauss-newton": 5, "adam": 3}  # of the splines, by method
 
 
+@single_threaded()
 def discover(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory],
     library: Library | Iterable[str],
@@ -104,7 +107,8 @@ def discover(
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
         Called as ``progress(stage, details)``; where a stage has an intermediate law, ``details`` holds its
-        ``"coefficients"`` (term → value) and the number of free ``"terms"``.
+        ``"coefficients"`` (term → value) and the number of free ``"terms"``. Raise `leastaction.StopSearch`
+        in it to end a long search: the best law so far comes back, with the finding ``stopped-early``.
 
     Returns
     -------
@@ -181,7 +185,7 @@ def discover(
             "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
     clock.start("verify")
-    alternatives = () if descent else find_alternatives(search.found, relevance)
+    alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
     verdict = verify(search, alternatives)
     clock.stop()
     given = {
@@ -252,7 +256,7 @@ def _offsets(
 
 
 def _check_columns(setup: Setup, grid: Grid) -> None:
-    """Refuse candidates that are undefined along the data, by name."""
+    """Refuse candidates that are undefined along the data, or whose squares overflow, by name."""
     states = grid.spline.at_quadrature(setup.scales.smooth.control_points)
     values = setup.problem.candidates.strong(Points(*(s[:, 0] for s in states)))
     bad = [t.text for t, v in zip(setup.problem.terms, values, strict=True) if not np.isfinite(v).all()]
@@ -260,4 +264,12 @@ def _check_columns(setup: Setup, grid: Grid) -> None:
         raise DataError(
             f"the candidate {bad[0]} is undefined somewhere along the data (log, sqrt or division outside "
             "its domain); leave it out or shift the coordinate"
+        )
+    scale = np.where(setup.problem.is_known, np.abs(setup.problem.known), 1.0)
+    sizes = scale * np.abs(values).max(axis=(1, 2))
+    if sizes.max() > _LARGEST:
+        worst = int(np.argmax(sizes))
+        raise DataError(
+            f"the candidate {setup.problem.terms[worst].text} reaches {sizes[worst]:.1g} along the data, and "
+            "its square overflows; leave it out or use another unit"
         )

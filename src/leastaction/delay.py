@@ -26,6 +26,7 @@ from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Library
 from leastaction.model.model import LagrangianModel
+from leastaction.threads import single_threaded
 
 __all__ = ["DelayEstimate", "estimate", "shift_forces"]
 
@@ -127,6 +128,7 @@ def shift_forces(
     return Trajectories(out)
 
 
+@single_threaded()
 def estimate(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory],
     library: Library | Iterable[str],

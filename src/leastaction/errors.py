@@ -1,8 +1,8 @@
-"""The errors that leastaction raises on purpose; all are ``ValueError``."""
+"""The errors that leastaction raises on purpose; all are ``ValueError``. And one that users may raise."""
 
 from __future__ import annotations
 
-__all__ = ["DataError", "DataWarning", "InputError", "MissingPackageError"]
+__all__ = ["DataError", "DataWarning", "InputError", "MissingPackageError", "StopSearch"]
 
 
 class InputError(ValueError):
@@ -15,6 +15,21 @@ class DataError(ValueError):
 
 class DataWarning(UserWarning):
     """Something was done to the data on the user's behalf; the text says what."""
+
+
+class StopSearch(Exception):
+    """Raise it in the ``progress`` function of `discover` to end the search with the best law so far.
+
+    Examples
+    --------
+    >>> import time, leastaction as la
+    >>> began = time.monotonic()
+    >>> def progress(stage, details):
+    ...     if time.monotonic() > began + 60.0:
+    ...         raise la.StopSearch
+    """
+
+    fit: object = None  # what the search had found when it was stopped, where only its caller knows
 
 
 class MissingPackageError(InputError, ImportError):

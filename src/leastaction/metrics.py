@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_triangular
 
 from leastaction.errors import DataError, InputError
+from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
     from leastaction.data.trajectories import Trajectories
@@ -164,6 +165,7 @@ class CramerRaoBound:
         return float(np.sqrt(np.trace(self.covariance)) / np.linalg.norm(self.coefficients))
 
 
+@single_threaded()
 def cramer_rao_bound(
     system: MechanicalSystem,
     truth: Sequence[TrueMotion],

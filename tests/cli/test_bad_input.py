@@ -221,6 +221,30 @@ def test_gyroscopic_terms_are_generated_ones(monkeypatch):
     assert asked[1] - asked[0] == {"x*y_dot"}
 
 
+def test_size_and_relevance_reach_the_search(monkeypatch):
+    discover(2, "--size", "compact", "--library", "some.txt", says=("--size", "--library auto"))
+    asked = []
+
+    def refuse(data, library, **options):
+        asked.append((len(library), options.get("relevance")))
+        raise leastaction.DataError("no")
+
+    monkeypatch.setattr(leastaction, "discover", refuse, raising=False)
+    Path("xy.csv").write_text("t,x,y\n" + "\n".join(f"{k},{k**2},{k}" for k in range(30)), encoding="utf-8")
+    options = ["--library", "auto"]
+    sizes = ("compact", "chain", "standard", "large")
+    for size in sizes:
+        discover(
+            1, *options, "--size", size, "--relevance", "0.02", data="xy.csv", coordinates="x,y", says="no"
+        )
+    wanted = [(leastaction.Library.mechanical_size(["x", "y"], size=size), 0.02) for size in sizes]
+    assert asked == wanted
+    for more in ((), ("--size", "auto")):
+        discover(1, *options, *more, data="xy.csv", coordinates="x,y", says="no")
+    # without the option the library's own default counts, and that of discover
+    assert asked[len(sizes) :] == [(wanted[2][0], None)] * 2
+
+
 def test_library_file():
     discover(2, "--library", "none.txt", says=("--library", "none.txt", "check the path"))
     Path("empty.txt").write_text("# nothing\n", encoding="utf-8")
@@ -286,6 +310,11 @@ def test_hostile_names_of_coordinates(name):
         (("--coordinates", "x="), ("--coordinates", "missing")),
         (("--forces", "x=tau,tau"), ("--forces", "mixes")),
         (("--method", "magic"), ("'magic'", "gauss-newton")),
+        (("--size", "huge"), ("--size", "'huge'", "'standard'", "discover --help")),
+        (("--relevance", "1"), ("--relevance", "'1'", "below 1")),
+        (("--relevance", "-0.1"), ("--relevance", "'-0.1'")),
+        (("--relevance", "nan"), ("--relevance", "'nan'", "finite")),
+        (("--relevance", "5%"), ("--relevance", "'5%'")),
         (("--seed", "-1"), ("--seed", "discover --help")),
         (("--seed", "one"), ("--seed", "discover --help")),
         (("--hold-out", "0"), ("--hold-out", "at least 1")),

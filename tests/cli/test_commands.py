@@ -513,3 +513,25 @@ def test_parsers_of_options():
     options = _options.DataOptions.of(["f.csv"], "a,b", "t", None, ",tau", "b")
     assert (options.forces, options.angles) == ({"b": "tau"}, ("b",))
     assert _text.shown("a\x1bb\n") == "a?b?"
+
+
+def test_the_first_interrupt_keeps_the_best_law_and_the_second_gives_up(capsys):
+    import signal
+
+    from leastaction.cli.interrupt import stoppable
+
+    before = signal.getsignal(signal.SIGINT)
+    stages = []
+    with pytest.raises(KeyboardInterrupt), stoppable(lambda stage, details: stages.append(stage)) as progress:
+        progress("select", {})
+        signal.raise_signal(signal.SIGINT)
+        progress("verify", {})  # too late to stop a search
+        try:
+            progress("select", {})
+        except la.StopSearch:
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            raise
+    assert stages == ["select", "verify"]
+    assert "best law so far" in capsys.readouterr().err
+    assert signal.getsignal(signal.SIGINT) is before

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -417,3 +417,30 @@ def test_structure_keeps_known_and_leaves_out_what_is_not_a_member():
     assert grid.problem.free.tolist() == [1, 2, 3, 4]
     assert fit.covariance.shape == (2, 2)
     assert isinstance(grid.problem.candidates, EulerLagrange)
+
+
+def test_numbers_that_overflow_end_a_fit_and_never_enter_a_structure():
+    """exp(800 x) is infinite along this motion: no warning, no step, nothing promised."""
+    grid, start = duffing_grid(0.03, 8.0, "exp(800*x)")
+    quadratic = grid.fit(MEMBERS, start).score()
+    assert np.isfinite(quadratic.matrix).all()
+    assert quadratic.gradient[2] == 0.0
+    assert np.all(quadratic.matrix[2, :2] == 0.0)
+    assert np.all(quadratic.curve_response[:, 2] == 0.0)
+    coefficients = start.coefficients.copy()
+    coefficients[3] = 1e-3
+    lost = grid.fit(Structure([1, 2, 3]), replace(start, coefficients=coefficients))
+    assert lost.status == "not finite"
+
+
+@pytest.mark.parametrize("size", [1e150, 1e-170, 1e200])
+def test_weights_that_leave_the_range_of_numbers(size):
+    case = tiny(3, 3)
+    weights = replace(case.weights, physics=size * case.weights.physics)
+    coefficients = case.coefficients * 1e30
+    fit = fit_joint(case.observations, case.physics, weights, case.control, coefficients, max_steps=3)
+    if fit.usable:
+        assert np.isfinite(cost_of(fit))
+        assert np.isfinite(fit.covariance).all()
+    else:
+        assert size > 1.0

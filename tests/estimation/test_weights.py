@@ -7,9 +7,9 @@ from scipy.interpolate import BSpline
 
 from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction.data.trajectories import Rate
-from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.gauss_newton import fit_joint, score_candidates
 from leastaction.estimation.joint import Observations, Physics, Weights
-from leastaction.estimation.weights import Start, evidence, fit_weights
+from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights, update_weights
 
 
 def oscillator(rng, *, duration=20.0, rate=50.0, noise=0.05, spectral_density=0.0, trials=2):
@@ -204,3 +204,23 @@ def test_weights_maximise_the_evidence():
         weights = Weights(noise * fit.weights.noise_std, weight * fit.weights.physics, fit.weights.slack)
         other = fit_joint(observations, physics, weights, fit.control_points, fit.coefficients)
         assert evidence(observations, other) < best + 0.5
+
+
+def test_an_equation_without_terms_has_a_weight_of_the_size_of_the_others():
+    """Its error is zero, and n / ∫ r² would be 1e303: the normal equations of another candidate overflow."""
+    t = np.linspace(0.0, 6.0, 200)
+    grid = uniform_grid([6.0], 8.0, 5, 2)
+    observations = Observations(grid, [t], [two_curves(t)])
+    columns = euler_lagrange(["y_dot**2/2", "cos(y)", "x_dot**2", "x**2"], ["x", "y"])
+    points, coefficients = interpolate(grid, [two_curves]), np.array([1.0, 9.81])
+    physics = Physics(columns.subset([0, 1]), np.array([True, False]), None)
+    weights = start_weights(observations, physics, np.full(2, 1e-2), points, coefficients)
+    assert weights.physics[0] == weights.physics[1]
+    fit = fit_weights(observations, physics, Start(points, coefficients, weights))
+    update = update_weights(observations, fit)
+    assert update.physics[0] == fit.weights.physics[0]
+    assert update.physics[1] != fit.weights.physics[1]
+    assert evidence(observations, fit) == -np.inf  # x is not determined
+    quadratic = score_candidates(observations, physics, fit, columns)
+    assert np.isfinite(quadratic.matrix).all()
+    assert np.all(np.diag(quadratic.matrix)[2:] > 0.0)

@@ -248,7 +248,7 @@ def test_mechanical_misuse():
     with pytest.raises(InputError, match="degree 0"):
         Library.mechanical(["x"], degree=0)
     with pytest.raises(InputError, match=r"would have \d+ terms"):
-        Library.mechanical([f"a{k}" for k in range(9)], [f"a{k}" for k in range(9)])
+        Library.mechanical([f"a{k}" for k in range(9)], [f"a{k}" for k in range(9)], size="standard")
     with pytest.raises(InputError, match="too many to generate"):
         Library.mechanical([f"a{k}" for k in range(40)])
 

@@ -15,10 +15,12 @@ import pytest
 from click.testing import CliRunner
 
 from reproduction import problem
-from reproduction._execute import ROOT, to_json
 from reproduction._launch import Options, launch
 from reproduction.problem import Case
-from reproduction.run import build_cases, main, open_cases, settings
+from reproduction.run import build_cases, main, settings
+from runner.course import open_cases
+from runner.origin import ROOT
+from runner.store import Store, to_line
 
 # A stand-in for reproduction.methods: it notes when a run begins and ends. "gated" waits for a file from the
 # second trial on, so that a test decides what is under way when it kills something.
@@ -87,7 +89,8 @@ class Fake:
 
     def records(self) -> dict[str, dict]:
         """Read every record, which fails on a half-written one."""
-        return {path.stem: json.loads(path.read_text()) for path in self.results.glob("*.json")}
+        store = Store(self.results, Case.from_dict, say=pytest.fail)
+        return {store.key(record): record for record in store.read()}
 
 
 @pytest.fixture
@@ -179,7 +182,7 @@ def test_failures_become_records(fake, method, timeout, status, reason):
     assert record["config"] == fake_case(method).as_dict()
     assert not record["result"]["finished"]
     assert (record["result"]["status"], record["result"]["reason"]) == (status, reason)
-    assert str(ROOT) not in to_json(record)
+    assert str(ROOT) not in to_line(record)
 
 
 def test_record_says_how_the_run_was_done(fake):
@@ -213,9 +216,11 @@ def test_unknown_method_is_named():
 def test_failed_runs_are_open_only_if_asked(tmp_path):
     cases = [fake_case("gated", trial) for trial in range(3)]
     for case, finished in zip(cases, (True, False), strict=False):
-        (tmp_path / f"{case.key}.json").write_text(json.dumps({"result": {"finished": finished}}))
-    assert open_cases(cases, tmp_path) == cases[2:]
-    assert open_cases(cases, tmp_path, retry_failed=True) == cases[1:]
+        document = {"config": case.as_dict(), "result": {"finished": finished}}
+        (tmp_path / f"{case.key}.json").write_text(json.dumps(document))  # the former layout
+    store = Store(tmp_path, Case.from_dict)
+    assert open_cases(cases, store) == cases[2:]
+    assert open_cases(cases, store, retry_failed=True) == cases[1:]
 
 
 def test_cases_of_the_tables():
@@ -229,12 +234,3 @@ def test_cases_of_the_tables():
     assert len({case.key for case in cases}) == len(cases) == 5 * 2 * 2 * 3
     assert [case.trial for case in cases] == sorted(case.trial for case in cases)
     assert len(settings("1", methods, [0.0])) == 3
-
-
-def test_json_has_no_numbers_that_are_not_numbers():
-    import numpy as np
-
-    text = to_json(
-        {"a": float("nan"), "b": np.float64(1.5), "c": np.arange(2), "d": np.bool_(True), "e": (1, None)}
-    )
-    assert json.loads(text) == {"a": None, "b": 1.5, "c": [0, 1], "d": True, "e": [1, None]}

@@ -21,6 +21,7 @@ from reproduction._tables import ablation, experiments, group_tables, number
 from reproduction.collate import HERE, main, mixed_settings
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
+from runner.store import Store
 
 PAPER = json.loads((HERE / "paper.json").read_text())
 GROUP = Group("relative", "compact", 5)
@@ -402,8 +403,9 @@ def test_published_numbers_are_complete():
 def test_collate_writes_both_files(tmp_path):
     records = [record(l2=0.5), record("adam", 0.2), record("adam", variant="no-regularisation", l2=0.9)]
     records.append(record(library="large", l2=0.1))
-    for k, document in enumerate(records):
-        (tmp_path / f"{k}.json").write_text(json.dumps(document))
+    store = Store(tmp_path, Case.from_dict)
+    for document in records:
+        store.append(document)
     (tmp_path / "notes").mkdir()
     remarks = tmp_path / "notes" / "remarks.json"
     remarks.write_text(json.dumps({"ours/single_pendulum": "A remark <by hand>."}))
@@ -446,5 +448,11 @@ def test_collate_names_a_file_that_is_no_record(tmp_path):
     answer = CliRunner().invoke(main, ["--results", str(tmp_path), "--output", str(tmp_path / "out")])
     assert answer.exit_code == 1
     assert "half.json is not the record of a run" in answer.output
+    path.write_text(json.dumps(record()))
+    (tmp_path / "ours.jsonl").write_text(json.dumps(record()) + "\n{}\n")
+    answer = CliRunner().invoke(main, ["--results", str(tmp_path), "--output", str(tmp_path / "out")])
+    assert answer.exit_code == 1
+    assert "ours.jsonl, line 2, is not the record of a run" in answer.output
+    (tmp_path / "ours.jsonl").unlink()
     path.unlink()
     assert "no records" in CliRunner().invoke(main, ["--results", str(tmp_path)]).output

@@ -17,9 +17,12 @@ from click.testing import CliRunner
 import leastaction as la
 from leastaction import systems
 from leastaction.findings import CODES, find
+from runner.course import open_cases
+from runner.origin import ROOT
+from runner.store import Store
 from studies import collate, run
 from studies._pool import Options, solved
-from studies._record import ROOT, record, write
+from studies._record import record
 from studies._study_tables import tables
 from studies.case import Case
 from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
@@ -220,7 +223,7 @@ def test_stored_records_hold_no_sentence_that_is_not_known():
     codes = {
         code
         for study in ("faults", "noise")
-        for r in collate.read(run.RESULTS / study)
+        for r in collate.read(run.RESULTS, study)
         for code in codes_in(r["result"])
     }
     assert {"equations-off", "missing-term", "competing-structures", "outliers-left-out"} <= codes
@@ -356,11 +359,12 @@ def test_a_worker_ends_with_its_master(fake):
 
 def test_what_has_a_record_is_not_run_again(tmp_path):
     first, second, third = named("a", "b", "c")
-    write(run.path_of(first, tmp_path), record(first, {"finished": True}, 1))
-    write(run.path_of(second, tmp_path), record(second, {"finished": False}, 1))
-    assert run.open_cases([first, second, third], tmp_path) == [third]
-    assert run.open_cases([first, second, third], tmp_path, retry_failed=True) == [second, third]
-    kept = json.loads(run.path_of(first, tmp_path).read_text())
+    store = Store(tmp_path, Case.from_dict)
+    store.append(record(first, {"finished": True}, 1))
+    store.append(record(second, {"finished": False}, 1))
+    assert open_cases([first, second, third], store) == [third]
+    assert open_cases([first, second, third], store, retry_failed=True) == [second, third]
+    kept = json.loads((tmp_path / "single.jsonl").read_text().splitlines()[0])
     assert {"config", "result", "versions", "machine", "commit", "date"} <= set(kept)
     assert Case(**{k: v for k, v in kept["config"].items() if k != "seed"}) == first
 
@@ -402,11 +406,12 @@ def records(tmp_path_factory) -> Path:
         Case("faults", "cart_spring_pendulum", 0.01, "correct", **shape),
         Case("faults", "cart_spring_pendulum", 0.01, "term-missing", **shape),
     ]
+    store = Store(folder, Case.from_dict)
     for case in wanted:
-        write(run.path_of(case, folder), record(case, {"finished": True, **solve(case)}, 1))
+        store.append(record(case, {"finished": True, **solve(case)}, 1))
     lost = {"finished": False, "status": "timed out", "reason": "no result after 1 s"}
     case = Case("faults", "cart_spring_pendulum", 0.01, "columns", **shape)
-    write(run.path_of(case, folder), record(case, lost, 1))
+    store.append(record(case, lost, 1))
     return folder
 
 
@@ -429,7 +434,7 @@ def test_tables_say_what_the_records_hold(records, tmp_path):
 
 @pytest.mark.parametrize("study", PLANS)
 def test_every_study_has_tables_whatever_failed(study, records):
-    found = collate.read(records / "faults")
+    found = collate.read(records, "faults")
     for r in found:
         r["config"]["study"] = study
     for table in tables(study, found):

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from leastaction.errors import DataError, InputError
+from leastaction.threads import single_threaded
 
 __all__ = ["Job", "Worker"]
 
@@ -159,7 +160,8 @@ def _serve(pipe: Connection) -> None:
         except (EOFError, OSError):
             return
         try:
-            result = function(lambda stage, details: pipe.send(("progress", stage, details)), *arguments)
+            with single_threaded():
+                result = function(lambda stage, details: pipe.send(("progress", stage, details)), *arguments)
             pipe.send(("done", result))
         except (BrokenPipeError, ConnectionError):
             return

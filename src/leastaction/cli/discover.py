@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from leastaction.cli.interrupt import stoppable
 from leastaction.cli.options import (
     DataOptions,
     blame,
@@ -19,6 +20,9 @@ from leastaction.cli.options import (
     known_coefficients,
     method_options,
     name_list,
+    relevance_option,
+    relevance_share,
+    size_option,
 )
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn
@@ -51,6 +55,7 @@ Example:
     help="Candidates for L: a text file with one expression a line, # starts a comment; "
     "auto: what mechanical systems are usually made of.",
 )
+@size_option
 @click.option(
     "--gyroscopic",
     is_flag=True,
@@ -97,6 +102,7 @@ Example:
     metavar="NAME=VALUE",
     help="A setting of --method adam, e.g. threshold=0.05; may be given several times.",
 )
+@relevance_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
@@ -116,6 +122,7 @@ def discover(
     ctx: click.Context,
     data: Callable[..., DataOptions],
     library: str,
+    size: str | None,
     gyroscopic: bool,
     known: tuple[str, ...],
     dissipation: str | None,
@@ -124,6 +131,7 @@ def discover(
     keep_outliers: bool,
     method: str,
     settings: tuple[str, ...],
+    relevance: str | None,
     seed: int,
     hold_out: str | None,
     output: str,
@@ -136,13 +144,14 @@ def discover(
     folder = check_folder(output, OUTPUTS)
     with blame("--option"):
         chosen = method_options(settings)
+    more = {} if relevance is None else {"relevance": relevance_share(relevance)}
     options = data()
     with blame("--force-offset"):
         offsets = force_offsets(force_offset) if force_offset else ()
     with blame("--known"):
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)
-    candidates = _library(library, gyroscopic, options, dissipation)
+    candidates = _library(library, size, gyroscopic, options, dissipation)
     with blame("--known"):
         check_known(given, candidates)
     if not given and not fitted.driven:
@@ -152,7 +161,7 @@ def discover(
         )
     import leastaction
 
-    with live_progress("prepare") as progress:
+    with live_progress("prepare") as shown_progress, stoppable(shown_progress) as progress:
         model = leastaction.discover(
             fitted,
             candidates,
@@ -164,6 +173,7 @@ def discover(
             seed=seed,
             options=chosen,
             progress=progress,
+            **more,
         )
         progress("forecast", {})
         forecast = _forecast(model, held_out)
@@ -198,14 +208,18 @@ def command_line(ctx: click.Context) -> str:
     return shlex.join(["leastaction", *(ctx.find_root().obj or [])])
 
 
-def _library(source: str, gyroscopic: bool, options: DataOptions, dissipation: str | None) -> Library:
+def _library(
+    source: str, size: str | None, gyroscopic: bool, options: DataOptions, dissipation: str | None
+) -> Library:
     from leastaction import Library
 
+    if size is not None and source != "auto":
+        raise InputError("--size goes with --library auto; a file holds all candidates by itself")
     if gyroscopic and source != "auto":
         raise InputError("--gyroscopic goes with --library auto; write the terms into the file, e.g. x*y_dot")
     with blame("--library"):
         if source == "auto":
-            library = Library.mechanical(options.names, options.angles, gyroscopic=gyroscopic)
+            library = Library.mechanical(options.names, options.angles, size=size, gyroscopic=gyroscopic)
         else:
             library = Library.from_file(source, options.names, angles=options.angles)
     if dissipation is None:

@@ -33,8 +33,12 @@ __all__ = [
     "method_options",
     "name_list",
     "number",
+    "relevance_option",
+    "relevance_share",
+    "size_option",
 ]
 
+_SIZES = ("auto", "compact", "chain", "standard", "large")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 
 
@@ -163,6 +167,36 @@ def method_options(texts: Iterable[str]) -> dict[str, object] | None:
         else:
             out[name] = number(value) if _NUMBER.fullmatch(value) else value
     return out or None
+
+
+def relevance_share(text: str) -> float:
+    """Return the value of ``--relevance``, a share from 0 on and below 1.
+
+    Raises
+    ------
+    InputError
+    """
+    with blame("--relevance"):
+        value = number(text)
+        if not 0.0 <= value < 1.0:
+            raise InputError(f"{quoted(text)} is not a share; give a number from 0 to below 1, e.g. 0.02")
+    return value
+
+
+# text, not click.FLOAT, so that the error is one line that says what to do
+relevance_option = click.option(
+    "--relevance",
+    metavar="SHARE",
+    help="Share of the equation error that a term must explain to stay (default: 0.05). Lower it where weak "
+    "friction of a real machine is left out; 0 asks for significance alone.",
+)
+size_option = click.option(
+    "--size",
+    type=click.Choice(_SIZES),
+    metavar="NAME",
+    help="With --library auto: compact, standard, large, or chain (many links in a row). By default (auto) "
+    "standard up to 250 candidates; beyond, chain for angles and compact for other coordinates.",
+)
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,20 @@ _STAGES = {
     "report": "writing the report",
 }
 
+_LONGEST_LAW = 100  # characters of a law on the way
+
+
+def _law(coefficients: Mapping[str, float]) -> str:
+    """The law so far: coefficients and terms in the sequence of the library."""
+    text = ", ".join(f"{value:.3g} {name}" for name, value in coefficients.items())
+    return text if len(text) <= _LONGEST_LAW else text[: _LONGEST_LAW - 1] + "…"
+
+
 _DETAILS: dict[str, Callable[[Any], str]] = {
     "terms": lambda value: counted(int(value), "term"),
     "evidence": "evidence {:.1f}".format,
     "knots_per_second": "{:.0f} knots per second".format,
+    "coefficients": _law,
 }
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from leastaction.curve.knots import lay_knots
 from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.threads import single_threaded
 
 __all__ = ["SmoothMotion", "smooth"]
 
@@ -32,6 +33,7 @@ class SmoothMotion:
     noise_std: np.ndarray
 
 
+@single_threaded()
 def smooth(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory], *, degree: int = 5
 ) -> list[SmoothMotion]:

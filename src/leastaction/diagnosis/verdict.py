@@ -96,6 +96,8 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
 
 def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
+    if search.stopped:
+        return []
     fit, relevance = search.found, search.relevance
     usable = fit.converged and np.isfinite(fit.evidence)
     known = wrong_known(fit) if usable else []
@@ -125,7 +127,8 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
         return np.zeros(size.size)
     weights = fit.weights
     rms = np.sqrt(2.0 * _BAND / period / weights.physics)
-    return np.where(weights.slack > _EVIDENT, rms / size, 0.0)
+    # an equation without terms has no size to compare with
+    return np.divide(rms, size, out=np.zeros(size.size), where=(weights.slack > _EVIDENT) & (size > 0.0))
 
 
 def _as_forces_are(fit: Fit) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,8 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = ["Request", "Setup", "build_problem"]
 
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
+# of data: the squares of a force from x**4 reach 1e180, and further products remain finite
+_LARGEST = 1e30
 _NEAR, _ROUNDED = 0.1, 1e-3  # radians
 
 
@@ -207,11 +209,29 @@ def _check_data(trajectories: Trajectories) -> None:
                 f"coordinate {name!r} has {values.size} samples; at least {FEWEST_SAMPLES} are needed, "
                 "and a few periods of the motion to find anything"
             )
+        _check_range([values], f"coordinate {name!r}")
         if np.ptp(values) <= 1e-12 * np.abs(values).max():
             raise DataError(
                 f"coordinate {name!r} is constant ({values[0]:g}): nothing about its motion can be learnt; "
                 "leave it out or record a run in which it moves"
             )
+        if trajectories.driven:
+            forces = [t.forces[:, i] for t in trajectories if t.forces is not None]
+            _check_range(forces, f"the force on {name!r}")
+    _check_range([np.array(trajectories.sampling_interval)], "the sampling interval")
+    for rate in trajectories.rates:
+        kind = "velocity" if rate.derivative == 1 else "acceleration"
+        _check_range(rate.values, f"the {kind} of {trajectories.coordinates[rate.coordinate]!r}")
+
+
+def _check_range(parts: Sequence[np.ndarray], what: str) -> None:
+    """Refuse numbers whose powers and squares would leave the range of floating point."""
+    size = max(np.abs(part[np.isfinite(part)]).max(initial=0.0) for part in parts)
+    if size > _LARGEST or 0.0 < size < 1.0 / _LARGEST:
+        raise DataError(
+            f"{what} is of the size {size:.1g}; use a unit in which it lies between {1.0 / _LARGEST:g} and "
+            f"{_LARGEST:g}"
+        )
 
 
 def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, float]:
@@ -219,6 +239,11 @@ def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, f
     for text, value in known.items():
         if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):  # type: ignore[arg-type]
             raise InputError(f"the known coefficient of {text!r} is {value!r}; expected a finite number")
+        if value and not 1.0 / _LARGEST**2 <= abs(value) <= _LARGEST**2:
+            raise InputError(
+                f"the known coefficient of {text!r} is {value:g}; use units in which it lies between "
+                f"{1.0 / _LARGEST**2:g} and {_LARGEST**2:g}"
+            )
         kind = "lagrangian"
         if library.dissipation:
             try:

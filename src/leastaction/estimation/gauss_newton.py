@@ -6,11 +6,15 @@ the dense Schur complement
     (A − Cᵀ H⁻¹ C) Δλ = −(g_λ − Cᵀ H⁻¹ g_P),
 
 whose inverse is the covariance of λ (Golub & Pereyra 2003, Inverse Problems 19:R1).
+
+A trial step may leave the range of floating point, with exp(x) or a high power far from the data.
+NumPy's warnings are off there and the numbers are tested instead: such a step is rejected, and a fit
+that cannot leave this region ends as "not finite".
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -102,11 +106,13 @@ def condense(
     Raises
     ------
     numpy.linalg.LinAlgError
-        When H is not positive definite.
+        When H is not positive definite, or not finite.
     """
     banded = assemble(observations, linearisation, weights)
     banded[0] *= 1.0 + damping
     factor = cholesky(banded)
+    if not np.isfinite(factor[0]).all():  # LAPACK may factorise NaN without complaint
+        raise np.linalg.LinAlgError("the normal matrix is not finite")
     curve_gradient, gradient = linearisation.gradients(weights)
     border = np.tensordot(weights.physics, linearisation.borders, 1)
     corner = np.tensordot(weights.physics, linearisation.corners, 1)
@@ -127,8 +133,11 @@ def condense(
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a positive semi-definite matrix, scaled first so that units do not matter.
 
-    Directions that the data cannot see get a huge, finite variance.
+    Directions that the data cannot see get a huge, finite variance. Raises LinAlgError for a matrix that
+    is not finite.
     """
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("the matrix is not finite")
     diagonal = np.diag(matrix)
     scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
@@ -136,6 +145,7 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
     return (vectors / values) @ vectors.T / np.outer(scale, scale)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_joint(
     observations: Observations,
     physics: Physics,
@@ -171,13 +181,13 @@ def fit_joint(
         step += 1
         try:
             quadratic = condense(observations, here, weights, damping)
+            shift, delta, predicted = _step(here, weights, quadratic, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
                 status = "not finite"
                 break
             continue
-        shift, delta, predicted = _step(here, weights, quadratic, damping)
         new_points = control_points + shift.reshape(control_points.shape)
         new_coefficients = coefficients.copy()
         new_coefficients[physics.free] += delta
@@ -203,12 +213,18 @@ def fit_joint(
 
 
 def _step(here: Linearisation, weights: Weights, quadratic: Quadratic, damping: float):
-    """Steps of curve and coefficients, and how much they should lower the cost."""
+    """Steps of curve and coefficients, and how much they should lower the cost.
+
+    Raises LinAlgError when they are not finite.
+    """
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = -(quadratic.curve_shift + quadratic.curve_response @ delta)
     curve_gradient, gradient = here.gradients(weights)
-    return shift, delta, -float(curve_gradient @ shift + gradient @ delta)
+    predicted = -float(curve_gradient @ shift + gradient @ delta)
+    if not np.isfinite(predicted):
+        raise np.linalg.LinAlgError("the step is not finite")
+    return shift, delta, predicted
 
 
 def _finish(observations, physics, weights, control_points, coefficients, here, status, step) -> JointFit:
@@ -220,14 +236,28 @@ def _finish(observations, physics, weights, control_points, coefficients, here, 
             # the weights are estimated too: what the volume term seems to know of the scale, they forget
             known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
             covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
+            if not np.isfinite(covariance).all():
+                status = "not finite"
         except np.linalg.LinAlgError:
             status = "not finite"
     return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def score_candidates(
     observations: Observations, physics: Physics, fit: JointFit, candidates: EulerLagrange
 ) -> Quadratic:
-    """Quadratic model of the cost in the coefficients of *all* candidates about a fit."""
+    """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
+
+    Candidates that overflow along the curve promise nothing: their gradient and couplings are zero.
+    """
     at_fit = linearise(observations, physics, fit.control_points, fit.coefficients, candidates)
-    return condense(observations, at_fit, fit.weights)
+    quadratic = condense(observations, at_fit, fit.weights)
+    diagonal = np.diag(quadratic.matrix)
+    lost = ~(np.isfinite(diagonal) & np.isfinite(quadratic.gradient))
+    if not lost.any():
+        return quadratic
+    gradient = np.where(lost, 0.0, quadratic.gradient)
+    matrix = np.where(lost[:, None] | lost, np.diag(np.ones(lost.size)), quadratic.matrix)
+    response = np.where(lost, 0.0, quadratic.curve_response)
+    return replace(quadratic, gradient=gradient, matrix=matrix, curve_response=response)

@@ -29,6 +29,8 @@ SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is le
 _LOG_STEP = 0.05
 # equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
 _SMALL, _EXACT = 1e-3, 1e-5
+# below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
+_NOTHING = 1e-150
 _REGULAR = 0.9
 _HALVINGS = 4
 _MOST_STEPS = 100  # a structure that needs more is not worth it
@@ -56,6 +58,7 @@ def equation_rank(observations: Observations) -> int:
     return min(grid.n_ctrl - 2 * len(grid.spaces), grid.points.size)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def evidence(observations: Observations, fit: JointFit) -> float:
     """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only.
 
@@ -72,6 +75,7 @@ def evidence(observations: Observations, fit: JointFit) -> float:
     return value + prior - unpushed - 0.5 * fit.logdet
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def start_weights(
     observations: Observations,
     physics: Physics,
@@ -82,6 +86,7 @@ def start_weights(
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike.
 
     ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
+    An equation without any term has no error to weigh: it gets the smallest weight of the others.
     """
     at = linearise(observations, physics, control_points, coefficients)
     slack = np.full_like(noise_std, equation_rank(observations))
@@ -90,11 +95,22 @@ def start_weights(
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
     counts = np.maximum(np.bincount(observations.coordinates, observations.counts), 1)
-    return Weights(noise_std, counts / np.maximum(at.equation, 1e-300), slack)
+    weighed = at.equation > _NOTHING
+    ratio = counts / np.where(weighed, at.equation, 1.0)
+    ratio[~weighed] = ratio[weighed].min() if weighed.any() else 1.0
+    return Weights(noise_std, ratio, slack)
 
 
 def update_weights(observations: Observations, fit: JointFit) -> Weights:
-    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters."""
+    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters.
+
+    The weight of an equation that vanishes identically stays as it is.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When H is not positive definite, or not finite.
+    """
     weights, at = fit.weights, fit.linearisation
 
     band = assemble(observations, at, weights)
@@ -111,6 +127,9 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):
+        if at.equation[i] <= _NOTHING:
+            slack[i], new_physics[i] = rank, weights.physics[i]
+            continue
         slack[i] = max(rank - slope(weights.physics[i] * at.bands[i]), 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
@@ -126,9 +145,12 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - used, 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
     slack[list(at.prescribed)] = 0.0
+    if not (np.isfinite(new_physics).all() and np.isfinite(new_noise).all()):
+        raise np.linalg.LinAlgError("the weights are not finite")
     return replace(weights, noise_std=new_noise, physics=new_physics, slack=slack)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_weights(
     observations: Observations,
     physics: Physics,
@@ -147,7 +169,10 @@ def fit_weights(
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
             break
-        update = _accelerate(best.weights, update_weights(observations, best))
+        try:
+            update = _accelerate(best.weights, update_weights(observations, best))
+        except np.linalg.LinAlgError:  # at the limit of rounding H is not positive definite for other weights
+            break
         for _ in range(_HALVINGS):
             weights = _part_of_the_way(best.weights, update, stride)
             fit = fit_joint(
@@ -187,6 +212,7 @@ def _accelerate(old: Weights, new: Weights) -> Weights:
     return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
     """Fit the curve alone, coefficients held, and update the weights once.
 
@@ -198,5 +224,8 @@ def fit_curve(observations: Observations, physics: Physics, start: Start) -> tup
     )
     if not fit.converged:
         return start, -np.inf
-    weights = update_weights(observations, fit)
+    try:
+        weights = update_weights(observations, fit)
+    except np.linalg.LinAlgError:
+        return start, -np.inf
     return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)

@@ -311,6 +311,11 @@ CODES: dict[str, Message] = {
         "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
     "zero-offset": Message("note", _zero_offset),
+    "stopped-early": Message(
+        "warning",
+        "the search was stopped: this is the best law so far, and likely causes were not looked for",
+        "let the search run to its end",
+    ),
     "knots-not-settled": Message(
         "note",
         "coefficients still moved when the knots were refined for the last time",

@@ -8,12 +8,24 @@ size      factors g of kinetic terms             potential terms
 ========  =====================================  ==================================================
 compact   1, cos θ, sin² θ, cos(θ−φ), x, x²,     cos θ, sin θ, cos(θ±φ), cos(θ+φ+ψ), x cos θ,
           x cos θ, x² sin² θ                     x sin θ, monomials in x, y up to degree 2
-standard  also sin θ, sin(θ−φ), x sin θ, x y     also sin² θ, θ, θ², θ φ, sin(θ±φ), sin(θ+φ+ψ),
+standard  also sin θ, sin(θ−φ), x sin θ, x y,    also sin² θ, θ, θ², θ φ, sin(θ±φ), sin(θ+φ+ψ),
+          cos σ, sin σ, sin² σ, cos σ cos τ      cos σ, sin σ, x cos σ, x sin σ,
                                                  monomials up to degree 4
 large     also sin θ cos θ, cos(θ+φ), sin(θ+φ),  also sin θ cos θ, x² cos θ, x² sin θ, 1/x, log x,
           x² cos θ, x² sin θ, and the            monomials up to degree 6
           gyroscopic x ẏ
 ========  =====================================  ==================================================
+
+σ and τ are sums of two or more neighbouring angles; in a chain of links whose angles are each measured from
+the link before, they are the angles between links that do not touch.  The mass m_ij of such a chain depends
+on the joints after the first of i and j alone, so q̇_i q̇_j takes the sums of these; with one coordinate
+that is no angle it takes them all.  sin² σ and cos σ cos τ (τ begins where σ does, and may be one angle) go
+with squares q̇_i²: the arm on a turning base.  With these terms every planar chain is in ``standard``, its
+angles absolute or relative.
+
+The fourth family, ``chain``, is for many coordinates; see `leastaction.library.chains`.  ``auto`` takes
+``standard`` where that has no more than 250 candidates, and else ``chain`` where two coordinates or more are
+angles, ``compact`` where not; if that is too many also, the smallest of the three.
 
 Every size can be had with the gyroscopic terms x q̇, q̇ cos θ and q̇ sin θ beside them.
 No generated term is null or a sum of others: kinetic terms with one pair q̇_i q̇_j are independent when
@@ -26,13 +38,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations, combinations_with_replacement, permutations
 
 from leastaction.errors import InputError
+from leastaction.library.chains import chain_kinetic, chain_potentials, runs, runs_after
 from leastaction.library.parser import normalise
 
-__all__ = ["MAX_TERMS", "SIZES", "check_angles", "mechanical_terms"]
+__all__ = ["ALL_SIZES", "MAX_TERMS", "SIZES", "check_angles", "choose_size", "mechanical_terms"]
 
 SIZES = ("compact", "standard", "large")
+ALL_SIZES = ("auto", "compact", "chain", "standard", "large")
 MAX_TERMS = 1500
-_DEGREES = {"compact": 2, "standard": 4, "large": 6}
+_SEARCHABLE = 250  # candidates that "auto" offers
+_DEGREES = {"compact": 2, "chain": 4, "standard": 4, "large": 6}
 _MAX_COORDINATES = 10
 _MAX_DEGREE = 12
 
@@ -40,7 +55,7 @@ _MAX_DEGREE = 12
 def mechanical_terms(
     coordinates: Sequence[str],
     angles: Sequence[str] = (),
-    size: str = "standard",
+    size: str | None = "auto",
     degree: int | None = None,
     gyroscopic: bool = False,
 ) -> list[str]:
@@ -51,7 +66,7 @@ def mechanical_terms(
     coordinates, angles
         Names; the angles are some of the coordinates.
     size
-        ``"compact"``, ``"standard"`` or ``"large"``.
+        ``"compact"``, ``"standard"``, ``"large"`` or ``"chain"``; ``"auto"`` or None: see `choose_size`.
     degree
         Greatest total degree of the monomials in coordinates that are no angles; by default 2, 4 or 6.
     gyroscopic
@@ -67,25 +82,55 @@ def mechanical_terms(
     >>> mechanical_terms(["x"])
     ['x_dot**2', 'x_dot**2*x', 'x_dot**2*x**2', 'x', 'x**2', 'x**3', 'x**4']
     """
-    if size not in SIZES:
-        raise InputError(f"size {size!r} is unknown; expected one of {', '.join(map(repr, SIZES))}")
-    degree = _DEGREES[size] if degree is None else degree
-    if isinstance(degree, bool) or not isinstance(degree, int) or not 1 <= degree <= _MAX_DEGREE:
+    size = "auto" if size is None else size
+    if size not in ALL_SIZES:
+        raise InputError(f"size {size!r} is unknown; expected one of {', '.join(map(repr, ALL_SIZES))}")
+    if degree is not None and (
+        isinstance(degree, bool) or not isinstance(degree, int) or not 1 <= degree <= _MAX_DEGREE
+    ):
         raise InputError(f"degree {degree!r} is not possible; expected an integer from 1 to {_MAX_DEGREE}")
     if len(coordinates) > _MAX_COORDINATES:
         raise InputError(
             f"{len(coordinates)} coordinates are too many to generate a library for; expected at most "
             f"{_MAX_COORDINATES}: write the candidates down by hand"
         )
+    if size == "auto":
+        size = choose_size(coordinates, angles, degree, gyroscopic)
+    degree = _DEGREES[size] if degree is None else degree
     lengths = [name for name in coordinates if name not in angles]
-    factors = list(_kinetic_factors(lengths, angles, size))
     kinetic = [
-        _product(a, b) if factor == "1" else f"{_product(a, b)}*{factor}"
-        for a, b in combinations_with_replacement([f"{name}_dot" for name in coordinates], 2)
-        for factor in factors
+        _product(f"{a}_dot", f"{b}_dot") + ("" if factor == "1" else f"*{factor}")
+        for a, b, factor in _kinetic(coordinates, lengths, angles, size)
     ]
     turned = coordinates if gyroscopic else lengths if size == "large" else ()
-    return [*kinetic, *_gyroscopic(turned, angles), *_potentials(lengths, angles, size, degree)]
+    potentials = (
+        chain_potentials(lengths, angles, degree)
+        if size == "chain"
+        else _potentials(lengths, angles, size, degree)
+    )
+    return [*kinetic, *_gyroscopic(turned, angles), *potentials]
+
+
+def choose_size(
+    coordinates: Sequence[str],
+    angles: Sequence[str] = (),
+    degree: int | None = None,
+    gyroscopic: bool = False,
+) -> str:
+    """Return the size that ``"auto"`` stands for: the first with at most 250 candidates, or the smallest.
+
+    Examples
+    --------
+    >>> choose_size("xyz"), choose_size("abc", "abc"), choose_size("abcd", "abcd"), choose_size("uvwxy")
+    ('standard', 'standard', 'chain', 'compact')
+    """
+    others = ("chain", "compact") if len(angles) > 1 else ("compact", "chain")
+    counts = {}
+    for size in ("standard", *others):
+        counts[size] = len(mechanical_terms(coordinates, angles, size, degree, gyroscopic))
+        if counts[size] <= _SEARCHABLE:
+            return size
+    return min(counts, key=counts.__getitem__)
 
 
 def check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
@@ -100,6 +145,33 @@ def check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> t
 
 def _product(a: str, b: str) -> str:
     return f"{a}**2" if a == b else f"{a}*{b}"
+
+
+def _kinetic(
+    coordinates: Sequence[str], lengths: Sequence[str], angles: Sequence[str], size: str
+) -> Iterator[tuple[str, str, str]]:
+    """Pairs of coordinates whose velocities are multiplied, with the factor g."""
+    if size == "chain":
+        yield from chain_kinetic(coordinates, angles)
+        return
+    factors = list(_kinetic_factors(lengths, angles, size))
+    for a, b in combinations_with_replacement(coordinates, 2):
+        given = [*factors, *(_sum_factors(a, b, angles) if size != "compact" else ())]
+        for factor in dict.fromkeys(given):  # large has some sums of two already
+            yield a, b, factor
+
+
+def _sum_factors(a: str, b: str, angles: Sequence[str]) -> Iterator[str]:
+    """Functions of sums of angles after the first of two coordinates."""
+    after = list(runs_after(a, b, angles))
+    sums = ["+".join(run) for run in after if len(run) > 1]
+    for total in sums:
+        yield from (f"cos({total})", f"sin({total})")
+    if a == b:
+        yield from (f"sin({total})**2" for total in sums)
+        for short, long in combinations(after, 2):
+            if short[0] == long[0]:
+                yield f"cos({'+'.join(short)})*cos({'+'.join(long)})"
 
 
 def _kinetic_factors(lengths: Sequence[str], angles: Sequence[str], size: str) -> Iterator[str]:
@@ -146,10 +218,16 @@ def _potentials(lengths: Sequence[str], angles: Sequence[str], size: str, degree
     for triple in combinations(angles, 3):
         yield f"cos({'+'.join(triple)})"
         yield from (f"sin({'+'.join(triple)})",) if standard else ()
+    sums = ["+".join(run) for run in runs(angles) if len(run) > 1] if standard else []
+    for total in sums:
+        if total.count("+") > 2:
+            yield from (f"cos({total})", f"sin({total})")
     for x in lengths:
         for a in angles:
             yield from (f"{x}*cos({a})", f"{x}*sin({a})")
             yield from (f"{x}**2*cos({a})", f"{x}**2*sin({a})") if large else ()
+        for total in sums:
+            yield from (f"{x}*cos({total})", f"{x}*sin({total})")
     for total in range(1, degree + 1):
         yield from (_monomial(names) for names in combinations_with_replacement(lengths, total))
     if large:

@@ -142,7 +142,10 @@ class Jets:
 
     def effect(self, term: Term) -> np.ndarray:
         """Return what the term adds to the equations: E_i[φ] or ∂ψ/∂q̇_i, (n_equations, n_points)."""
-        jet = self.jet(term.expr)
+        return self.effect_of(self.jet(term.expr), term)
+
+    def effect_of(self, jet: np.ndarray, term: Term) -> np.ndarray:
+        """Return the same from the jet of the term."""
         effect = jet[self._v] if term.kind == "dissipation" else jet[self._vt] - jet[self._q]
         return effect[self._equations]
 
@@ -157,6 +160,14 @@ class Jets:
             with np.errstate(all="ignore"):  # points outside the domain are dropped later
                 found = self._cache[expr] = self._evaluate(expr)
         return found
+
+    def fresh(self, expr: sympy.Expr) -> np.ndarray:
+        """Return the jet of an expression and keep those of its parts only."""
+        found = self._cache.get(expr)
+        if found is not None:
+            return found
+        with np.errstate(all="ignore"):
+            return self._evaluate(expr)
 
     def _zeros(self) -> np.ndarray:
         return np.zeros((2 + 3 * self.n_dof, self.n_points), dtype=self._arithmetic.dtype)

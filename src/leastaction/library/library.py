@@ -138,7 +138,7 @@ class Library(Sequence[Term]):
         coordinates: Iterable[str] | str,
         angles: Iterable[str] | str = (),
         *,
-        size: str = "standard",
+        size: str | None = "auto",
         degree: int | None = None,
         gyroscopic: bool = False,
         dissipation: Iterable[Candidate] = (),
@@ -153,8 +153,11 @@ class Library(Sequence[Term]):
         coordinates, angles
             Names; the angles are some of the coordinates.
         size
-            ``"compact"``, ``"standard"`` (1, 2, 3 coordinates: at most 12, 60, 150 terms) or ``"large"``
-            (which also has 1/x and log(x), for coordinates that stay positive).
+            ``"compact"``, ``"standard"`` (1, 2, 3 coordinates: at most 12, 60, 150 terms), ``"large"``
+            (which also has 1/x and log(x), for coordinates that stay positive), or ``"chain"``: planar
+            links in a row, each angle absolute or measured from the link before, in the order from the
+            base on.  ``"auto"`` (or None) is ``"standard"`` where that has at most 250 terms, as it has for
+            three coordinates; beyond, ``"chain"`` with two angles or more, ``"compact"`` without.
         degree
             Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6
             with the size.
@@ -188,7 +191,7 @@ class Library(Sequence[Term]):
         coordinates: Iterable[str] | str,
         angles: Iterable[str] | str = (),
         *,
-        size: str = "standard",
+        size: str | None = "auto",
         degree: int | None = None,
         gyroscopic: bool = False,
     ) -> int:

@@ -30,6 +30,7 @@ _EXTRA_POINTS = 20
 _MIN_POINTS = 400
 _MARGIN = 5
 _FEW = 8
+_SOME = 64  # a product of sums of four rates has 10 parts or more
 _FEW_POINTS = 12
 _MAX_SUMMANDS = 6
 
@@ -116,11 +117,16 @@ class _Search:
         self.pool = Points.draw(rng, n_dof, n_points)
         weights = rng.normal(size=(n_dof - len(prescribed), n_points))
         jets = Jets(coordinates, self.pool, prescribed)
-        self.effects = np.array([jets.effect(term) for term in terms])
-        self.scales = [_size(jets.jet(term.expr)) for term in terms]
-        self.finite = np.isfinite(self.effects).all(axis=1) & np.isfinite(
-            [jets.jet(term.expr).sum(axis=0) for term in terms]
-        )
+        self.effects = np.empty((len(terms), *weights.shape))
+        self.finite = np.empty((len(terms), n_points), dtype=bool)
+        self.scales = []
+        for k, term in enumerate(terms):
+            jet = jets.fresh(term.expr)  # kept for parts of terms only: whole ones do not come again
+            self.effects[k] = jets.effect_of(jet, term)
+            self.finite[k] = np.isfinite(self.effects[k]).all(axis=0) & np.isfinite(jet.sum(axis=0))
+            self.scales.append(_size(jet))
+        # one random mixture of the equations a state, as in the exact check: an identity holds for it, too
+        self.mixtures = np.einsum("kip,ip->kp", self.effects, weights)
         self.exact = _ExactColumns(terms, coordinates, prescribed, self.pool, weights)
 
     def run(self, keep: set[int]) -> dict[int, Dropped]:
@@ -162,12 +168,11 @@ class _Search:
 
     def _eliminate(self, order: list[int], rows: np.ndarray) -> None:
         """Take the columns one by one; one that is (nearly) a sum of those before gets the exact check."""
-        n_rows = len(rows) * self.effects.shape[1]
-        basis = np.zeros((n_rows, len(order)))
+        basis = np.zeros((len(rows), len(order)), order="F")
         triangle = np.zeros((len(order), len(order)))
         accepted: list[int] = []
         for k in order:
-            column = self.effects[k][:, rows].ravel()
+            column = self.mixtures[k, rows]
             if not column.any():
                 continue  # it acts only at other states, so nothing here can stand for it
             m, left = len(accepted), column / np.abs(column).max()
@@ -196,10 +201,13 @@ class _Search:
         guess = np.abs(np.linalg.solve(triangle, weights)) if accepted else np.zeros(0)
         for threshold in (1e-4, 1e-8):
             support = [a for a, size in zip(accepted, guess, strict=True) if size > threshold * guess.max()]
-            if 0 < len(support) <= _FEW:
-                coefficients = self.exact.coefficients_of_few(k, support, rows)
-                if coefficients is not None:
-                    return coefficients
+            if not 0 < len(support) <= _SOME:
+                continue
+            few = len(support) <= _FEW
+            attempt = self.exact.coefficients_of_few if few else self.exact.coefficients_of_some
+            coefficients = attempt(k, support, rows)
+            if coefficients is not None:
+                return coefficients
         return self.exact.coefficients_of_all(k, accepted, rows)
 
     def _holds_elsewhere(self, k: int, coefficients: dict[int, Any]) -> bool:
@@ -265,6 +273,11 @@ class _ExactColumns:
     def coefficients_of_few(self, k: int, support: list[int], rows: np.ndarray) -> dict[int, Any] | None:
         """Return c with column_k = Σ c_a column_a over a small support, or None where there is no such c."""
         return self._solve(_Elimination(_CONFIRM), k, support, rows[-_FEW_POINTS:], _DIGITS)
+
+    def coefficients_of_some(self, k: int, support: list[int], rows: np.ndarray) -> dict[int, Any] | None:
+        """The same in as many digits and as strictly as over all terms, but over those that matter."""
+        n_rows = -(-(len(support) + _MARGIN) // _FEW_POINTS) * _FEW_POINTS  # few different sets of states
+        return self._solve(_Elimination(_CONFIRM_MANY), k, support, rows[-n_rows:], _MANY_DIGITS)
 
     def coefficients_of_all(self, k: int, accepted: list[int], rows: np.ndarray) -> dict[int, Any] | None:
         """The same over all accepted terms; later calls go on from what is eliminated already."""

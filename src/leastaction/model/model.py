@@ -29,6 +29,7 @@ from leastaction.model.checks import (
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.simulation.forecast import ForecastResult, forecast
 from leastaction.simulation.integrate import SimulationResult, simulate
+from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -208,6 +209,7 @@ class LagrangianModel:
             *self._states(q=q, qdot=np.zeros(self.n_dof) if qdot is None else qdot)
         )
 
+    @single_threaded()
     def simulate(
         self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None, **limits: Any
     ) -> SimulationResult:
@@ -249,6 +251,7 @@ class LagrangianModel:
         limits.setdefault("mass_matrix", self.mechanics.mass_matrix)
         return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
 
+    @single_threaded()
     def validate(
         self,
         trajectories: Trajectory | Trajectories | Sequence[Trajectory],

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leastaction.errors import StopSearch
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import Quadratic
 from leastaction.estimation.grid import Grid
@@ -124,7 +125,11 @@ class Neighbourhood:
 def refine(fit: Fit, report: Progress = silent, rounds: int = 8, most: int | None = None) -> Fit:
     """Go to better structures until there is none; ``most`` limits the proposals that a round fits."""
     for _ in range(rounds):
-        tell(fit, report)
+        try:
+            tell(fit, report)
+        except StopSearch as stop:
+            stop.fit = fit
+            raise
         if not fit.usable:
             break
         better = _better(fit, most)
@@ -164,7 +169,11 @@ def best_structure(proposals, best: Fit | None, report: Progress) -> Fit:
     for proposal in proposals:
         if best is not None and not np.isfinite(proposal.evidence):
             continue
-        fit = refine(proposal.grid.fit(proposal.structure, proposal.start), report)
+        try:
+            fit = refine(proposal.grid.fit(proposal.structure, proposal.start), report)
+        except StopSearch as stop:
+            stop.fit = best or stop.fit
+            raise
         agreed = best is not None and fit.structure == best.structure
         if best is None or value(fit) > value(best):
             best = fit

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from leastaction.errors import StopSearch
 from leastaction.estimation.problem import Problem
 
 __all__ = ["Clock", "Progress", "law_so_far", "silent"]
@@ -32,18 +33,26 @@ class Clock:
         self._progress = progress
         self._stage, self._since = "", 0.0
 
+    def _tell(self, stage: str, details: dict) -> None:
+        """Pass it on, until the user has stopped the search."""
+        if self._progress is None:
+            return
+        try:
+            self._progress(stage, details)
+        except StopSearch:
+            self._progress = None
+            raise
+
     def start(self, stage: str) -> None:
         self.stop()
         self._stage, self._since = stage, time.perf_counter()
-        if self._progress:
-            self._progress(stage, {})
+        self._tell(stage, {})
 
     def report(self, stage: str, details: dict) -> None:
         if stage != self._stage:
             self.stop()
             self._stage, self._since = stage, time.perf_counter()
-        if self._progress:
-            self._progress(stage, details)
+        self._tell(stage, details)
 
     def stop(self) -> None:
         if self._stage:

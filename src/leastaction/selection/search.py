@@ -7,10 +7,17 @@ the lists below, and nowhere else.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
+from leastaction.errors import StopSearch
+from leastaction.estimation.fit import Fit
+from leastaction.findings import find
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import (
     all_data,
     coarse_restart,
+    exact_equations,
     feeding_friction,
     finer_knots,
     force_bias,
@@ -37,16 +44,32 @@ ON_ONE_GRID = (
 def find_structure(search: Search) -> Search:
     """Run the strategies that find a structure, from the grid of the search."""
     for strategy in ON_ONE_GRID:
-        search = strategy.run(search)
+        search = _attempt(strategy.run, search)
     return search
 
 
 def run_search(search: Search) -> Search:
     """Run every strategy."""
-    return simulation_error.run(force_bias.run(search, _on_data))
+    return _attempt(simulation_error.run, force_bias.run(search, _on_data))
 
 
 def _on_data(search: Search) -> Search:
     """Find a structure on pieces of long recordings, then on all data."""
     search.report("search", {})
-    return all_data.run(coarse_restart.run(find_structure(search), find_structure))
+    search = find_structure(search)
+    for run in (lambda s: coarse_restart.run(s, find_structure), all_data.run, exact_equations.run):
+        search = _attempt(run, search)
+    return search
+
+
+def _attempt(run: Callable[[Search], Search], search: Search) -> Search:
+    """Run a strategy unless the user has stopped the search; then the best fit so far stays."""
+    if search.stopped:
+        return search
+    try:
+        return run(search)
+    except StopSearch as stop:
+        fit = search.fit or stop.fit
+        if not isinstance(fit, Fit):
+            raise
+        return replace(search.now(fit), stopped=True, findings=(*search.findings, find("stopped-early")))

@@ -56,6 +56,8 @@ class Search:
         Whether finer knots made a large equation error larger.
     feeding : tuple of int
         Candidates of dissipation that were left out because they would have fed energy in.
+    stopped : bool
+        Whether the user ended the search before its last strategy.
     findings : tuple of Finding
         What a strategy did that the user should know.
     report : callable
@@ -76,6 +78,7 @@ class Search:
     knots_settled: bool = False
     vibrates: bool = False
     feeding: tuple[int, ...] = ()
+    stopped: bool = False
     findings: tuple[Finding, ...] = ()
     report: Progress = silent
 

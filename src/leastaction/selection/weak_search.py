@@ -19,7 +19,16 @@ import numpy as np
 
 from leastaction.selection.weak_form import WeakGram
 
-__all__ = ["Support", "beam_search", "grow_bases", "solve_support", "support_score"]
+__all__ = [
+    "ScaledGram",
+    "Support",
+    "beam_search",
+    "best_extensions",
+    "grow_bases",
+    "inverse_root",
+    "solve_support",
+    "support_score",
+]
 
 _RIDGE = 1e-12
 _SMALLEST = 1e-13
@@ -37,7 +46,7 @@ class Support:
     ratio: float
 
 
-class _Scaled:
+class ScaledGram:
     """Both matrices with unit diagonal of the reference, so that a ridge means the same for every column."""
 
     def __init__(self, gram: WeakGram, error: float) -> None:
@@ -47,6 +56,12 @@ class _Scaled:
         self.residual = gram.residual * np.outer(scale, scale)
         self.reference = reference * np.outer(scale, scale)
         self.known = self.residual.shape[0] - 1
+
+    def ratio(self, members: tuple[int, ...]) -> float:
+        """ρ of one support."""
+        index = np.array([*members, self.known])
+        root = inverse_root(self.reference[np.ix_(index, index)])
+        return max(float(np.linalg.eigvalsh(root @ self.residual[np.ix_(index, index)] @ root.T)[0]), _SMALLEST)
 
     def extended(self, supports: np.ndarray) -> np.ndarray:
         """ρ of every support with every candidate added: (n_supports, size) → (n_supports, n_candidates).
@@ -60,7 +75,7 @@ class _Scaled:
         """
         index = np.column_stack([supports, np.full(len(supports), self.known)]).astype(int)
         pick = (index[:, :, None], index[:, None, :])
-        root = _inverse_root(self.reference[pick])
+        root = inverse_root(self.reference[pick])
         mu, vectors = np.linalg.eigh(root @ self.residual[pick] @ root.transpose(0, 2, 1))
         mu = np.maximum(mu, _SMALLEST)  # rounding may leave it below zero
         basis = vectors.transpose(0, 2, 1) @ root
@@ -75,7 +90,7 @@ class _Scaled:
         return ratios[:, : self.known]
 
 
-def _inverse_root(matrices: np.ndarray) -> np.ndarray:
+def inverse_root(matrices: np.ndarray) -> np.ndarray:
     """R with R G Rᵀ = 1 for symmetric matrices G of unit diagonal, which rounding may leave indefinite."""
     ridge = _RIDGE
     while True:
@@ -112,16 +127,16 @@ def beam_search(
     error : float
         ε, the squared size of the equation error relative to the rows.
     """
-    scaled = _Scaled(gram, error)
+    scaled = ScaledGram(gram, error)
     kept: list[Support] = [Support((), np.inf)]
     levels: list[list[Support]] = []
     best, since = np.inf, 0
     for size in range(1, min(max_size, scaled.known) + 1):
         # two terms often make sense together only: all pairs are tried
-        kept = _best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
+        kept = best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
         for _ in range(_SWAP_ROUNDS if size > 2 else 0):
             smaller = {s.members[:m] + s.members[m + 1 :] for s in kept[: width // 2] for m in range(size)}
-            swapped = _best_extensions(scaled, smaller, width)
+            swapped = best_extensions(scaled, smaller, width)
             merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
             improved = merged[0].ratio < kept[0].ratio * (1 - 1e-6)
             kept = merged
@@ -148,7 +163,7 @@ def grow_bases(
 
     Ends when no base has been improved by four more terms.
     """
-    scaled = _Scaled(gram, error)
+    scaled = ScaledGram(gram, error)
     kept = [{base} for base in bases]
     best, since = np.full(len(bases), np.inf), 0
     levels: list[list[Support]] = []
@@ -157,7 +172,7 @@ def grow_bases(
         for b, supports in enumerate(kept):
             if max(map(len, supports)) >= min(max_size, scaled.known):
                 continue
-            found = _best_extensions(scaled, supports, width)
+            found = best_extensions(scaled, supports, width)
             kept[b] = {support.members for support in found}
             values[b] = support_score(found[0], penalty, n_rows)
             level += found
@@ -174,7 +189,7 @@ def support_score(support: Support, penalty: float, n_rows: float) -> float:
     return n_rows * float(np.log(max(support.ratio, 1.0))) + penalty * len(support.members)
 
 
-def _best_extensions(scaled: _Scaled, supports: set[tuple[int, ...]], width: int) -> list[Support]:
+def best_extensions(scaled: ScaledGram, supports: set[tuple[int, ...]], width: int) -> list[Support]:
     """The best distinct supports that have one candidate more than those given."""
     base = np.array(sorted(supports), dtype=int).reshape(len(supports), -1)
     ratios = scaled.extended(base)
@@ -195,9 +210,9 @@ def solve_support(gram: WeakGram, error: float, members: tuple[int, ...]) -> np.
 
     Falls back to least squares on the weak form when the smallest eigenvector leaves the known column out.
     """
-    scaled = _Scaled(gram, error)
+    scaled = ScaledGram(gram, error)
     index = np.array([*members, scaled.known])
-    root = _inverse_root(scaled.reference[np.ix_(index, index)])
+    root = inverse_root(scaled.reference[np.ix_(index, index)])
     _, vectors = np.linalg.eigh(root @ scaled.residual[np.ix_(index, index)] @ root.T)
     vector = root.T @ vectors[:, 0] * scaled.scale[index]
     weight = vector[-1] / scaled.scale[scaled.known]

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.knots import KNOTS_PER_RADIAN
+from leastaction.errors import StopSearch
 from leastaction.estimation.grid import Grid
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search, equations_hold
@@ -46,6 +47,8 @@ def run(search: Search, again: Callable[[Search], Search]) -> Search:
     grid = Grid.lay(search.searched, knots)
     other = again(replace(search, grid=grid, curve=grid.smooth(), fit=None, feeding=(), thorough=False))
     coarse = other.found
+    if other.stopped:
+        raise StopSearch
     if not coarse.converged:
         return search
     first, second = (forecast_error(fit, horizon(knots)) for fit in (fine, coarse))

@@ -29,11 +29,11 @@ def run(search: Search, again: Callable[[Search], Search]) -> Search:
     if not search.bias.seconds:
         return again(search)
     found = again(replace(search, thorough=False))
-    while (bias := found.bias.followed(found.found)) is not None:
+    while not found.stopped and (bias := found.bias.followed(found.found)) is not None:
         search.report("drift", bias.size)
         problem = search.problem.with_forces(bias.forces)
         found = again(replace(restarted(search, problem), bias=bias))
-    return _settled(found)
+    return found if found.stopped else _settled(found)
 
 
 def _settled(search: Search) -> Search:

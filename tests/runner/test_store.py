@@ -1,0 +1,196 @@
+"""The store of records: what has been added is there, whoever is killed and whoever else writes."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from runner.origin import ROOT
+from runner.store import RecordError, Store, to_line
+from studies.case import Case
+
+
+def case(trial: int, study: str = "single") -> Case:
+    return Case(study, "single_pendulum", 0.1, trial=trial)
+
+
+def record(trial: int, study: str = "single", **result) -> dict:
+    return {"config": case(trial, study).as_dict(), "result": {"finished": True, **result}}
+
+
+def trials(records: list[dict]) -> list[int]:
+    return [r["config"]["trial"] for r in records]
+
+
+@pytest.fixture
+def store(tmp_path) -> Store:
+    return Store(tmp_path / "new", Case.from_dict, say=pytest.fail)
+
+
+# ------------------------------------------------------------------------------------------ lines
+
+
+def test_a_line_holds_what_json_can_hold_in_the_sequence_given():
+    document = {
+        "z": float("nan"),
+        "b": np.float64(1.5),
+        "c": np.arange(2),
+        "d": np.bool_(True),
+        "a": (1, None),
+    }
+    text = to_line(document | {"text": "θ\n\u2028é"})
+    assert "\n" not in text
+    back = json.loads(text)
+    assert back == {"z": None, "b": 1.5, "c": [0, 1], "d": True, "a": [1, None], "text": "θ\n\u2028é"}
+    assert list(back) == [*document, "text"]
+
+
+def test_records_come_back_sorted_and_the_last_of_a_case_holds(store):
+    for trial, value in ((2, 0), (10, 1), (2, 2), (0, 3)):
+        store.append(record(trial, value=value))
+    found = store.read()
+    assert trials(found) == [0, 10, 2]  # by name
+    assert [r["result"]["value"] for r in found] == [3, 1, 2]
+    assert len(store.path("single").read_bytes().splitlines()) == 4
+    store.tidy("single")
+    lines = [json.loads(line) for line in store.path("single").read_text().splitlines()]
+    assert lines == found == store.read()
+    before = store.path("single").stat()
+    store.tidy("single", "faults")  # nothing to be done, and no such file
+    after = store.path("single").stat()
+    assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
+    assert [path.name for path in store.folder.iterdir()] == ["single.jsonl"]
+
+
+def test_every_part_has_its_own_file(store):
+    store.append(record(0))
+    store.append(record(1, "faults"))
+    assert trials(store.read("single")) == [0]
+    assert trials(store.read("faults", "single")) == [1, 0]
+    assert trials(store.read()) == [1, 0]
+
+
+def test_the_former_layout_is_read_and_a_line_comes_before_it(store):
+    for trial in (0, 1):
+        path = store.folder / f"{case(trial).key}.json"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(record(trial, value="file"), indent=1))
+    store.append(record(1, value="line"))
+    store.append(record(2, value="line"))
+    for found in (store.read(), store.read("single")):
+        assert [r["result"]["value"] for r in found] == ["file", "line", "line"]
+    assert store.read("faults") == []
+
+
+@pytest.mark.parametrize(
+    "line", ["{}", "no json", '{"config": {"colour": 1}, "result": {"finished": true}}', ""]
+)
+def test_a_line_that_is_no_record_is_named(store, line):
+    store.append(record(0))
+    with store.path("single").open("a") as file:
+        file.write(line + "\n")
+    before = store.path("single").read_bytes()
+    for action in (store.read, store.tidy):
+        with pytest.raises(RecordError, match=r"single\.jsonl, line 2, is not the record of a run: "):
+            action("single")
+    assert store.path("single").read_bytes() == before
+
+
+# ------------------------------------------------------------------------------------------ bad moments
+
+
+def test_an_unfinished_line_is_dropped_wherever_it_ends(tmp_path):
+    said: list[str] = []
+    store = Store(tmp_path, Case.from_dict, said.append)
+    path = store.path("single")
+    store.append(record(0))
+    whole = path.read_bytes()
+    store.append(record(1, text="θ"))
+    both = path.read_bytes()
+    for length in (*range(len(whole) + 1, len(both) - 12, 7), *range(len(both) - 12, len(both))):
+        said.clear()
+        path.write_bytes(both[:length])
+        assert trials(store.read()) == [0]
+        assert said == [f"{path}: its last line is unfinished and is left out"]
+        store.append(record(2))
+        assert trials(store.read()) == [0, 2]
+        path.write_bytes(both[:length])
+        store.tidy("single")
+        assert path.read_bytes() == whole
+        assert said[1:] == [f"{path}: its last line is unfinished and is dropped; that run is made again"] * 2
+    path.write_bytes(both[: len(whole) // 2])  # there was no line before it
+    store.append(record(1, text="θ"))
+    assert path.read_bytes() == both[len(whole) :]
+
+
+def test_a_full_disk_leaves_whole_lines(store):
+    store.append(record(0))
+    before = store.path("single").read_bytes()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 100, hard))
+    try:
+        with pytest.raises(OSError, match="No space left"):
+            store.append(record(1, text="x" * 1000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert store.path("single").read_bytes() == before
+
+
+# Adds long records, sorts after every third, and says which have been added.
+WRITER = """
+import sys
+from pathlib import Path
+from runner.store import Store
+from studies.case import Case
+
+folder, first, last, length = sys.argv[1], *map(int, sys.argv[2:])
+store = Store(Path(folder), Case.from_dict, say=lambda text: None)
+for trial in range(first, last):
+    config = Case("single", "single_pendulum", 0.1, trial=trial).as_dict()
+    store.append({"config": config, "result": {"finished": True, "text": f"{trial} " * length}})
+    print(trial, flush=True)
+    if trial % 3 == 0:
+        store.tidy("single")
+"""
+
+
+def writer(folder: Path, first: int, last: int, length: int) -> subprocess.Popen:
+    command = [sys.executable, "-c", WRITER, *map(str, (folder, first, last, length))]
+    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+
+
+def test_a_killed_writer_loses_nothing_that_it_has_added(tmp_path, rng):
+    store = Store(tmp_path, Case.from_dict, say=lambda text: None)
+    added: list[int] = []
+    for first in range(0, 3000, 1000):
+        process = writer(tmp_path, first, first + 1000, 20_000)
+        added += [int(process.stdout.readline()) for _ in range(5)]  # it also sorts meanwhile
+        time.sleep(rng.uniform(0.0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        added += map(int, process.communicate()[0].split())
+        store.tidy("single")
+        found = store.read()
+        assert set(added) <= set(trials(found))
+        assert len(found) <= len(added) + 1 + first // 1000  # the one that was not yet said, each time
+        assert all(set(r["result"]["text"].split()) == {str(r["config"]["trial"])} for r in found)
+    assert len(added) >= 15
+    assert [path.name for path in tmp_path.iterdir()] == ["single.jsonl"]
+
+
+def test_writers_at_the_same_time_keep_each_other_s_records(tmp_path):
+    processes = [writer(tmp_path, first, first + 60, 500) for first in (0, 100, 200)]
+    added = [int(trial) for process in processes for trial in process.communicate(timeout=60)[0].split()]
+    assert [process.returncode for process in processes] == [0, 0, 0]
+    assert len(added) == 180
+    store = Store(tmp_path, Case.from_dict, say=pytest.fail)
+    store.tidy("single")
+    assert sorted(trials(store.read())) == sorted(added)
+    assert [path.name for path in tmp_path.iterdir()] == ["single.jsonl"]
