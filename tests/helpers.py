@@ -12,6 +12,7 @@ from scipy.interpolate import make_lsq_spline
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.findings import Finding
 from leastaction.library import Term
 from leastaction.library.term import make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -134,6 +135,11 @@ def record(
         forces = None if forcing is None else forcing(k, t)
         out.append(Trajectory(t, q, forces=forces, coordinates=coordinates))
     return Trajectories(out)
+
+
+def findings_of(model, code: str) -> list[Finding]:
+    """Findings of a model with this code."""
+    return [finding for finding in model.fit.findings if finding.code == code]
 
 
 def coefficients_of(model) -> dict[str, float]:

@@ -102,10 +102,8 @@ def test_the_values_of_every_code_are_explained() -> None:
     partly = set()  # a check that passes a mapping on
     for path in sorted((ROOT / "src/leastaction").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if (
-                not isinstance(node, ast.Call)
-                or not isinstance(node.func, ast.Name)
-                or node.func.id != "find"
+            if not (
+                isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "find"
             ):
                 continue
             code = node.args[0].value if isinstance(node.args[0], ast.Constant) else None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
+from helpers import findings_of
 from leastaction import systems
 from leastaction.curve.bspline import uniform_grid
 from leastaction.estimation.forces import forces_on
@@ -89,7 +90,7 @@ def test_noise_of_the_forces_does_not_bias_the_scale(share, seed):
     gravity = next(t for t in model.terms if t.expression == "cos(theta)")
     assert gravity.coefficient == pytest.approx(9.81, rel=0.03)
     if share == 1.0:
-        assert any("scatter of those that were given" in note for note in model.diagnostics.notes)
+        assert findings_of(model, "scatter-of-forces")
 
 
 def test_noise_of_the_forces_excuses_no_missing_term():
@@ -143,9 +144,9 @@ def test_a_delay_that_friction_could_hide_is_named(seed):
     library, friction = systems.compact_library("single_pendulum"), ["theta_dot**2/2"]
     model = la.discover(stamped_late(seed), library, dissipation=friction)
     assert model.fit.status == "doubtful"
-    (warning,) = (w for w in model.fit.warnings if "forces seem to act" in w)
-    delay = float(warning.partition("about ")[2].partition(" ms earlier")[0])
-    assert delay == pytest.approx(10.0, rel=0.2)
+    (late,) = findings_of(model, "late-forces")
+    assert late.values["delay"] == pytest.approx(-0.01, rel=0.2)
+    assert not late.values["half_a_sample"]
     cured = la.delay.shift_forces(stamped_late(seed), -0.01)
     assert la.discover(cured, library, dissipation=friction).fit.status == "ok"
 
@@ -154,4 +155,5 @@ def test_a_half_sample_reads_as_held():
     data = systems.generate("single_pendulum", noise=0.001, trials=4, duration=20.0, seed=6)
     early = la.delay.shift_forces(data, -0.005)
     model = la.discover(early, systems.compact_library("single_pendulum"))
-    assert any("held from one sample to the next" in w for w in model.fit.warnings)
+    (late,) = findings_of(model, "late-forces")
+    assert late.values["half_a_sample"]

@@ -86,7 +86,7 @@ def test_discover_writes_model_and_report(found):
     result, folder = found
     assert sorted(p.name for p in folder.iterdir()) == ["model.json", "report.html"]
     document = json.loads((folder / "model.json").read_text(encoding="utf-8"))
-    assert document["schema"] == 1
+    assert document["schema"] == 2
     assert document["fit"]["status"] == "ok"
     values = {term["expression"]: term["coefficient"] for term in document["terms"]}
     assert values == pytest.approx({"theta_dot**2": 0.5, "cos(theta)": 9.81}, rel=0.03)

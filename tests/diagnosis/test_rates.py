@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import pickle
-import re
 import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from helpers import with_rates
+from helpers import findings_of, with_rates
 from leastaction import InputError, Trajectories, Trajectory, delay, discover, smooth, systems
 from leastaction.curve.knots import excerpt, lay_knots
 from leastaction.diagnosis.rates import doubts_about_rates
+from leastaction.findings import Finding, find
 from leastaction.metrics import cramer_rao_bound
 
 
@@ -155,7 +155,8 @@ def test_velocities_reach_the_bound_without_bias():
         np.testing.assert_allclose(noise, 0.01 * spread, rtol=0.1)
         np.testing.assert_allclose(model.noise_std, sigma, rtol=0.15)
         assert model.fit.chi2_per_sample == pytest.approx(1.0, abs=0.1)
-        assert f"velocity of theta: noise {noise[1]:.3g}" in model.diagnostics.notes
+        found_noise = [f.values["noise"] for f in findings_of(model, "rate-noise")]
+        assert found_noise == noise.tolist()
     assert np.sqrt(np.mean(np.square(scores))) < 1.6
 
 
@@ -205,8 +206,7 @@ def test_the_papers_method_says_that_it_leaves_rates_out():
         discover(d, system.library, method="adam", options=options) for d in (data, data.without_rates())
     ]
     assert estimates(models[0])[0] == estimates(models[1])[0]
-    said = [[n for n in m.diagnostics.notes if "positions alone" in n] for m in models if m.diagnostics]
-    assert [len(notes) for notes in said] == [1, 0]
+    assert [len(findings_of(m, "rates-unused")) for m in models] == [1, 0]
 
 
 # --------------------------------------------------------------------------------- smoothing
@@ -234,7 +234,7 @@ def test_replicates_of_a_curve_with_rates_scatter_as_it_errs(rng):
 
 
 # ------------------------------------------------------------------------------- plausibility
-def doubts(data: Trajectories) -> list[str]:
+def doubts(data: Trajectories) -> list[Finding]:
     return doubts_about_rates(data, lay_knots(data, 5).smooth)
 
 
@@ -255,26 +255,28 @@ def altered(data: Trajectories, field: str, change) -> Trajectories:
 
 
 @pytest.mark.parametrize(
-    ("field", "change", "text"),
+    ("field", "change", "code", "figures"),
     [
-        ("velocities", np.degrees, r"velocity of theta1 is 57\.\d times .* \(degrees per second\?\)"),
-        ("velocities", np.negative, r"velocity of theta1 is -\S+ times .* \(the opposite sign\?\)"),
-        ("velocities", lambda v: -np.degrees(v), "degrees per second, with the opposite sign"),
-        ("velocities", lambda v: 1.1 * v, r"velocity of theta1 is 1\.1\d* times"),
-        ("velocities", lambda v: v + 0.5, r"velocity of theta1 has an offset of 0\.\d+"),
-        (
-            "accelerations",
-            lambda a: a / 9.81,
-            r"acceleration of theta1 is 0\.10\d times .* \(multiples of g\?\)",
-        ),
-        ("velocities", lambda v: np.roll(v, 180), "velocity of theta1 (hardly follows|is .* times)"),
+        ("velocities", np.degrees, "rate-scaled", {"factor": 57.3, "unit": "deg/s"}),
+        ("velocities", np.negative, "rate-scaled", {"factor": -1.0, "unit": "1"}),
+        ("velocities", lambda v: -np.degrees(v), "rate-scaled", {"factor": -57.3, "unit": "deg/s"}),
+        ("velocities", lambda v: 1.1 * v, "rate-scaled", {"factor": 1.1, "unit": ""}),
+        ("velocities", lambda v: v + 0.5, "rate-offset", {"offset": 0.5}),
+        ("accelerations", lambda a: a / 9.81, "rate-scaled", {"factor": 1.0 / 9.81, "unit": "g"}),
     ],
 )
-def test_a_channel_that_is_no_derivative_is_named(two_arms, field, change, text):
-    found = doubts(altered(two_arms, field, change))
-    assert len(found) == 1
-    assert found[0].startswith("the measured ")
-    assert re.search(text, found[0]), found[0]
+def test_a_channel_that_is_no_derivative_is_named(two_arms, field, change, code, figures):
+    (found,) = doubts(altered(two_arms, field, change))
+    quantity = {"velocities": "velocity", "accelerations": "acceleration"}[field]
+    assert (found.code, found.subject, found.values["quantity"]) == (code, ("theta1",), quantity)
+    for name, value in figures.items():
+        assert found.values[name] == (value if isinstance(value, str) else pytest.approx(value, rel=0.05))
+
+
+def test_a_channel_of_other_times_is_named(two_arms):
+    (found,) = doubts(altered(two_arms, "velocities", lambda v: np.roll(v, 180)))
+    assert found.code in ("rate-unrelated", "rate-scaled")
+    assert found.subject == ("theta1",)
 
 
 def test_a_channel_that_is_one_is_not_doubted(two_arms):
@@ -287,7 +289,7 @@ def test_a_channel_that_is_one_is_not_doubted(two_arms):
 
 def test_a_dead_sensor_is_named(two_arms):
     dead = altered(two_arms, "velocities", lambda v: 0.0 * v)
-    assert doubts(dead) == ["the measured velocity of theta1 is constant: leave it out"]
+    assert doubts(dead) == [find("rate-constant", "theta1", quantity="velocity")]
     model = discover(dead, systems.get("double_pendulum").library)
     assert model.fit.status == "doubtful"
     assert set(estimates(model)[0]) == set(systems.get("double_pendulum").free)
@@ -309,7 +311,7 @@ def test_a_wrong_unit_makes_the_model_doubtful_and_no_worse(two_arms):
     wrong = Trajectories(x.changed(velocities=np.degrees(x.velocities), accelerations=None) for x in two_arms)
     model, plain = (discover(d, library) for d in (wrong, two_arms.without_rates()))
     assert model.fit.status == "doubtful"
-    assert sum("degrees per second?" in text for text in model.fit.warnings) == 2
+    assert [f.values["unit"] for f in findings_of(model, "rate-scaled")] == ["deg/s", "deg/s"]
     (found, errors), (expected, _) = estimates(model), estimates(plain)
     assert found.keys() == expected.keys()
     assert all(abs(found[k] - expected[k]) < errors[k] for k in found)

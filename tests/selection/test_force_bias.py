@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
+from helpers import findings_of
 from leastaction import systems
 from leastaction.cli.options import force_offsets
 
@@ -44,10 +45,9 @@ def test_a_drifting_bias_is_found_with_the_law(library, seed):
     assert [f.shape for f in found] == [run.t.shape for run in data]
     error = np.sqrt(np.mean((np.concatenate(found) - np.concatenate(biases)) ** 2))
     assert error < 0.05 * np.std(np.concatenate(biases))
-    (note,) = (note for note in model.diagnostics.notes if "force on theta" in note)
-    assert "hardly any" not in note
-    claimed = float(note.rpartition("± ")[2])
-    assert 0.3 * error < claimed < 3.0 * error
+    (slow,) = findings_of(model, "slow-force")
+    assert (slow.subject, slow.values["hardly_any"]) == (("theta",), False)
+    assert 0.3 * error < slow.values["standard_error"] < 3.0 * error
 
 
 def test_the_same_data_taken_at_their_word_are_doubtful(library):
@@ -60,7 +60,7 @@ def test_where_nothing_drifts_nothing_is_found(library):
     assert {t.expression for t in plain.terms} == {t.expression for t in followed.terms}
     for a, b in zip(plain.terms, followed.terms, strict=True):
         assert b.coefficient == pytest.approx(a.coefficient, abs=a.standard_error)
-    assert any("hardly any" in note for note in followed.diagnostics.notes)
+    assert [finding.values["hardly_any"] for finding in findings_of(followed, "slow-force")] == [True]
     pushes = np.sqrt(np.mean(np.concatenate([run.forces for run in data]) ** 2))
     assert np.abs(np.concatenate(followed.diagnostics.force_offset["theta"])).max() < 0.03 * pushes
 
