@@ -520,18 +520,20 @@ def test_the_first_interrupt_keeps_the_best_law_and_the_second_gives_up(capsys):
 
     from leastaction.cli.interrupt import stoppable
 
-    before = signal.getsignal(signal.SIGINT)
-    stages = []
-    with pytest.raises(KeyboardInterrupt), stoppable(lambda stage, details: stages.append(stage)) as progress:
-        progress("select", {})
-        signal.raise_signal(signal.SIGINT)
-        progress("verify", {})  # too late to stop a search
-        try:
+    before, stages = signal.getsignal(signal.SIGINT), []
+
+    def interrupted_twice() -> None:
+        with stoppable(lambda stage, details: stages.append(stage)) as progress:
             progress("select", {})
-        except la.StopSearch:
-            with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+            progress("verify", {})  # too late to stop a search
+            try:
+                progress("select", {})
+            except la.StopSearch:
                 signal.raise_signal(signal.SIGINT)
-            raise
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted_twice()
     assert stages == ["select", "verify"]
     assert "best law so far" in capsys.readouterr().err
     assert signal.getsignal(signal.SIGINT) is before
