@@ -92,9 +92,13 @@ class Chain:
                 return 0.5 * size * np.sin(np.multiply.outer(np.asarray(s), pace) + phase).sum(axis=-2)
 
             start = np.concatenate([rng.uniform(-1.0, 1.0, self.n), rng.uniform(-1.0, 1.0, self.n)])
-            n = self.n
+
+            def motion(s, y, torque=torque):
+                q, v = np.split(y, 2)
+                return np.concatenate([v, self.accelerations(q, v, torque(s))])
+
             found = solve_ivp(
-                lambda s, y, f=torque: np.concatenate([y[n:], self.accelerations(y[:n], y[n:], f(s))]),
+                motion,
                 (0.0, t[-1]),
                 start,
                 method="DOP853",
@@ -102,7 +106,7 @@ class Chain:
                 rtol=1e-9,
                 atol=1e-9,
             )
-            q = found.y[:n].T
+            q = found.y[: self.n].T
             q = q + noise * q.std(axis=0) * rng.standard_normal(q.shape)
             out.append(la.Trajectory(t, q, torque(t), self.names))
         return la.Trajectories(out)

@@ -26,6 +26,7 @@ __all__ = [
     "best_extensions",
     "grow_bases",
     "inverse_root",
+    "noise_ratio",
     "solve_support",
     "support_score",
 ]
@@ -34,6 +35,8 @@ _RIDGE = 1e-12
 _SMALLEST = 1e-13
 _DEPENDENT = 1e-9
 _BISECTIONS = 45
+_STEPS = 7  # of the root finder; six settle nearly all
+_SETTLED = 1e-9
 _SWAP_ROUNDS = 6
 _PATIENCE = 4
 
@@ -105,15 +108,42 @@ def inverse_root(matrices: np.ndarray) -> np.ndarray:
 
 
 def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
-    """Root of α − x − Σ_j s_j / (μ_j − x) in (0, min μ), where it falls from positive to −∞, by bisection."""
-    low = np.zeros_like(alpha)
-    high = np.broadcast_to(mu[:, :1], alpha.shape).copy()
+    """Root of f = α − x − Σ_j s_j / (μ_j − x) in (0, min μ), where f falls from positive to −∞.
+
+    Each step keeps the nearest pole and takes a tangent of the rest.  The rest is concave, so the root of
+    the model lies above that of f, and the steps fall to it quadratically.  Where they have not settled
+    (poles that coincide), bisection follows.
+    """
+    first, least = mu[:, :1], 1e-15 * mu[:, :1]
+    pole, others, rest = squares[:, 0], mu[:, 1:, None], squares[:, 1:]
+    x = np.broadcast_to(0.5 * first, alpha.shape)
+    moved = np.full(alpha.shape, np.inf)
+    for _ in range(_STEPS):
+        gap = np.maximum(others - x[:, None, :], least[:, :, None])
+        part = rest / gap
+        slope = 1.0 + (part / gap).sum(axis=1)
+        offset = alpha - x - part.sum(axis=1) - slope * (first - x)
+        root = np.sqrt(offset**2 + 4.0 * slope * pole)
+        distance = np.where(
+            offset > 0.0, 2.0 * pole / np.maximum(offset + root, 1e-300), (root - offset) / (2.0 * slope)
+        )
+        new = np.clip(first - distance, 0.0, first)
+        x, moved = new, np.abs(new - x)
+    row, k = np.nonzero(moved > _SETTLED * (x + least))
+    if row.size:
+        x[row, k] = _bisect(alpha[row, k], squares[row, :, k], mu[row])
+    return np.maximum(x, _SMALLEST)
+
+
+def _bisect(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
+    """The same root, one row a problem."""
+    low, high = np.zeros_like(alpha), mu[:, 0].copy()
     for _ in range(_BISECTIONS):
         x = 0.5 * (low + high)
-        gap = np.maximum(mu[:, :, None] - x[:, None, :], 1e-300)
+        gap = np.maximum(mu - x[:, None], 1e-300)
         above = alpha - x - (squares / gap).sum(axis=1) > 0.0
         low, high = np.where(above, x, low), np.where(above, high, x)
-    return np.maximum(high, _SMALLEST)
+    return high
 
 
 def beam_search(
@@ -186,9 +216,25 @@ def grow_bases(
     return levels
 
 
-def support_score(support: Support, penalty: float, n_rows: float) -> float:
-    """n_rows · log ρ + penalty · size, with ρ < 1 counted as 1: better than noise is not better."""
-    return n_rows * float(np.log(max(support.ratio, 1.0))) + penalty * len(support.members)
+def support_score(support: Support, penalty: float, n_rows: float, noise: float = 1.0) -> float:
+    """n_rows · log ρ/noise + penalty · size, with ρ below the noise counted as noise: less is not better.
+
+    Parameters
+    ----------
+    noise : float
+        ρ that noise alone leaves: one, or what `noise_ratio` finds.
+    """
+    return n_rows * float(np.log(max(support.ratio / noise, 1.0))) + penalty * len(support.members)
+
+
+def noise_ratio(full: float, n_candidates: int, n_rows: float) -> float:
+    """What ρ of the law is where the noise of the rows is overestimated, from ρ of the whole library.
+
+    A library that holds the law leaves noise less one row a candidate; one that does not leaves more than
+    noise, and one remains the limit.  Where rows are fewer than two a candidate, nothing can be told.
+    """
+    left = 1.0 - n_candidates / n_rows
+    return min(1.0, full / left) if left > 0.5 else 1.0
 
 
 def best_extensions(scaled: ScaledGram, supports: set[tuple[int, ...]], width: int) -> list[Support]:
