@@ -14,6 +14,7 @@ from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
 from leastaction.estimation.build import Request, Setup, build_problem
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.findings import find
 from leastaction.library import Library
@@ -23,7 +24,7 @@ from leastaction.selection.alternatives import find_alternatives
 from leastaction.selection.descent import run_descent
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search import run_search
-from leastaction.selection.search_state import begin_search
+from leastaction.selection.search_state import Search, begin_search
 from leastaction.threads import single_threaded
 
 __all__ = ["discover"]
@@ -141,32 +142,26 @@ def discover(
     """
     settings = _checked(method, options, relevance)
     descent = method == "adam"
-    degree = _DEGREES[method] if degree is None else degree
     clock = Clock(progress)
     clock.start("prepare")
     trajectories = Trajectories.coerce(trajectories)
-    dissipation, prescribed = _texts(dissipation), _texts(prescribed)
+    prescribed = _texts(prescribed)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
-    unused = trajectories.rates if descent else ()
-    if descent:
-        _refuse_slow_forces(slow)
-        trajectories = trajectories.without_rates()
+    if descent and slow:
+        raise InputError(
+            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
+        )
     request = Request(
         library,
         known or {},
-        dissipation,
+        _texts(dissipation),
         angles,
-        degree,
+        _DEGREES[method] if degree is None else degree,
         constant,
         prescribed,
         robust=robust and not descent,
     )
-    # the slow force is wanted at all times, not on pieces
-    setup = build_problem(trajectories, request, None if descent or slow else _ENOUGH)
-    about_rates = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
-    if unused:
-        about_rates.append(find("rates-unused"))
-    setup = replace(setup, findings=(*setup.findings, *about_rates))
+    setup = _set_up(trajectories, request, positions_alone=descent, whole=bool(descent or slow))
     search = begin_search(
         setup,
         slow,
@@ -178,31 +173,55 @@ def discover(
     )
     _check_columns(setup, search.grid)
     search = run_descent(search, settings) if descent else run_search(search)
-    if search.found.status == "not finite":
+    _refuse_nothing(search.found)
+    clock.start("verify")
+    alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
+    verdict = verify(search, alternatives)
+    clock.stop()
+    given = {"method": method, **_given(request, setup, search)}
+    if descent:
+        given["adam"] = asdict(settings)
+    return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
+
+
+def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bool, whole: bool) -> Setup:
+    """The problem, and what is to be said of it and its data before any search.
+
+    With ``whole`` the search is not on pieces of long recordings: a slow force is wanted at all times.
+    """
+    unused = trajectories.rates if positions_alone else ()
+    if positions_alone:
+        trajectories = trajectories.without_rates()
+    setup = build_problem(trajectories, request, None if whole else _ENOUGH)
+    findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
+    if unused:
+        findings.append(find("rates-unused"))
+    return replace(setup, findings=(*setup.findings, *findings))
+
+
+def _refuse_nothing(fit: Fit) -> None:
+    if fit.status == "not finite":
         raise DataError(
             "no combination of these candidates can be followed along the data: the library may "
             "lack a kinetic term of a coordinate, a known value be far off, or a candidate such as log or "
             "1/x may be undefined there; begin with Library.mechanical or --library auto"
         )
-    clock.start("verify")
-    alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
-    verdict = verify(search, alternatives)
-    clock.stop()
-    given = {
-        "method": method,
-        "degree": degree,
-        "relevance": float(relevance),
-        "seed": int(seed),
-        "known": {str(k): float(v) for k, v in (known or {}).items()},
+
+
+def _given(request: Request, setup: Setup, search: Search) -> dict:
+    """What the user asked for, as the model's provenance keeps it."""
+    angles = setup.library.angles if request.angles is None else request.angles
+    return {
+        "degree": request.degree,
+        "relevance": float(search.relevance),
+        "seed": int(search.seed),
+        "known": {str(k): float(v) for k, v in request.known.items()},
         "dissipation": [t.text for t in setup.library.dissipation],
-        "angles": list(setup.library.angles if angles is None else angles),
+        "angles": list(angles),
         "robust": request.robust,
-        "force_offset": {**dict.fromkeys(constant), **search.bias.seconds_of},
+        "force_offset": {**dict.fromkeys(request.force_offset), **search.bias.seconds_of},
         "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
     }
-    if descent:
-        given["adam"] = asdict(settings)
-    return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
 
 
 def _checked(method: str, options, relevance: float) -> AdamOptions:
@@ -218,13 +237,6 @@ def _checked(method: str, options, relevance: float) -> AdamOptions:
 
 def _texts(given: Iterable[str]) -> list[str]:
     return [given] if isinstance(given, str) else list(given)
-
-
-def _refuse_slow_forces(slow: Mapping[int, float]) -> None:
-    if slow:
-        raise InputError(
-            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
-        )
 
 
 def _offsets(
