@@ -155,7 +155,7 @@ def discover(
         library,
         known or {},
         _texts(dissipation),
-        angles,
+        None if angles is None else _texts(angles),
         _DEGREES[method] if degree is None else degree,
         constant,
         prescribed,
