@@ -444,7 +444,8 @@ def volume_term(
     for chunk in grid.chunks(_CHUNK):
         length = chunk.stop - chunk.start
         stride = max(1, length // _VOLUME_POINTS)  # a mean over time needs no more
-        q, qdot, _ = (s[::stride, 0] for s in grid.at_quadrature(control_points, chunk))
+        some = slice(chunk.start, chunk.stop, stride)
+        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
         points = Points(q, qdot)
         share = length / points.n_points / grid.n_intervals
         mass = columns.mass_matrix(points, coefficients)
