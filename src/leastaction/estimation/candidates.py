@@ -59,7 +59,7 @@ class CandidateBorder:
         n, n_quad = self.control_points.shape[1], grid.weights.shape[1]
         root = np.sqrt(self.weights.physics)[:, None, None]
         length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
-        for part in self.linearisation.parts:
+        for part in self.linearisation.parts():
             for a in range(part.chunk.start, part.chunk.stop, length):
                 chunk = slice(a, min(a + length, part.chunk.stop))
                 inside = slice(chunk.start - part.chunk.start, chunk.stop - part.chunk.start)
