@@ -179,6 +179,10 @@ def discover(
         forecast = _forecast(model, held_out)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
+    _show(folder, model, forecast)
+
+
+def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:
     show_model(model)
     if forecast is not None:
         say()
