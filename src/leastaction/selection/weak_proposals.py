@@ -24,7 +24,7 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "propose_structures"]
+__all__ = ["Proposal", "propose_structures", "weak_grams"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
@@ -55,17 +55,8 @@ def propose_structures(
     energies that can: with much noise, near-identities of a large library explain the rows as well as the
     law does. A thorough search does so in any case.
     """
-    problem = grid.problem
-    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
-    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
-    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
-    widths = [factor * period for factor in _WIDTHS]
-    forces = None if grid.forces is None else grid.forces.values
-    known = problem.completed(np.full(len(problem.candidates), np.nan))
-    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
-    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
+    problem, grams = grid.problem, weak_grams(grid, curve, seed)
     found: list[Proposal] = []
-    grams = form.grams(curve.control_points, replicates)
     for from_bases in (False, True):
         bases = kinetic_bases(grid, curve) if from_bases else None
         for gram in grams:
@@ -77,6 +68,20 @@ def propose_structures(
         if not thorough and any(np.isfinite(p.evidence) for p in found):
             break
     return sorted(found, key=lambda p: -p.evidence)
+
+
+def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
+    """The weak form along a smooth curve for each width of test functions."""
+    problem = grid.problem
+    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
+    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
+    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
+    widths = [factor * period for factor in _WIDTHS]
+    forces = None if grid.forces is None else grid.forces.values
+    known = problem.completed(np.full(len(problem.candidates), np.nan))
+    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
+    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
+    return form.grams(curve.control_points, replicates)
 
 
 def _best_support(
