@@ -28,7 +28,7 @@ EXPLAINED = 3.0
 OVERLAP = 3.0
 
 
-def weak_grams(chain: Chain):
+def grams_of(chain: Chain):
     """Weak forms of a recording, and the places of the law among the candidates."""
     terms, friction = chain.law()
     library = chain.candidates(len(terms) + len(friction))
@@ -54,7 +54,7 @@ def main() -> None:
     print("links  angles    candidates  law  width     search     missing  others     ρ  CPU s")
     for n in links:
         for relative in (False, True):
-            grams, law, n_candidates = weak_grams(Chain(n, relative))
+            grams, law, n_candidates = grams_of(Chain(n, relative))
             start = f"{n:5d}  {'relative' if relative else 'absolute'}  {n_candidates:10d}  {len(law):3d}"
             for gram, width in zip(grams, ("1", "½", "2"), strict=True):
                 n_rows = gram.n_rows / OVERLAP
