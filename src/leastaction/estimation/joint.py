@@ -44,7 +44,7 @@ _RELATIVE_FLOOR = 1e-6
 _VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _TRANSPOSED = 128
-_MOST_KEPT = 8_000_000  # numbers in the equations of a linearisation: 64 MB
+_MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
