@@ -11,7 +11,8 @@ from leastaction.estimation import banded, candidates
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import condense, fit_joint, score_candidates
-from leastaction.estimation.joint import Observations, Physics, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
 
 
 def dense(rows: np.ndarray) -> np.ndarray:

@@ -15,7 +15,8 @@ from leastaction.data.trajectories import Rate
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.gauss_newton import condense, fit_joint
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.joint import Observations, Physics, Weights, linearise
+from leastaction.estimation.joint import Physics, Weights, linearise
+from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points

@@ -16,12 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
-from leastaction.estimation.joint import (
-    Linearisation,
-    Weights,
-    by_interval,
-    points_at,
-)
+from leastaction.estimation.joint import Linearisation, Weights, by_interval, points_at
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["CandidateBorder", "schur_complement"]

@@ -21,15 +21,9 @@ import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder, schur_complement
-from leastaction.estimation.joint import (
-    Linearisation,
-    NormalEquations,
-    Observations,
-    Physics,
-    Weights,
-    linearise,
-    volume_term,
-)
+from leastaction.estimation.joint import Linearisation, NormalEquations, Physics, Weights, linearise
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.volume import volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]

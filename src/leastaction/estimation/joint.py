@@ -13,35 +13,28 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.sparse as sp
 
 from leastaction.curve.bspline import SplineGrid
-from leastaction.curve.smoothing import banded_gram
-from leastaction.data.trajectories import Rate
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = [
     "Equations",
     "Linearisation",
     "NormalEquations",
-    "Observations",
     "Physics",
-    "Volume",
     "Weights",
     "by_interval",
     "linearise",
     "points_at",
-    "positive_definite",
-    "volume_term",
 ]
 
-_RELATIVE_FLOOR = 1e-6
-_VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _TRANSPOSED = 128
 _MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
@@ -74,83 +67,6 @@ class Weights:
     def position_std(self) -> np.ndarray:
         """(n_dof,) noise of the positions."""
         return self.noise_std[: self.physics.size]
-
-
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """Valid samples of one coordinate, or of one of its derivatives, and the basis at their times."""
-
-    coordinate: int
-    design: sp.csr_array
-    gram: np.ndarray
-    y: np.ndarray
-
-
-class Observations:
-    """Measured coordinates, and rates, against a spline grid; NaN samples are left out channel by channel.
-
-    Attributes
-    ----------
-    counts : (n_channels,) int array
-        Samples of each channel: positions of the coordinates in order, then ``rates``.
-    coordinates : (n_channels,) int array
-        The coordinate of each channel.
-    floors, noise_floor : (n_channels,) and (n_dof,) arrays
-        No sensor is better than a millionth of its range; below that rounding and the data's own
-        integration errors would count as physics.
-    """
-
-    def __init__(
-        self,
-        grid: SplineGrid,
-        times: Sequence[np.ndarray],
-        values: Sequence[np.ndarray],
-        rates: Sequence[Rate] = (),
-    ) -> None:
-        stacked = np.concatenate(values)
-        self.grid, self.n_dof = grid, stacked.shape[1]
-        measured = [(i, 0, column) for i, column in enumerate(stacked.T)]
-        measured += [(r.coordinate, r.derivative, np.concatenate(r.values)) for r in rates]
-        designs = {nu: grid.design(times, nu) for nu in dict.fromkeys(nu for _, nu, _ in measured)}
-        whole: dict[int, _Channel] = {}  # complete columns share basis and Gram matrix, by derivative
-        self._channels: list[_Channel] = []
-        for i, nu, y in measured:
-            keep = np.isfinite(y)
-            complete = bool(keep.all())
-            if complete and nu in whole:
-                self._channels.append(replace(whole[nu], coordinate=i, y=y[keep]))
-                continue
-            design = designs[nu] if complete else designs[nu][keep]
-            gram = banded_gram(design, grid.degree)
-            self._channels.append(_Channel(i, design, gram, y[keep]))
-            if complete:
-                whole[nu] = self._channels[-1]
-        self.counts = np.array([c.y.size for c in self._channels])
-        self.coordinates = np.array([c.coordinate for c in self._channels])
-        spread = [*np.nanstd(stacked, axis=0), *(np.nanstd(y) for _, nu, y in measured if nu)]
-        self.floors = _RELATIVE_FLOOR * np.array(spread)
-        self.noise_floor = self.floors[: self.n_dof]
-
-    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
-        """y − N P for each channel, valid samples only."""
-        return [
-            c.y - c.design @ np.ascontiguousarray(control_points[:, c.coordinate]) for c in self._channels
-        ]
-
-    def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
-        residuals = self.residuals(control_points)
-        gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
-        return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
-
-    def gram(self, channel: int) -> np.ndarray:
-        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
-        return self._channels[channel].gram
-
-    def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
-        """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        for c, sigma in zip(self._channels, noise_std, strict=True):
-            rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,26 +127,6 @@ class NormalEquations(NamedTuple):
     rows: np.ndarray
     border: np.ndarray
     gradient: np.ndarray
-    corner: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Volume:
-    """The volume term at one point; see :func:`volume_term`.
-
-    Attributes
-    ----------
-    log_mean, regular : float
-        Mean of log |det M|, and share of the motion along which M is positive definite.
-    slope : (n_dof, n_border) array
-        Mean over time of (∂M/∂λ_k M⁻¹)_ii.
-    corner : (n_border, n_border) array
-        Mean over time of tr(∂M/∂λ_k M⁻¹ ∂M/∂λ_l M⁻¹).
-    """
-
-    log_mean: float
-    regular: float
-    slope: np.ndarray
     corner: np.ndarray
 
 
@@ -455,54 +351,6 @@ def _equations(
         jacobian.update({(2, i, i): np.ones(points.n_points) for i in physics.columns.prescribed})
         local = _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
     return Equations(chunk, local, right), terms
-
-
-def volume_term(
-    grid: SplineGrid,
-    columns: EulerLagrange,
-    control_points: np.ndarray,
-    coefficients: np.ndarray,
-    border: EulerLagrange,
-) -> Volume:
-    """The volume term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
-
-    The equation error r is what is random, not the curve: the density of the curve carries the factor
-    |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
-    small coefficients, and large equation errors shrink all of them (errors-in-variables bias).
-    """
-    k, n = len(border), control_points.shape[1]
-    log_mean = regular = 0.0
-    slope, corner = np.zeros((n, k)), np.zeros((k, k))
-    for chunk in grid.chunks(_CHUNK):
-        length = chunk.stop - chunk.start
-        stride = max(1, length // _VOLUME_POINTS)  # a mean over time needs no more
-        some = slice(chunk.start, chunk.stop, stride)
-        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
-        points = Points(q, qdot)
-        share = length / points.n_points / grid.n_intervals
-        mass = columns.mass_matrix(points, coefficients)
-        usable = positive_definite(mass)
-        regular += share * np.count_nonzero(usable)
-        if not usable.any():
-            continue
-        log_mean += share * float(np.linalg.slogdet(mass[usable])[1].sum())
-        if not k:
-            continue
-        inverse = np.linalg.inv(mass[usable])
-        parts = np.stack([border.mass_of(j, points)[usable] @ inverse for j in range(k)])
-        slope += share * np.einsum("kpii->ik", parts)
-        turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
-        corner += share * (parts.reshape(k, -1) @ turned.T)
-    return Volume(log_mean, regular, slope, corner)
-
-
-def positive_definite(matrices: np.ndarray) -> np.ndarray:
-    """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
-    out = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    safe = np.where(out[:, None, None], matrices, 0.0)
-    for k in range(1, matrices.shape[1] + 1):
-        out &= np.linalg.det(safe[:, :k, :k]) > 0.0
-    return out
 
 
 def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:

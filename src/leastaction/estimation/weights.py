@@ -23,7 +23,8 @@ import numpy as np
 
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.joint import Observations, Physics, Weights, linearise
+from leastaction.estimation.joint import Physics, Weights, linearise
+from leastaction.estimation.observations import Observations
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
