@@ -24,6 +24,7 @@ __all__ = ["Verdict", "verify"]
 _WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
+_NOTHING = 1e-8  # of a standard error
 _VISIBLE = 0.3
 _MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
@@ -198,7 +199,8 @@ def _identifiability(fit: Fit) -> list[Finding]:
     covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
-    size = np.maximum(np.abs(fit.estimates), 1e-300)
+    # a coefficient that vanishes beside its error is as loose as can be
+    size = np.maximum(np.abs(fit.estimates), np.maximum(_NOTHING * fit.standard_errors, 1e-150))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
     texts = [fit.problem.terms[m].text for m in fit.structure]

@@ -56,6 +56,8 @@ class JointFit:
     status : str
         "converged", "stalled", "step limit" or "not finite".
     n_steps : int
+    factor : BandedFactor or None
+        Of H there; None when it is not positive definite, or was not formed.
     """
 
     control_points: np.ndarray
@@ -66,6 +68,7 @@ class JointFit:
     weights: Weights
     status: str
     n_steps: int
+    factor: BandedFactor | None = None
 
     @property
     def converged(self) -> bool:
@@ -183,7 +186,8 @@ def fit_joint(
     here = linearisation or linearise(observations, physics, control_points, coefficients)
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
-        return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
+        unknown = np.full((physics.n_free, physics.n_free), np.nan)
+        return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
     normal = here.normal(weights)
     while step < max_steps:
@@ -219,7 +223,10 @@ def fit_joint(
             if predicted < tolerance or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
-    return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
+    covariance, factor = _uncertainty(here, normal, weights)
+    status = "not finite" if factor is None else status
+    log_h = np.nan if factor is None else factor.logdet
+    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
 
 
 def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
@@ -236,20 +243,17 @@ def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
     return shift, delta, predicted
 
 
-def _finish(observations, physics, weights, control_points, coefficients, here, status, step) -> JointFit:
-    """Covariance and log |H| at the last point."""
-    covariance, log_h = np.full((physics.n_free, physics.n_free), np.nan), np.nan
-    if status != "not finite":
-        try:
-            quadratic = condense(observations, here, weights)
-            # the weights are estimated too: what the volume term seems to know of the scale, they forget
-            known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
-            covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
-            if not np.isfinite(covariance).all():
-                status = "not finite"
-        except np.linalg.LinAlgError:
-            status = "not finite"
-    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step)
+def _uncertainty(
+    here: Linearisation, normal: NormalEquations, weights: Weights
+) -> tuple[np.ndarray, BandedFactor | None]:
+    """Covariance of the coefficients and the factor of H; NaN and None where they cannot be computed."""
+    # the weights are estimated too: what the volume term seems to know of the scale, they forget
+    known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
+    try:
+        quadratic = _eliminate(normal)
+        return symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
+    except np.linalg.LinAlgError:
+        return np.full(normal.corner.shape, np.nan), None
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

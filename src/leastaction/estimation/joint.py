@@ -44,6 +44,7 @@ _RELATIVE_FLOOR = 1e-6
 _VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _TRANSPOSED = 128
+_MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
@@ -81,7 +82,6 @@ class _Channel:
 
     coordinate: int
     design: sp.csr_array
-    transposed: sp.csr_array
     gram: np.ndarray
     y: np.ndarray
 
@@ -122,7 +122,7 @@ class Observations:
                 continue
             design = designs[nu] if complete else designs[nu][keep]
             gram = banded_gram(design, grid.degree)
-            self._channels.append(_Channel(i, design, design.T.tocsr(), gram, y[keep]))
+            self._channels.append(_Channel(i, design, gram, y[keep]))
             if complete:
                 whole[nu] = self._channels[-1]
         self.counts = np.array([c.y.size for c in self._channels])
@@ -140,7 +140,7 @@ class Observations:
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
         residuals = self.residuals(control_points)
-        gradient = [-(c.transposed @ r) for c, r in zip(self._channels, residuals, strict=True)]
+        gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
     def gram(self, channel: int) -> np.ndarray:
@@ -243,8 +243,10 @@ class Linearisation:
 
     Attributes
     ----------
-    observations : Observations
-    parts : tuple of Equations
+    observations, physics, control_points, coefficients
+        The point.
+    kept : tuple of Equations or None
+        None for long recordings, whose equations are evaluated anew each time, run by run.
     data_gradient : (n_ctrl, n_channels) array
         −Nᵀ(y − N P).
     squares, equation : (n_channels,) and (n_dof,) arrays
@@ -257,7 +259,10 @@ class Linearisation:
     """
 
     observations: Observations
-    parts: tuple[Equations, ...]
+    physics: Physics
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    kept: tuple[Equations, ...] | None
     data_gradient: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
@@ -300,7 +305,7 @@ class Linearisation:
     def normal(self, weights: Weights) -> NormalEquations:
         """The Gauss–Newton system."""
         grid, n = self.observations.grid, self.observations.n_dof
-        k = self.parts[0].right.shape[-1]
+        k = 1 + self.physics.n_free
         rows = np.zeros((grid.n_ctrl, n, (grid.degree + 1) * n))
         border = np.zeros((grid.n_ctrl, n, k))
         moments = np.zeros((k, k))
@@ -343,9 +348,18 @@ class Linearisation:
             out += np.einsum("miql,miql->i", (flat @ local).reshape(jacobian.shape), jacobian)
         return weights.physics * out
 
+    def parts(self) -> Iterator[Equations]:
+        """The equations, one run of knot intervals after the other."""
+        if self.kept is not None:
+            yield from self.kept
+            return
+        for chunk in self.observations.grid.chunks(_CHUNK):
+            points = points_at(self.observations.grid, self.control_points, chunk)
+            yield _equations(self.observations, self.physics, points, self.coefficients)[0]
+
     def _pieces(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Knot intervals, J and [r, e] in pieces whose products stay in the processor's cache."""
-        for part in self.parts:
+        for part in self.parts():
             m, size = part.jacobian.shape[0], part.jacobian.shape[3]
             length = max(16, min(_PIECE // size**2, m))
             for a in range(0, m, length):
@@ -367,17 +381,26 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    terms, parts = np.zeros(n), []
+    numbers = grid.points.size * n * ((grid.degree + 1) * n + 1 + physics.n_free)
+    kept: list[Equations] | None = [] if numbers <= _MOST_KEPT else None
+    equation, terms = np.zeros(n), np.zeros(n)
     for chunk in grid.chunks(_CHUNK):
         points = points_at(grid, control_points, chunk)
-        parts.append(_equations(observations, physics, points, coefficients, terms))
+        part, of_terms = _equations(observations, physics, points, coefficients, kept is not None)
+        equation += np.einsum("miq,miq->i", part.right[..., 0], part.right[..., 0])
+        terms += of_terms
+        if kept is not None:
+            kept.append(part)
     free = physics.columns.subset(np.flatnonzero(physics.free).tolist())
     return Linearisation(
         observations,
-        tuple(parts),
+        physics,
+        control_points,
+        coefficients,
+        None if kept is None else tuple(kept),
         gradient,
         squares,
-        sum(np.einsum("miq,miq->i", part.right[..., 0], part.right[..., 0]) for part in parts),
+        equation,
         terms,
         volume_term(grid, physics.columns, control_points, coefficients, free),
         physics.columns.prescribed,
@@ -401,9 +424,13 @@ def by_interval(values: np.ndarray, out: np.ndarray) -> None:
 
 
 def _equations(
-    observations: Observations, physics: Physics, points: Points, coefficients: np.ndarray, terms: np.ndarray
-) -> Equations:
-    """One run of knot intervals; adds to ``terms`` where a coordinate is prescribed."""
+    observations: Observations,
+    physics: Physics,
+    points: Points,
+    coefficients: np.ndarray,
+    differentiate: bool = True,
+) -> tuple[Equations, np.ndarray]:
+    """One run of knot intervals, with J on demand, and ∫ Σ_k (λ_k e_ik)² dt where it is wanted."""
     grid, n, chunk = observations.grid, observations.n_dof, points.intervals
     assert chunk is not None
     n_quad = grid.weights.shape[1]
@@ -412,17 +439,22 @@ def _equations(
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
         residual -= physics.forces[chunk].transpose(2, 1, 0).reshape(n, -1)
-    jacobian = physics.columns.jacobian(points, coefficients)
+    terms = np.zeros(n)
     if physics.columns.prescribed:
         weight = grid.weights[chunk].T.ravel()
-        terms += np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
+        terms = np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
     for i in physics.columns.prescribed:
-        residual[i], jacobian[2, i, i] = points.columns[2 * n + i], 1.0
+        residual[i] = points.columns[2 * n + i]
     right = np.empty((len(root), n, n_quad, 1 + physics.n_free))
     by_interval(residual[None], right[..., :1])
     by_interval(strong if physics.free.all() else strong[physics.free], right[..., 1:])
     right *= root[:, None, :, None]
-    return Equations(chunk, _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n), right)
+    local = np.zeros((0, n, n_quad, (grid.degree + 1) * n))
+    if differentiate:
+        jacobian = physics.columns.jacobian(points, coefficients)
+        jacobian.update({(2, i, i): np.ones(points.n_points) for i in physics.columns.prescribed})
+        local = _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
+    return Equations(chunk, local, right), terms
 
 
 def volume_term(
@@ -444,7 +476,8 @@ def volume_term(
     for chunk in grid.chunks(_CHUNK):
         length = chunk.stop - chunk.start
         stride = max(1, length // _VOLUME_POINTS)  # a mean over time needs no more
-        q, qdot, _ = (s[::stride, 0] for s in grid.at_quadrature(control_points, chunk))
+        some = slice(chunk.start, chunk.stop, stride)
+        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
         points = Points(q, qdot)
         share = length / points.n_points / grid.n_intervals
         mass = columns.mass_matrix(points, coefficients)

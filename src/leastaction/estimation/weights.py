@@ -113,7 +113,8 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         When H is not positive definite, or not finite.
     """
     weights, at = fit.weights, fit.linearisation
-    inverse = BandedFactor.of(at.normal(weights).rows).inverse_rows()
+    factor = fit.factor or BandedFactor.of(at.normal(weights).rows)
+    inverse = factor.inverse_rows()
     used = at.traces(weights, inverse)
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
