@@ -47,8 +47,12 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
-    """Run every check on what a search has found: the very numbers that are returned."""
+def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_causes: bool = True) -> Verdict:
+    """Run every check on what a search has found: the very numbers that are returned.
+
+    Without ``look_for_causes`` nothing is tested that is not in the structure: missing terms, friction, wrong
+    coefficients and forces.
+    """
     fit, smooth, period = search.found, search.curve, search.scales.period
     names = fit.problem.coordinates
     floor = fit.grid.observations.noise_floor
@@ -65,7 +69,8 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
+    off = any(share[i] > EXPLAINED for i in unexplained)
+    causes = _likely_causes(search, share, off) if look_for_causes else []
     found += [
         find(
             "equations-off",

@@ -18,7 +18,10 @@ from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Request", "Setup", "build_problem"]
+__all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem"]
+
+ENOUGH_SAMPLES = 50_000
+"""To search on; longer recordings enter when the structure is confirmed."""
 
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 # of data: the squares of a force from x**4 reach 1e180, and further products remain finite
