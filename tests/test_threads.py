@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 
 import numpy as np
@@ -10,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import leastaction as la
 from leastaction import systems
-from leastaction.threads import single_threaded
+from leastaction.threads import _interrupts_later, single_threaded
 
 
 def blas_threads() -> list[int]:
@@ -97,3 +98,18 @@ def test_discover_and_simulate_compute_with_one_thread():
 def test_the_decorated_function_keeps_its_name_and_signature():
     assert la.discover.__name__ == "discover"
     assert "trajectories" in la.discover.__wrapped__.__code__.co_varnames
+
+
+def test_an_interrupt_is_held_back_and_not_lost():
+    """The search for BLAS libraries calls back from C: an exception raised there would be ignored."""
+    before, steps = signal.getsignal(signal.SIGINT), []
+
+    def interrupted() -> None:
+        with _interrupts_later():
+            signal.raise_signal(signal.SIGINT)
+            steps.append("inside")
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert steps == ["inside"]
+    assert signal.getsignal(signal.SIGINT) is before
