@@ -143,6 +143,8 @@ class SplineGrid:
     n_quadrature : int
         Gauss–Legendre points in each knot interval; with a single one, points of collocation, which see
         every spline: the left knot for odd degrees, the midpoint for even ones.
+    before, total : int, optional
+        Where the grid is a part of another one: knot intervals before it, and in all.
 
     Attributes
     ----------
@@ -156,7 +158,14 @@ class SplineGrid:
         Trajectory of each interval.
     """
 
-    def __init__(self, spaces: Sequence[SplineSpace], n_quadrature: int = 3) -> None:
+    def __init__(
+        self,
+        spaces: Sequence[SplineSpace],
+        n_quadrature: int = 3,
+        *,
+        before: int = 0,
+        total: int | None = None,
+    ) -> None:
         self.spaces = tuple(spaces)
         self.degree = self.spaces[0].degree
         counts = np.array([s.n_ctrl for s in self.spaces])
@@ -166,6 +175,7 @@ class SplineGrid:
             [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
         )
         self.n_intervals = self.first.size
+        self.before, self.total = before, self.n_intervals if total is None else total
         self.owner = np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
         nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
         if n_quadrature == 1 and self.degree % 2:  # at midpoints the fastest spline vanishes

@@ -14,21 +14,17 @@ that cannot leave this region ends as "not finite".
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor
-from leastaction.estimation.candidates import CandidateBorder, schur_complement
+from leastaction.estimation.candidates import score
+from leastaction.estimation.elimination import Quadratic
 from leastaction.estimation.joint import (
     Linearisation,
-    NormalEquations,
     Observations,
     Physics,
     Weights,
-    linearise,
-    volume_term,
 )
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -77,38 +73,6 @@ class JointFit:
         return self.status != "not finite"
 
 
-@dataclass(frozen=True, eq=False)
-class Quadratic:
-    """The cost as a function of the coefficients alone, the curve eliminated.
-
-    Attributes
-    ----------
-    gradient, matrix : (n_border,) and (n_border, n_border) arrays
-        Half gradient, and half second derivative.
-    factor : BandedFactor
-        Of H.
-    curve_gradient : (n_ctrl · n_dof,) array
-        Half gradient in the control points.
-    border : callable
-        (n_border,) step → C · step.
-    """
-
-    gradient: np.ndarray
-    matrix: np.ndarray
-    factor: BandedFactor
-    curve_gradient: np.ndarray
-    border: Callable[[np.ndarray], np.ndarray]
-
-    @property
-    def logdet(self) -> float:
-        """log |H|"""
-        return self.factor.logdet
-
-    def curve_step(self, step: np.ndarray) -> np.ndarray:
-        """H⁻¹(g_P + C · step), flat: subtract it from the control points as λ moves by the step."""
-        return self.factor.solve(self.curve_gradient + self.border(step))
-
-
 def condense(
     observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
 ) -> Quadratic:
@@ -119,23 +83,7 @@ def condense(
     numpy.linalg.LinAlgError
         When H is not positive definite, or not finite.
     """
-    return _eliminate(linearisation.normal(weights), damping)
-
-
-def _eliminate(normal: NormalEquations, damping: float = 0.0) -> Quadratic:
-    """A − CᵀH⁻¹C and g_λ − CᵀH⁻¹g_P from the triangular factor alone."""
-    factor = BandedFactor.of(normal.rows, damping)
-    if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
-        raise np.linalg.LinAlgError("the normal matrix is not finite")
-    half = factor.forward(normal.border)
-    products = half.T @ half
-    return Quadratic(
-        normal.gradient - products[1:, 0],
-        normal.corner - products[1:, 1:],
-        factor,
-        normal.border[:, 0],
-        normal.border[:, 1:].dot,
-    )
+    return linearisation.normal(weights).eliminate(damping)
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -180,7 +128,7 @@ def fit_joint(
     JointFit
         Never raises for numerical failure: see ``status``.
     """
-    here = linearisation or linearise(observations, physics, control_points, coefficients)
+    here = linearisation or observations.linearise(physics, control_points, coefficients)
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
         return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
@@ -189,8 +137,8 @@ def fit_joint(
     while step < max_steps:
         step += 1
         try:
-            quadratic = _eliminate(normal, damping)
-            shift, delta, predicted = _step(normal, quadratic, damping)
+            quadratic = normal.eliminate(damping)
+            shift, delta, predicted = _step(quadratic, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -200,7 +148,7 @@ def fit_joint(
         new_points = control_points + shift.reshape(control_points.shape)
         new_coefficients = coefficients.copy()
         new_coefficients[physics.free] += delta
-        there = linearise(observations, physics, new_points, new_coefficients)
+        there = observations.linearise(physics, new_points, new_coefficients)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < tolerance else 0
@@ -222,7 +170,7 @@ def fit_joint(
     return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
 
 
-def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
+def _step(quadratic: Quadratic, damping: float):
     """Steps of curve and coefficients, and how much they should lower the cost.
 
     Raises LinAlgError when they are not finite.
@@ -230,7 +178,7 @@ def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = -quadratic.curve_step(delta)
-    predicted = -float(quadratic.curve_gradient @ shift + normal.gradient @ delta)
+    predicted = -float(quadratic.curve_gradient @ shift + quadratic.held @ delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
     return shift, delta, predicted
@@ -266,14 +214,10 @@ def score_candidates(
         When H is not positive definite.
     """
     at, weights = fit.linearisation, fit.weights
-    normal = at.normal(weights)
-    curve_gradient = normal.border[:, 0].copy()
-    factor = BandedFactor.of(normal.rows)
-    border = CandidateBorder(at, weights, fit.control_points, candidates)
-    volume = volume_term(observations.grid, physics.columns, fit.control_points, fit.coefficients, candidates)
-    schur = schur_complement(border, factor, curve_gradient)
-    gradient = schur[1:, 0] - weights.volume @ volume.slope
-    matrix = schur[1:, 1:] + at.mean(weights.volume) * volume.corner
+    curve = (fit.control_points, fit.coefficients)
+    found = at.scored(score, weights, curve, physics.columns, candidates)
+    gradient = found.schur[1:, 0] - weights.volume @ found.volume.slope
+    matrix = found.schur[1:, 1:] + at.mean(weights.volume) * found.volume.corner
     lost = ~(np.isfinite(np.diag(matrix)) & np.isfinite(gradient))
     if lost.any():
         gradient = np.where(lost, 0.0, gradient)
@@ -281,7 +225,7 @@ def score_candidates(
     return Quadratic(
         gradient,
         matrix,
-        factor,
-        curve_gradient,
-        lambda step: border(np.where(lost, 0.0, step)),
+        found.factor,
+        found.curve_gradient,
+        lambda step: found.border(np.where(lost, 0.0, step)),
     )

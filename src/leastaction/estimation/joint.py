@@ -13,9 +13,9 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,9 +23,12 @@ import scipy.sparse as sp
 from leastaction.curve.bspline import SplineGrid
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
+from leastaction.estimation.banded import BandedFactor, trace_product
+from leastaction.estimation.elimination import NormalEquations
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = [
+    "Costs",
     "Equations",
     "Linearisation",
     "NormalEquations",
@@ -35,10 +38,13 @@ __all__ = [
     "Weights",
     "by_interval",
     "linearise",
+    "noise_floors",
     "points_at",
     "positive_definite",
     "volume_term",
 ]
+
+Scored = TypeVar("Scored")
 
 _RELATIVE_FLOOR = 1e-6
 _VOLUME_POINTS = 512
@@ -106,6 +112,7 @@ class Observations:
         times: Sequence[np.ndarray],
         values: Sequence[np.ndarray],
         rates: Sequence[Rate] = (),
+        floors: np.ndarray | None = None,
     ) -> None:
         stacked = np.concatenate(values)
         self.grid, self.n_dof = grid, stacked.shape[1]
@@ -127,9 +134,14 @@ class Observations:
                 whole[nu] = self._channels[-1]
         self.counts = np.array([c.y.size for c in self._channels])
         self.coordinates = np.array([c.coordinate for c in self._channels])
-        spread = [*np.nanstd(stacked, axis=0), *(np.nanstd(y) for _, nu, y in measured if nu)]
-        self.floors = _RELATIVE_FLOOR * np.array(spread)
+        self.floors = noise_floors(values, rates) if floors is None else floors
         self.noise_floor = self.floors[: self.n_dof]
+
+    def linearise(
+        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+    ) -> Linearisation:
+        """The joint problem linearised; see :func:`linearise`."""
+        return linearise(self, physics, control_points, coefficients)
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""
@@ -151,6 +163,13 @@ class Observations:
         """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
         for c, sigma in zip(self._channels, noise_std, strict=True):
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
+
+
+def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np.ndarray:
+    """(n_channels,) a millionth of the spread of each channel."""
+    spread = [*np.nanstd(np.concatenate(values), axis=0)]
+    spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
+    return _RELATIVE_FLOOR * np.array(spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,27 +212,6 @@ class Equations:
     right: np.ndarray
 
 
-class NormalEquations(NamedTuple):
-    """The Gauss–Newton system at given weights.
-
-    Attributes
-    ----------
-    rows : (n_ctrl, n_dof, n_local) array
-        H by block rows; see :meth:`leastaction.curve.bspline.SplineGrid.add_gram`.
-    border : (n_ctrl · n_dof, 1 + n_border) array
-        Half gradient in the control points, then C.
-    gradient : (n_border,) array
-        Half gradient in the coefficients.
-    corner : (n_border, n_border) array
-        A, the volume term included.
-    """
-
-    rows: np.ndarray
-    border: np.ndarray
-    gradient: np.ndarray
-    corner: np.ndarray
-
-
 @dataclass(frozen=True, eq=False)
 class Volume:
     """The volume term at one point; see :func:`volume_term`.
@@ -234,19 +232,11 @@ class Volume:
     corner: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Linearisation:
-    """The problem linearised at one point, free of the weights.
-
-    J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
-    point, which takes less memory than ∫ J_iᵀJ_i dt of every equation; products are formed on demand.
+class Costs:
+    """The cost at one point for any weights, from a few sums over data and motion.
 
     Attributes
     ----------
-    observations : Observations
-    parts : tuple of Equations
-    data_gradient : (n_ctrl, n_channels) array
-        −Nᵀ(y − N P).
     squares, equation : (n_channels,) and (n_dof,) arrays
         Σ (y − N P)² of each channel and ∫ r_i² dt of each equation.
     terms : (n_dof,) array
@@ -256,14 +246,11 @@ class Linearisation:
         Coordinates without an equation of motion.
     """
 
-    observations: Observations
-    parts: tuple[Equations, ...]
-    data_gradient: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
     terms: np.ndarray
     at_mass: Volume
-    prescribed: tuple[int, ...] = ()
+    prescribed: tuple[int, ...]
 
     @property
     def log_volume(self) -> float:
@@ -291,6 +278,33 @@ class Linearisation:
     def mean(self, values: np.ndarray) -> float:
         """Mean over the equations of motion of what is zero where a coordinate has none."""
         return float(values.sum()) / (self.equation.size - len(self.prescribed))
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation(Costs):
+    """The problem linearised at one point, free of the weights.
+
+    J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
+    point, which takes less memory than ∫ J_iᵀJ_i dt of every equation; products are formed on demand.
+
+    Attributes
+    ----------
+    observations : Observations
+    parts : tuple of Equations
+    data_gradient : (n_ctrl, n_channels) array
+        −Nᵀ(y − N P).
+    squares, equation, terms, at_mass, prescribed
+        See `Costs`.
+    """
+
+    observations: Observations
+    parts: tuple[Equations, ...]
+    data_gradient: np.ndarray
+    squares: np.ndarray
+    equation: np.ndarray
+    terms: np.ndarray
+    at_mass: Volume
+    prescribed: tuple[int, ...] = ()
 
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
@@ -342,6 +356,26 @@ class Linearisation:
                 local[:, a : a + n, a + n :] *= 2.0
             out += np.einsum("miql,miql->i", (flat @ local).reshape(jacobian.shape), jacobian)
         return weights.physics * out
+
+    def freedom(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+        """γ_i = ∂ log|H| / ∂ log w_i of each equation, η_c = ∂ log|H| / ∂ log σ_c⁻² of each channel.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When H is not positive definite.
+        """
+        inverse = BandedFactor.of(self.normal(weights).rows).inverse_rows()
+        seen = self.observations
+        used = [
+            trace_product(inverse, i, seen.gram(c)) / weights.noise_std[c] ** 2
+            for c, i in enumerate(seen.coordinates)
+        ]
+        return self.traces(weights, inverse), np.array(used)
+
+    def scored(self, score: Callable[..., Scored], *given: Any) -> Scored:
+        """Apply a function of the linearisation; where it is in blocks, to each of them, and add up."""
+        return score(self, *given)
 
     def _pieces(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Knot intervals, J and [r, e] in pieces whose products stay in the processor's cache."""
@@ -441,12 +475,9 @@ def volume_term(
     k, n = len(border), control_points.shape[1]
     log_mean = regular = 0.0
     slope, corner = np.zeros((n, k)), np.zeros((k, k))
-    for chunk in grid.chunks(_CHUNK):
-        length = chunk.stop - chunk.start
-        stride = max(1, length // _VOLUME_POINTS)  # a mean over time needs no more
-        q, qdot, _ = (s[::stride, 0] for s in grid.at_quadrature(control_points, chunk))
+    for chunk, sample, share in _volume_samples(grid):
+        q, qdot, _ = (s[sample, 0] for s in grid.at_quadrature(control_points, chunk))
         points = Points(q, qdot)
-        share = length / points.n_points / grid.n_intervals
         mass = columns.mass_matrix(points, coefficients)
         usable = positive_definite(mass)
         regular += share * np.count_nonzero(usable)
@@ -461,6 +492,24 @@ def volume_term(
         turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
         corner += share * (parts.reshape(k, -1) @ turned.T)
     return Volume(log_mean, regular, slope, corner)
+
+
+def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, slice, float]]:
+    """Runs of knot intervals, which of them a mean over time is taken from, and the share of each.
+
+    Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
+    sums over the whole.
+    """
+    begin, end = grid.before, grid.before + grid.n_intervals
+    for start in range(begin - begin % _CHUNK, end, _CHUNK):
+        stop = min(start + _CHUNK, grid.total)
+        stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
+        share = (stop - start) / len(range(start, stop, stride)) / grid.total
+        first = max(start, begin)
+        skipped = -(first - start) % stride
+        chunk = slice(first - begin, min(stop, end) - begin)
+        if skipped < chunk.stop - chunk.start:
+            yield chunk, slice(skipped, None, stride), share
 
 
 def positive_definite(matrices: np.ndarray) -> np.ndarray:

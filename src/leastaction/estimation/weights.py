@@ -21,9 +21,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.joint import Observations, Physics, Weights, linearise
+from leastaction.estimation.joint import Observations, Physics, Weights
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
@@ -89,7 +88,7 @@ def start_weights(
     ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
     An equation without any term has no error to weigh: it gets the smallest weight of the others.
     """
-    at = linearise(observations, physics, control_points, coefficients)
+    at = observations.linearise(physics, control_points, coefficients)
     slack = np.full_like(noise_std, equation_rank(observations))
     slack[list(physics.columns.prescribed)] = 0.0
     n = observations.n_dof
@@ -113,8 +112,7 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         When H is not positive definite, or not finite.
     """
     weights, at = fit.weights, fit.linearisation
-    inverse = BandedFactor.of(at.normal(weights).rows).inverse_rows()
-    used = at.traces(weights, inverse)
+    used, fitted = at.freedom(weights)
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):
@@ -131,9 +129,8 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
             hardly = slack[i] < SLACK_LEFT and fit.covariance.size > 0  # not while coefficients are held
             least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
             new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
-    for c, i in enumerate(observations.coordinates):
-        freedom = trace_product(inverse, i, observations.gram(c)) / weights.noise_std[c] ** 2
-        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - freedom, 1.0))
+    for c in range(new_noise.size):
+        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - fitted[c], 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
     slack[list(at.prescribed)] = 0.0
     if not (np.isfinite(new_physics).all() and np.isfinite(new_noise).all()):
