@@ -121,9 +121,9 @@ class Fit:
 
     def points(self, most: int | None = None) -> Points:
         """States of the fitted curve, one in each knot interval, or about ``most`` of them."""
-        states = self.grid.spline.at_quadrature(self.control_points)
         stride = 1 if most is None else max(1, self.grid.spline.n_intervals // most)
-        return Points(*(s[::stride, 0] for s in states))
+        states = self.grid.spline.at_quadrature(self.control_points, slice(None, None, stride))
+        return Points(*(s[:, 0] for s in states))
 
     def regular(self, coefficients: np.ndarray | None = None) -> float:
         """Share of the motion along which the mass matrix is positive definite."""

@@ -131,7 +131,7 @@ def fit_joint(
     here = linearisation or observations.linearise(physics, control_points, coefficients)
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
-        return _finish(observations, physics, weights, control_points, coefficients, here, "not finite", 0)
+        return _finish(physics, weights, control_points, coefficients, here, "not finite", 0)
     step = idle = 0
     normal = here.normal(weights)
     while step < max_steps:
@@ -167,7 +167,7 @@ def fit_joint(
             if predicted < tolerance or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
-    return _finish(observations, physics, weights, control_points, coefficients, here, status, step)
+    return _finish(physics, weights, control_points, coefficients, here, status, step, normal)
 
 
 def _step(quadratic: Quadratic, damping: float):
@@ -184,12 +184,12 @@ def _step(quadratic: Quadratic, damping: float):
     return shift, delta, predicted
 
 
-def _finish(observations, physics, weights, control_points, coefficients, here, status, step) -> JointFit:
+def _finish(physics, weights, control_points, coefficients, here, status, step, normal=None) -> JointFit:
     """Covariance and log |H| at the last point."""
     covariance, log_h = np.full((physics.n_free, physics.n_free), np.nan), np.nan
     if status != "not finite":
         try:
-            quadratic = condense(observations, here, weights)
+            quadratic = (normal or here.normal(weights)).eliminate()
             # the weights are estimated too: what the volume term seems to know of the scale, they forget
             known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
             covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet

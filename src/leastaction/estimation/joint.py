@@ -13,7 +13,7 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -50,6 +50,9 @@ _RELATIVE_FLOOR = 1e-6
 _VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _TRANSPOSED = 128
+# numbers in J and [r, e] of a grid that are kept, 64 MB; where there are more they are computed again, which
+# takes 10 to 20 % more time, and every fit that is held takes as much less memory
+_KEPT = 2**23
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
@@ -205,11 +208,14 @@ class Equations:
         J_i in the control points that matter in each interval, coordinate fastest.
     right : (n_intervals, n_dof, n_quadrature, 1 + n_border) array
         r_i, then e_i.
+    terms : (n_dof,) array
+        ∫ Σ_k (λ_k e_ik)² dt of each equation, computed only where a coordinate is prescribed.
     """
 
     chunk: slice
     jacobian: np.ndarray
     right: np.ndarray
+    terms: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,11 +292,13 @@ class Linearisation(Costs):
 
     J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
     point, which takes less memory than ∫ J_iᵀJ_i dt of every equation; products are formed on demand.
+    Along long motions not even that: they are computed anew.
 
     Attributes
     ----------
     observations : Observations
-    parts : tuple of Equations
+    parts : iterable of Equations
+        Kept, or computed anew whenever they are asked for where they would take much memory.
     data_gradient : (n_ctrl, n_channels) array
         −Nᵀ(y − N P).
     squares, equation, terms, at_mass, prescribed
@@ -298,7 +306,7 @@ class Linearisation(Costs):
     """
 
     observations: Observations
-    parts: tuple[Equations, ...]
+    parts: Iterable[Equations]
     data_gradient: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
@@ -314,7 +322,7 @@ class Linearisation(Costs):
     def normal(self, weights: Weights) -> NormalEquations:
         """The Gauss–Newton system."""
         grid, n = self.observations.grid, self.observations.n_dof
-        k = self.parts[0].right.shape[-1]
+        k = 1 + self.at_mass.slope.shape[1]
         rows = np.zeros((grid.n_ctrl, n, (grid.degree + 1) * n))
         border = np.zeros((grid.n_ctrl, n, k))
         moments = np.zeros((k, k))
@@ -401,21 +409,53 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    terms, parts = np.zeros(n), []
-    for chunk in grid.chunks(_CHUNK):
-        points = points_at(grid, control_points, chunk)
-        parts.append(_equations(observations, physics, points, coefficients, terms))
+    equations = _Along(observations, physics, control_points, coefficients)
+    kept = grid.total * equations.numbers <= _KEPT
+    parts = tuple(equations) if kept else equations
+    terms, equation = np.zeros(n), np.zeros(n)
+    for part in parts if kept else equations.residuals():
+        equation += np.einsum("miq,miq->i", part.right[..., 0], part.right[..., 0])
+        terms += part.terms
     free = physics.columns.subset(np.flatnonzero(physics.free).tolist())
     return Linearisation(
         observations,
-        tuple(parts),
+        parts,
         gradient,
         squares,
-        sum(np.einsum("miq,miq->i", part.right[..., 0], part.right[..., 0]) for part in parts),
+        equation,
         terms,
         volume_term(grid, physics.columns, control_points, coefficients, free),
         physics.columns.prescribed,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Along:
+    """The equations of motion along a curve, run by run: computed whenever they are iterated over."""
+
+    observations: Observations
+    physics: Physics
+    control_points: np.ndarray
+    coefficients: np.ndarray
+
+    @property
+    def numbers(self) -> int:
+        """Of J and [r, e], in each knot interval."""
+        grid, n = self.observations.grid, self.observations.n_dof
+        return n * grid.points.shape[1] * ((grid.degree + 1) * n + 1 + self.physics.n_free)
+
+    def __iter__(self) -> Iterator[Equations]:
+        return self._runs(whole=True)
+
+    def residuals(self) -> Iterator[Equations]:
+        """The same without J and e."""
+        return self._runs(whole=False)
+
+    def _runs(self, whole: bool) -> Iterator[Equations]:
+        grid = self.observations.grid
+        for chunk in grid.chunks(_CHUNK):
+            points = points_at(grid, self.control_points, chunk)
+            yield _equations(self.observations, self.physics, points, self.coefficients, whole)
 
 
 def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Points:
@@ -435,28 +475,34 @@ def by_interval(values: np.ndarray, out: np.ndarray) -> None:
 
 
 def _equations(
-    observations: Observations, physics: Physics, points: Points, coefficients: np.ndarray, terms: np.ndarray
+    observations: Observations, physics: Physics, points: Points, coefficients: np.ndarray, whole: bool
 ) -> Equations:
-    """One run of knot intervals; adds to ``terms`` where a coordinate is prescribed."""
+    """One run of knot intervals; J and e are left empty unless the ``whole`` is asked for."""
     grid, n, chunk = observations.grid, observations.n_dof, points.intervals
     assert chunk is not None
-    n_quad = grid.weights.shape[1]
+    n_quad, prescribed = grid.weights.shape[1], physics.columns.prescribed
     root = np.sqrt(grid.weights[chunk])
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
         residual -= physics.forces[chunk].transpose(2, 1, 0).reshape(n, -1)
-    jacobian = physics.columns.jacobian(points, coefficients)
-    if physics.columns.prescribed:
+    terms = np.zeros(n)
+    if prescribed:
         weight = grid.weights[chunk].T.ravel()
-        terms += np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
-    for i in physics.columns.prescribed:
-        residual[i], jacobian[2, i, i] = points.columns[2 * n + i], 1.0
-    right = np.empty((len(root), n, n_quad, 1 + physics.n_free))
+        terms = np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
+    for i in prescribed:
+        residual[i] = points.columns[2 * n + i]
+    right = np.empty((len(root), n, n_quad, 1 + (physics.n_free if whole else 0)))
     by_interval(residual[None], right[..., :1])
+    if not whole:
+        right *= root[:, None, :, None]
+        return Equations(chunk, np.empty((len(root), n, n_quad, 0)), right, terms)
     by_interval(strong if physics.free.all() else strong[physics.free], right[..., 1:])
     right *= root[:, None, :, None]
-    return Equations(chunk, _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n), right)
+    jacobian = physics.columns.jacobian(points, coefficients)
+    for i in prescribed:
+        jacobian[2, i, i] = 1.0
+    return Equations(chunk, _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n), right, terms)
 
 
 def volume_term(
@@ -475,8 +521,8 @@ def volume_term(
     k, n = len(border), control_points.shape[1]
     log_mean = regular = 0.0
     slope, corner = np.zeros((n, k)), np.zeros((k, k))
-    for chunk, sample, share in _volume_samples(grid):
-        q, qdot, _ = (s[sample, 0] for s in grid.at_quadrature(control_points, chunk))
+    for sample, share in _volume_samples(grid):
+        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, sample))
         points = Points(q, qdot)
         mass = columns.mass_matrix(points, coefficients)
         usable = positive_definite(mass)
@@ -494,8 +540,8 @@ def volume_term(
     return Volume(log_mean, regular, slope, corner)
 
 
-def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, slice, float]]:
-    """Runs of knot intervals, which of them a mean over time is taken from, and the share of each.
+def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
+    """Knot intervals that a mean over time is taken from, run by run, and the share of each.
 
     Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
     sums over the whole.
@@ -506,10 +552,9 @@ def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, slice, float]]:
         stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
         share = (stop - start) / len(range(start, stop, stride)) / grid.total
         first = max(start, begin)
-        skipped = -(first - start) % stride
-        chunk = slice(first - begin, min(stop, end) - begin)
-        if skipped < chunk.stop - chunk.start:
-            yield chunk, slice(skipped, None, stride), share
+        sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
+        if sample.start < sample.stop:
+            yield sample, share
 
 
 def positive_definite(matrices: np.ndarray) -> np.ndarray:
