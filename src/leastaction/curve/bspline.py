@@ -118,8 +118,10 @@ class SplineSpace:
         """Design matrix N, Ṅ, N̈, … as a sparse (n_points, n_ctrl) array."""
         x = np.asarray(x, dtype=float)
         first, values = self.local_basis(x, nu)
-        columns = first[:, None] + np.arange(self.degree + 1)
-        pointers = np.arange(x.size + 1) * (self.degree + 1)
+        count = x.size * (self.degree + 1)
+        kind = np.int32 if max(count, self.n_ctrl) <= np.iinfo(np.int32).max else np.int64  # half the memory
+        columns = first.astype(kind)[:, None] + np.arange(self.degree + 1, dtype=kind)
+        pointers = np.arange(0, count + 1, self.degree + 1, dtype=kind)
         return sp.csr_array((values.ravel(), columns.ravel(), pointers), shape=(x.size, self.n_ctrl))
 
     def evaluate(self, control_points: np.ndarray, x, nu: int = 0) -> np.ndarray:

@@ -90,7 +90,6 @@ class _Channel:
 
     coordinate: int
     design: sp.csr_array
-    transposed: sp.csr_array
     gram: np.ndarray
     y: np.ndarray
 
@@ -132,7 +131,7 @@ class Observations:
                 continue
             design = designs[nu] if complete else designs[nu][keep]
             gram = banded_gram(design, grid.degree)
-            self._channels.append(_Channel(i, design, design.T.tocsr(), gram, y[keep]))
+            self._channels.append(_Channel(i, design, gram, y[keep]))
             if complete:
                 whole[nu] = self._channels[-1]
         self.counts = np.array([c.y.size for c in self._channels])
@@ -155,7 +154,7 @@ class Observations:
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
         residuals = self.residuals(control_points)
-        gradient = [-(c.transposed @ r) for c, r in zip(self._channels, residuals, strict=True)]
+        gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
     def gram(self, channel: int) -> np.ndarray:
