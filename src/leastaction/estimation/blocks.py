@@ -14,11 +14,10 @@ A single trial is never cut: its control points couple all along.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import pairwise
-from operator import add
 from typing import Any
 
 import numpy as np
@@ -120,10 +119,12 @@ class BlockedObservations:
             )
             for seen, points, intervals in zip(self.blocks, self.points, self.intervals, strict=True)
         )
-        sums = [
-            sum(x) for x in zip(*self.crew.results([self.crew.task(_costs, b) for b in blocks]), strict=True)
-        ]
-        return BlockedLinearisation(self, blocks, *sums[:3], Volume(*sums[3:]), physics.columns.prescribed)
+        costs = self.crew.results([self.crew.task(_costs, block) for block in blocks])
+        squares, equation, terms = (_sum(c[k] for c in costs) for k in range(3))
+        volume = reduce(_add_volumes, (c[3] for c in costs))
+        return BlockedLinearisation(
+            self, blocks, squares, equation, terms, volume, physics.columns.prescribed
+        )
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""
@@ -153,28 +154,22 @@ class BlockedLinearisation(Costs):
     def freedom(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Linearisation.freedom`."""
         parts = self.over_blocks(_freedom, weights)
-        return sum(p[0] for p in parts), sum(p[1] for p in parts)
+        return _sum(p[0] for p in parts), _sum(p[1] for p in parts)
 
-    def scored(
-        self,
-        score: Callable[..., Any],
-        weights: Weights,
-        curve: tuple[np.ndarray, np.ndarray],
-        columns: EulerLagrange,
-        candidates: EulerLagrange,
-    ) -> Any:
+    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
         """All candidates about a fit, summed over the blocks."""
+        weights, curve, columns, candidates = given
         crew, seen = self.observations.crew, self.observations
         tasks = [
             crew.task(_score, score, block, weights, (curve[0][points], curve[1]), columns, candidates)
             for block, points in zip(self.blocks, seen.points, strict=True)
         ]
         small = crew.results([crew.task(_small_scores, task) for task in tasks])
-        steps = BlockedFactor(seen, tuple(tasks), sum(s[2] for s in small))
+        steps = BlockedFactor(seen, tuple(tasks), _sum(s[2] for s in small))
         found = small[0][0]
         return replace(
             found,
-            schur=sum(s[0].schur for s in small),
+            schur=_sum(s[0].schur for s in small),
             volume=reduce(_add_volumes, (s[0].volume for s in small)),
             factor=steps,
             curve_gradient=np.concatenate([s[1] for s in small]),
@@ -199,7 +194,7 @@ class BlockedNormal:
         seen = self.at.observations
         tasks = [seen.crew.task(_eliminate, block, self.weights, damping) for block in self.at.blocks]
         small = seen.crew.results([seen.crew.task(_small, task) for task in tasks])
-        gradient, matrix, held, logdet = (sum(s[k] for s in small) for k in range(4))
+        gradient, matrix, held, logdet = (_sum(s[k] for s in small) for k in range(4))
         factor = BlockedFactor(seen, tuple(tasks), float(logdet))
         curve_gradient = np.concatenate([s[4] for s in small])
         return Quadratic(gradient, matrix, factor, curve_gradient, factor.border, held)
@@ -232,13 +227,15 @@ class BlockedFactor:
 def _observe_block(place: tuple[Any, ...], data: tuple[Any, ...], floors: np.ndarray) -> Observations:
     spaces: tuple[SplineSpace, ...] = place[0]
     grid = SplineGrid(spaces, place[1], before=place[2], total=place[3])
-    return Observations(grid, *data, floors)
+    times, values, rates = data
+    return Observations(grid, times, values, rates, floors)
 
 
 def _linearise(
     seen: Observations, columns: EulerLagrange, given: tuple[Any, ...], points: np.ndarray, values: np.ndarray
 ) -> Linearisation:
-    return seen.linearise(Physics(columns, *given), points, values)
+    free, forces = given
+    return seen.linearise(Physics(columns, free, forces), points, values)
 
 
 def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:
@@ -246,8 +243,7 @@ def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:
 
 
 def _costs(at: Linearisation) -> tuple[Any, ...]:
-    volume = at.at_mass
-    return at.squares, at.equation, at.terms, volume.log_mean, volume.regular, volume.slope, volume.corner
+    return at.squares, at.equation, at.terms, at.at_mass
 
 
 def _freedom(at: Linearisation, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
@@ -280,4 +276,8 @@ def _border(part: Any, step: np.ndarray) -> np.ndarray:
 
 
 def _add_volumes(a: Volume, b: Volume) -> Volume:
-    return Volume(*(add(getattr(a, k), getattr(b, k)) for k in ("log_mean", "regular", "slope", "corner")))
+    return Volume(a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner)
+
+
+def _sum(parts: Iterable[Any]) -> Any:
+    return sum(parts)

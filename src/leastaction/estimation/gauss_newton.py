@@ -21,11 +21,10 @@ import numpy as np
 from leastaction.estimation.candidates import score
 from leastaction.estimation.elimination import Quadratic
 from leastaction.estimation.joint import (
-    Linearisation,
-    Observations,
     Physics,
     Weights,
 )
+from leastaction.estimation.protocols import Linearised, Measurements
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
@@ -57,7 +56,7 @@ class JointFit:
     control_points: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray
-    linearisation: Linearisation
+    linearisation: Linearised
     logdet: float
     weights: Weights
     status: str
@@ -74,7 +73,7 @@ class JointFit:
 
 
 def condense(
-    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
+    observations: Measurements, linearisation: Linearised, weights: Weights, damping: float = 0.0
 ) -> Quadratic:
     """Eliminate the control points.
 
@@ -103,13 +102,13 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_joint(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     weights: Weights,
     control_points: np.ndarray,
     coefficients: np.ndarray,
     *,
-    linearisation: Linearisation | None = None,
+    linearisation: Linearised | None = None,
     tolerance: float = 1e-2,
     max_steps: int = 30,
 ) -> JointFit:
@@ -202,7 +201,7 @@ def _finish(physics, weights, control_points, coefficients, here, status, step, 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def score_candidates(
-    observations: Observations, physics: Physics, fit: JointFit, candidates: EulerLagrange
+    observations: Measurements, physics: Physics, fit: JointFit, candidates: EulerLagrange
 ) -> Quadratic:
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
 

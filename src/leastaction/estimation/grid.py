@@ -14,12 +14,13 @@ from scipy.sparse.linalg import splu
 
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
-from leastaction.estimation.blocks import BlockedObservations, observe
+from leastaction.estimation.blocks import observe
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
-from leastaction.estimation.joint import Observations, Physics, positive_definite
+from leastaction.estimation.joint import Physics, positive_definite
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
 from leastaction.mechanics.euler_lagrange import Points
@@ -38,7 +39,7 @@ class Grid:
     problem : Problem
     knots_per_second : float
     spline : SplineGrid
-    observations : Observations or BlockedObservations
+    observations : Measurements
     forces : GridForces or None
         Known forces at the quadrature points; None where nothing acts.
     """
@@ -46,7 +47,7 @@ class Grid:
     problem: Problem
     knots_per_second: float
     spline: SplineGrid
-    observations: Observations | BlockedObservations
+    observations: Measurements
     forces: GridForces | None
 
     @classmethod

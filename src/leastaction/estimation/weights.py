@@ -22,7 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.joint import Observations, Physics, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Measurements
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
@@ -49,7 +50,7 @@ class Start:
         return cls(fit.control_points, fit.coefficients, fit.weights)
 
 
-def equation_rank(observations: Observations) -> int:
+def equation_rank(observations: Measurements) -> int:
     """Directions of one coordinate that its equation touches: all but initial position and rate.
 
     No more than there are points at which the equation is compared.
@@ -59,7 +60,7 @@ def equation_rank(observations: Observations) -> int:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def evidence(observations: Observations, fit: JointFit) -> float:
+def evidence(observations: Measurements, fit: JointFit) -> float:
     """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only.
 
     −∞ when the mass matrix is not positive definite along most of the motion: such equations do not
@@ -77,7 +78,7 @@ def evidence(observations: Observations, fit: JointFit) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def start_weights(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     noise_std: np.ndarray,
     control_points: np.ndarray,
@@ -101,7 +102,7 @@ def start_weights(
     return Weights(noise_std, ratio, slack)
 
 
-def update_weights(observations: Observations, fit: JointFit) -> Weights:
+def update_weights(observations: Measurements, fit: JointFit) -> Weights:
     """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters.
 
     The weight of an equation that vanishes identically stays as it is.
@@ -140,7 +141,7 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_weights(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     start: Start,
     *,
@@ -201,7 +202,7 @@ def _accelerate(old: Weights, new: Weights) -> Weights:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
+def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tuple[Start, float]:
     """Fit the curve alone, coefficients held, and update the weights once.
 
     Returns the new start and the evidence at the old weights; −inf when the fit failed.
