@@ -9,8 +9,8 @@ absolute angles φ_i,
 
     L = Σ_ij ½ a_ij φ̇_i φ̇_j cos(φ_i − φ_j) + Σ_i b_i cos φ_i,      a_ij = Σ_{k ≥ max(i, j)} m_k,
 
-with viscous friction in the joints.  Relative angles q_i = φ_i − φ_{i−1} are those of an arm.  Every case runs
-in a process of its own with one thread, so that time and memory are its own.
+with viscous friction in the joints.  Relative angles q_i = φ_i − φ_{i−1} are those of an arm.  Every case
+runs in a process of its own with one thread, so that time and memory are its own.
 """
 
 from __future__ import annotations

@@ -12,14 +12,14 @@ from __future__ import annotations
 import sys
 import time
 
-import numpy as np
 from driven_chains import Chain
 
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
 from leastaction.library import make_term
 from leastaction.selection.likelihood_search import term_penalty
-from leastaction.selection.prepare import prepare
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakForm
+from leastaction.selection.weak_proposals import weak_grams
 from leastaction.selection.weak_search import beam_search, noise_ratio, support_score
 
 ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
@@ -28,29 +28,21 @@ EXPLAINED = 3.0
 OVERLAP = 3.0
 
 
-def weak_grams(chain: Chain):
+def grams_of(chain: Chain):
     """Weak forms of a recording, and the places of the law among the candidates."""
     terms, friction = chain.law()
     library = chain.candidates(len(terms) + len(friction))
-    prepared = prepare(chain.record(NOISE), library, None, [], None, 5)
-    workspace, smooth = prepared.workspace(prepared.euler_lagrange), prepared.knots.smooth
-    _, rates, turns = workspace.grid.at_quadrature(smooth.control_points)
-    rates, turns = ((s**2).mean(axis=(0, 1)) for s in (rates, turns))
-    period = float(2.0 * np.pi * np.sqrt((rates / turns).min()))
-    widths = [period, 0.5 * period, 2.0 * period]
-    form = WeakForm(
-        workspace.grid, workspace.columns, workspace.known, workspace.forces, widths, np.sqrt(rates)
-    )
-    replicates = smooth.replicates(8, np.random.default_rng(0), workspace.observations.noise_floor)
+    setup = build_problem(chain.record(NOISE), Request(library))
+    grid = Grid.lay(setup.problem, setup.scales.per_second)
     names = [*chain.names, *(f"{name}_dot" for name in chain.names)]
     law = {make_term(text, names, kind="lagrangian").expr for text in terms}
     law_of_friction = {make_term(text, names, kind="dissipation").expr for text in friction}
     members = {
         k
-        for k, term in enumerate(prepared.columns)
+        for k, term in enumerate(setup.problem.terms)
         if term.expr in (law if term.kind == "lagrangian" else law_of_friction)
     }
-    return form.grams(smooth.control_points, replicates), members, len(prepared.columns)
+    return weak_grams(grid, setup.scales.smooth, 0), members, len(setup.problem.terms)
 
 
 def judge(levels, penalty: float, n_rows: float, noise: float):
@@ -62,7 +54,7 @@ def main() -> None:
     print("links  angles    candidates  law  width     search     missing  others     ρ  CPU s")
     for n in links:
         for relative in (False, True):
-            grams, law, n_candidates = weak_grams(Chain(n, relative))
+            grams, law, n_candidates = grams_of(Chain(n, relative))
             start = f"{n:5d}  {'relative' if relative else 'absolute'}  {n_candidates:10d}  {len(law):3d}"
             for gram, width in zip(grams, ("1", "½", "2"), strict=True):
                 n_rows = gram.n_rows / OVERLAP

@@ -152,7 +152,7 @@ def fresh(search: Search) -> Fit:
     )
     grid = Grid.lay(alone, fit.grid.knots_per_second)
     structure = Structure(range(len(fit.structure)))
-    curve = grid.smooth(search.scales.smooth.penalty)
+    curve = grid.smooth()
     off = np.random.default_rng(0).uniform(0.97, 1.03, len(index))
     start = grid.start(structure, curve.control_points, off * fit.coefficients[index], curve.noise_std)
     for _ in range(3):

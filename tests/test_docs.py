@@ -15,7 +15,7 @@ import pytest
 import leastaction as la
 from leastaction import systems
 from leastaction.cli.program import program
-from leastaction.findings import CODES, TEXT
+from leastaction.findings import CODES, REASONS, TEXT, because
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -94,6 +94,19 @@ def _explained(title: str) -> dict[str, set[str]]:
 def test_every_code_is_explained(title, severity) -> None:
     codes = {code for code, row in CODES.items() if row.severity == severity}
     assert set(_explained(title)) == codes | ({TEXT} if severity == "warning" else set())
+
+
+def test_every_reason_of_the_trade_off_curve_has_words_and_is_explained() -> None:
+    page = (
+        (DOCS / "report.md").read_text(encoding="utf-8").split("## The trade-off curve")[1].split("\n## ")[0]
+    )
+    assert re.findall(r"^\| `([a-z-]+)` \|", page, re.M) == list(REASONS)
+    # the selection gives these and no others
+    source = (ROOT / "src/leastaction/selection/alternatives.py").read_text(encoding="utf-8")
+    texts = {n.value for n in ast.walk(ast.parse(source)) if isinstance(n, ast.Constant)}
+    assert set(REASONS) <= texts
+    assert all(because(reason, 0.05) for reason in REASONS if reason != "chosen")
+    assert because("of a later version") == ""
 
 
 def test_the_values_of_every_code_are_explained() -> None:

@@ -51,7 +51,6 @@ EXPECTED_FAILURES = {
     "check_methods_subset_invariance": NEEDS_TIMES + "see test_predict_row_by_row",
     "check_fit2d_predict1d": NEEDS_TIMES + "and predict takes one state of shape (n_dof,)",
     "check_estimators_empty_data_messages": "says that a trajectory has no times, not 'features'",
-    "check_fit2d_1sample": "one row is one time: refused in words of trajectories",
     "check_fit2d_1feature": NEEDS_TIMES + "one coordinate is the commonest case and works",
 }
 

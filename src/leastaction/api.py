@@ -14,7 +14,7 @@ from leastaction.diagnosis.rates import doubts_about_rates
 from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
-from leastaction.estimation.build import Request, Setup, build_problem
+from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_problem
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
@@ -32,7 +32,6 @@ from leastaction.threads import single_threaded
 __all__ = ["discover"]
 
 _LARGEST = 1e120  # of a column: weighted products of two columns, summed over the data, remain finite
-_ENOUGH = 50_000  # samples to search on; longer recordings enter when the structure is confirmed
 _DEGREES = {"gauss-newton": 5, "adam": 3}  # of the splines, by method
 
 
@@ -201,7 +200,7 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
     unused = trajectories.rates if positions_alone else ()
     if positions_alone:
         trajectories = trajectories.without_rates()
-    setup = build_problem(trajectories, request, None if whole else _ENOUGH)
+    setup = build_problem(trajectories, request, None if whole else ENOUGH_SAMPLES)
     findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
     if unused:
         findings.append(find("rates-unused"))

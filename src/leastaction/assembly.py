@@ -53,6 +53,7 @@ def assemble_model(
         timings=timings,
         rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in noise.items()},
         force_offset=search.bias.found(),
+        prepared=setup.findings,
     )
     terms = _terms(setup, fit)
     return LagrangianModel(
@@ -113,6 +114,7 @@ def _path(fit: Fit, alternatives: Sequence[Alternative]) -> tuple[PathPoint, ...
             a.reason,
             tuple(a.coefficients[list(a.structure)].tolist()),
             tuple(a.standard_errors.tolist()),
+            tuple(fit.problem.terms[m].kind for m in a.structure),
         )
         for a in (*best.values(), *others)
     )

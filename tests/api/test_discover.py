@@ -326,7 +326,7 @@ def test_standard_errors_hold_over_the_whole_pipeline():
 def test_long_recordings_are_searched_in_pieces_and_fitted_whole(monkeypatch):
     data = duffing(0.02)
     whole = la.discover(data, DUFFING_LIBRARY, KINETIC)
-    monkeypatch.setattr("leastaction.api._ENOUGH", data.n_samples // 3)
+    monkeypatch.setattr("leastaction.api.ENOUGH_SAMPLES", data.n_samples // 3)
     pieces = la.discover(data, DUFFING_LIBRARY, KINETIC)
     assert "confirm" in pieces.diagnostics.timings
     assert pieces.provenance["n_samples"] == data.n_samples

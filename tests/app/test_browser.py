@@ -218,6 +218,8 @@ def test_a_cancelled_run_leaves_the_app_usable(open_tab):
     before = page.locator(".formula").all_inner_texts()
     page.get_by_role("button", name="Fewer terms").click()
     tab.see("The criterion prefers the chosen structure by")
+    tab.see("taken from the trade-off curve by hand")
+    tab.see("The model runs freely for")
     page.wait_for_function("before => document.querySelector('.formula').innerText !== before", arg=before[0])
     fewer = page.locator(".formula").all_inner_texts()
     assert fewer != before

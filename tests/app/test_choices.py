@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -150,7 +151,6 @@ def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
     data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
     choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"], offsets=["theta"], delay=0.1)
     task = choice.task(data, ["theta"])
-    assert task.restricted(["cos(theta)"], []).forces == task.forces
     given = given_to_discover(task, monkeypatch)
     assert (given["prescribed"], given["force_offset"]) == (("x",), ("theta",))
     assert given["trajectories"] is task.fitted  # nothing to shift
@@ -208,20 +208,6 @@ def test_every_third_trial_is_held_out():
     assert ("".join(fitted.names), "".join(held.names)) == ("013467", "25")
 
 
-def test_a_restricted_task_keeps_the_known_terms_and_the_kinds():
-    library = la.Library(
-        ["x_dot**2", "x**2", "x**4"], ["x"], dissipation=["x_dot**2", "abs(x_dot)", "x_dot**2/2"]
-    )
-    data = la.Trajectories([la.Trajectory(np.arange(9.0), np.arange(9.0), coordinates=["x"])])
-    task = _candidates.Task(data, None, library, {"x_dot**2": 1.0, "x_dot**2/2": 0.1})
-    smooth = ["x_dot**2", "sqrt(x_dot**2+9/100)", "x_dot**2/2"]
-    small = task.restricted(["x**4", "sqrt(x_dot**2+9/100)"], smooth)
-    assert [t.text for t in small.library] == ["x_dot**2", "x**4"]
-    assert [t.text for t in small.library.dissipation] == ["x_dot**2/2", "sqrt(x_dot**2+9/100)"]
-    assert small.relevance == 0.0
-    assert small.known == task.known
-
-
 # path and motion
 
 
@@ -236,9 +222,36 @@ def test_walk_has_one_structure_of_each_size():
     assert "prefers the chosen structure by 893" in walk.verdict(0)
 
 
-def test_walk_says_when_the_criterion_would_have_taken_more():
-    walk = Walk((PathPoint(("x",), 0.0, 0.0, True), PathPoint(("x", "x**2"), -50.0, -40.0)))
-    assert "prefers this one by 40" in walk.verdict(1)
+@pytest.mark.parametrize(
+    ("reason", "bic", "text"),
+    [
+        (
+            "irrelevant",
+            -40.0,
+            "this one by 40. It was not chosen because its further terms remove less than 5 %",
+        ),
+        ("fit-is-worse", -7.0, "this one by 7. It was not chosen because its own fit does not bear out"),
+        (
+            "not-worth-its-terms",
+            8.0,
+            "the chosen structure by 8; 10 is already a strong preference. It was not",
+        ),
+        ("fits-worse", 900.0, "It was not chosen because it fits the data worse."),
+        ("", 900.0, "10 is already a strong preference."),
+    ],
+)
+def test_walk_says_why_a_structure_was_not_chosen(reason, bic, text):
+    points = (PathPoint(("x",), 0.0, 0.0, True), PathPoint(("x", "x**2"), -50.0, bic, reason=reason))
+    words = Walk(points, 0.05).verdict(1)
+    assert text in words
+    assert words.endswith(".")
+
+
+def test_walk_leaves_out_what_is_not_finite():
+    model = spring()
+    path = (*model.diagnostics.path, PathPoint(("x",) * 4, math.inf, math.inf))
+    model = replace(model, diagnostics=replace(model.diagnostics, path=path))
+    assert [p.n_terms for p in Walk.of(model).points] == [1, 2, 3]
     assert Walk.of(la.LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.0)])).points == ()
 
 

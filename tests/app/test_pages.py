@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import warnings
+from dataclasses import replace
 
 import pytest
 
@@ -75,6 +76,65 @@ def test_from_an_example_to_a_result():
         user.find(marker="model").click()
         response = await user.download.next(timeout=30)
         assert b'"schema"' in response.content
+
+    simulate(script)
+
+
+def test_a_step_along_the_curve_shows_a_provisional_model_and_then_the_refined_one():
+    async def script(user) -> None:
+        await open_candidates(user, "single")
+        await user.should_see("3 trials fitted, 1 held out", retries=50)
+        user.find(marker="discover").click()
+        await until(lambda: session_of_page().found)
+        await user.should_see("5 free terms. This is the structure", retries=50)
+        session = session_of_page()
+        await until(lambda: session.current.stage == "forecast")
+        user.find(marker="fewer").click()
+        await user.should_see("4 free terms. The criterion prefers the chosen structure by")
+        await user.should_see("It was not chosen because it fits the data worse.")
+        if session.current.stage == "provisional":  # it is, unless the refit was faster than this line
+            await user.should_see("from the quadratic model of the likelihood about the chosen structure")
+            await user.should_see("refining…")
+            await user.should_see("It follows when the model is refined.")
+            assert not next(iter(user.find(marker="report").elements)).enabled
+            assert not next(iter(user.find(marker="model").elements)).enabled
+        await until(lambda: session.current.stage == "forecast")
+        await user.should_see("taken from the trade-off curve by hand", retries=50)
+        await user.should_see("The model runs freely for", retries=50)
+        await user.should_not_see("provisional")
+        await until(lambda: session.job is None)
+        user.find(marker="report").click()
+        response = await user.download.next(timeout=30)
+        assert b"taken from the curve by hand" in response.content
+        assert b"inf %" not in response.content
+
+    simulate(script)
+
+
+def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
+    async def script(user) -> None:
+        await open_candidates(user, "single")
+        await user.should_see("3 trials fitted, 1 held out", retries=50)
+        user.find(marker="discover").click()
+        await until(lambda: session_of_page().found)
+        await user.should_see("5 free terms. This is the structure", retries=50)
+        session = session_of_page()
+        points = list(session.walk.points)
+        place = session.place - 1
+        expressions = ("sqrt(theta-99)", *points[place].expressions[1:])
+        points[place] = replace(points[place], expressions=expressions)
+        session.walk = replace(session.walk, points=tuple(points))
+        user.find(marker="fewer").click()
+        await user.should_see(
+            "Refining them failed: the fit of this structure does not converge", retries=100
+        )
+        await user.should_see("provisional")
+        await user.should_see("Only refined models are forecast.")
+        assert session.current.stage == "provisional"
+        assert not next(iter(user.find(marker="report").elements)).enabled
+        user.find(marker="more").click()
+        await user.should_see("5 free terms. This is the structure", retries=50)
+        await user.should_not_see("provisional")
 
     simulate(script)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -116,17 +117,103 @@ def test_from_upload_to_download(session, tmp_path):
     assert "<!DOCTYPE html>" in session.write_report()
     (tmp_path / "model.json").write_text(session.write_model(), encoding="utf-8")
     assert la.load(tmp_path / "model.json").to_dict() == found.model.to_dict()
-    larger = session.walk.chosen + 1
-    job = wait(session.go_to(larger))
-    assert job.state == "done", job.message
-    assert session.collect()
-    model = session.current.model
-    kept = {t.expression for t in (*model.terms, *model.dissipation)}
-    # What the data do not support is dropped again; nothing else can come in.
-    assert {"theta_dot**2", "cos(theta)"} <= kept <= set(session.walk.points[larger].expressions)
-    assert session.place == larger
-    assert session.go_to(session.walk.chosen) is None
-    assert session.current is found
+
+
+def until(session, condition, seconds: float = 60.0) -> None:
+    """Do what the page does: look every now and then for what has arrived."""
+    end = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end:
+        session.collect()
+        time.sleep(0.02)
+    assert condition()
+
+
+def free_terms(model: la.LagrangianModel) -> dict[str, float]:
+    return {t.expression: t.coefficient for t in (*model.terms, *model.dissipation) if not t.known}
+
+
+@pytest.fixture
+def walking(session):
+    """A session with a discovery done."""
+    session.open_example("single")
+    session.discover()
+    until(session, lambda: bool(session.found))
+    return session
+
+
+def test_a_step_is_answered_at_once_and_refined_behind(walking):
+    best, chosen = walking.best, walking.walk.chosen
+    assert best.stage == "forecast"
+    point = walking.walk.points[chosen + 1]
+    began = time.perf_counter()
+    job = walking.go_to(chosen + 1)
+    assert time.perf_counter() - began < 0.5
+    assert job.state == "running"
+    first = walking.current
+    assert (first.stage, first.motion, first.validation) == ("provisional", None, None)
+    assert free_terms(first.model) == dict(zip(point.expressions, point.coefficients, strict=True))
+    until(walking, lambda: walking.current.stage == "fitted")
+    second = walking.current.model
+    assert walking.waiting
+    assert set(free_terms(second)) == set(point.expressions)
+    assert second.covariance is not None
+    until(walking, lambda: not walking.waiting)
+    third = walking.current
+    assert third.model.to_dict() == second.to_dict()
+    assert third.stage == "forecast"
+    assert third.motion is not None
+    assert third.motion.held_out
+    assert walking.job is None
+    assert walking.go_to(chosen) is None
+    assert walking.current is best
+    assert walking.go_to(chosen + 1) is None
+    assert walking.current is third
+
+
+def test_who_walks_on_gets_what_is_shown_and_nothing_else(walking):
+    chosen = walking.walk.chosen
+    process = walking.worker._process.pid
+    for place in (chosen - 1, chosen - 2, chosen + 1):
+        walking.go_to(place)
+        assert walking.current.stage == "provisional"
+    until(walking, lambda: not walking.waiting)
+    assert walking.place == chosen + 1
+    assert walking.current.stage == "forecast"
+    points = walking.walk.points
+    for place, found in walking.found.items():
+        assert set(free_terms(found.model)) == set(points[place].expressions)
+    assert walking.found[chosen - 2].stage == "provisional"  # nobody waited for it
+    assert walking.worker._process.pid == process  # short jobs are not worth a new process
+
+
+def test_a_long_job_for_another_place_is_stopped(walking, monkeypatch):
+    monkeypatch.setattr(_session, "_PATIENCE", 0.0)
+    chosen = walking.walk.chosen
+    first = walking.go_to(chosen - 1)
+    second = walking.go_to(chosen + 1)
+    assert first.state == "cancelled"
+    assert second is not first
+    until(walking, lambda: not walking.waiting)
+
+
+def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking):
+    place = walking.walk.chosen - 1
+    points = list(walking.walk.points)
+    spoilt = replace(points[place], expressions=("sqrt(theta-99)", *points[place].expressions[1:]))
+    points[place] = spoilt
+    walking.walk = replace(walking.walk, points=tuple(points))
+    walking.go_to(place)
+    until(walking, lambda: place in walking.faults)
+    assert "does not converge" in walking.faults[place]
+    assert walking.current.stage == "provisional"
+    assert not walking.waiting
+    assert walking.job is None
+    # once more when one comes back
+    walking.go_to(walking.walk.chosen)
+    assert walking.go_to(place) is not None
+    walking.stay()
+    assert "cancelled" in walking.faults[place]
+    assert not walking.collect()
 
 
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):

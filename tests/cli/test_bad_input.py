@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import os
 import subprocess
@@ -223,7 +224,7 @@ def test_gyroscopic_terms_are_generated_ones(monkeypatch):
 
 def test_size_and_relevance_reach_the_search(monkeypatch):
     discover(2, "--size", "compact", "--library", "some.txt", says=("--size", "--library auto"))
-    asked = []
+    asked, real = [], leastaction.discover
 
     def refuse(data, library, **options):
         asked.append((len(library), options.get("relevance")))
@@ -241,8 +242,9 @@ def test_size_and_relevance_reach_the_search(monkeypatch):
     assert asked == wanted
     for more in ((), ("--size", "auto")):
         discover(1, *options, *more, data="xy.csv", coordinates="x,y", says="no")
-    # without the option the library's own default counts, and that of discover
-    assert asked[len(sizes) :] == [(wanted[2][0], None)] * 2
+    # without the options the defaults of the library and of discover count
+    usual = inspect.signature(real).parameters["relevance"].default
+    assert asked[len(sizes) :] == [(wanted[2][0], usual)] * 2
 
 
 def test_library_file():

@@ -11,7 +11,8 @@ from leastaction.estimation import banded, candidates
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import condense, fit_joint, score_candidates
-from leastaction.estimation.joint import Observations, Physics, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
 
 
 def dense(rows: np.ndarray) -> np.ndarray:
@@ -210,3 +211,22 @@ def test_derivatives_of_log_determinant_equal_finite_differences():
         trace_product(inverse, i, observations.gram(i)) / weights.noise_std[i] ** 2 for i in range(2)
     )
     assert total == pytest.approx(fit.control_points.size, rel=1e-9)  # every direction is used once
+
+
+def test_equations_that_are_not_kept_are_evaluated_anew(monkeypatch):
+    observations, physics, fit, _ = fitted()
+    kept = fit.linearisation
+    monkeypatch.setattr(problem_module, "_MOST_KEPT", 0)
+    monkeypatch.setattr(problem_module, "_CHUNK", 5)
+    anew = problem_module.linearise(observations, physics, fit.control_points, fit.coefficients)
+    assert anew.kept is None
+    assert kept.kept is not None
+    assert anew.misfit(fit.weights) == pytest.approx(kept.misfit(fit.weights), rel=1e-12)
+    for a, b in zip(anew.normal(fit.weights), kept.normal(fit.weights), strict=True):
+        # the volume term is a mean over fewer points, which depend on the runs
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max())
+    np.testing.assert_allclose(anew.normal(fit.weights).rows, kept.normal(fit.weights).rows, rtol=1e-9)
+    again = fit_joint(observations, physics, fit.weights, fit.control_points, TRUTH[:5])
+    spread = np.sqrt(np.diag(fit.covariance))
+    moved = (again.coefficients - fit.coefficients)[physics.free] / spread
+    np.testing.assert_allclose(moved, 0.0, atol=0.1)

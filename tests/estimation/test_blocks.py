@@ -13,11 +13,13 @@ import leastaction as la
 from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction import systems
 from leastaction.data.trajectories import Rate
-from leastaction.estimation import joint
+from leastaction.estimation import joint, volume
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, ThreadCrew, employ
-from leastaction.estimation.joint import Observations, Physics, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.protocols import linearise
 
 DURATIONS = (2.0, 1.5, 3.0, 0.8, 2.2)
 TERMS = ["x_dot**2", "y_dot**2", "x_dot*y_dot*cos(y)", "cos(y)", "x**2"]
@@ -63,7 +65,8 @@ def close(found, expected, tolerance=1e-9):
 def test_blocks_give_the_sums_of_the_whole(n_blocks, crew, monkeypatch):
     # runs that begin within trials, and means over time that leave points out
     monkeypatch.setattr(joint, "_CHUNK", 13)
-    monkeypatch.setattr(joint, "_VOLUME_POINTS", 4)
+    monkeypatch.setattr(volume, "_CHUNK", 13)
+    monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
     grid, data, physics, control = problem()
     crew.n_blocks = n_blocks
     whole, parts = Observations(grid, *data), observe(grid, *data, crew)
@@ -73,7 +76,7 @@ def test_blocks_give_the_sums_of_the_whole(n_blocks, crew, monkeypatch):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
     for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
         np.testing.assert_allclose(mine, others, atol=1e-12)
-    here, there = (seen.linearise(physics, control, VALUES) for seen in (whole, parts))
+    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
     for name in ("squares", "equation", "volume"):
         close(getattr(there, name), getattr(here, name), 1e-12)
     assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
@@ -93,7 +96,7 @@ def test_blocks_score_candidates_as_the_whole(crew):
     grid, data, physics, control = problem()
     more = euler_lagrange(MORE, ["x", "y"])
     expected, found = (
-        seen.linearise(physics, control, VALUES).scored(
+        linearise(seen, physics, control, VALUES).scored(
             score, WEIGHTS, (control, VALUES), physics.columns, more
         )
         for seen in (Observations(grid, *data), observe(grid, *data, crew))
@@ -109,11 +112,11 @@ def test_blocks_score_candidates_as_the_whole(crew):
 def test_what_is_computed_again_equals_what_is_kept(monkeypatch):
     grid, data, physics, control = problem()
     more = euler_lagrange(MORE, ["x", "y"])
-    kept = Observations(grid, *data).linearise(physics, control, VALUES)
-    monkeypatch.setattr(joint, "_KEPT", 0)
-    again = Observations(grid, *data).linearise(physics, control, VALUES)
-    assert isinstance(kept.parts, tuple)
-    assert not isinstance(again.parts, tuple)
+    kept = linearise(Observations(grid, *data), physics, control, VALUES)
+    monkeypatch.setattr(joint, "_MOST_KEPT", 0)
+    again = linearise(Observations(grid, *data), physics, control, VALUES)
+    assert kept.kept is not None
+    assert again.kept is None
     assert again.cost(WEIGHTS) == kept.cost(WEIGHTS)
     for one, other in zip(kept.normal(WEIGHTS), again.normal(WEIGHTS), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -134,7 +137,7 @@ def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew):
 
 def test_a_failure_in_a_block_is_the_failure_of_the_whole(crew):
     grid, data, physics, control = problem()
-    at = observe(grid, *data, crew).linearise(physics, control, VALUES)
+    at = linearise(observe(grid, *data, crew), physics, control, VALUES)
     broken = replace(WEIGHTS, physics=np.array([np.nan, 1.0]))
     with pytest.raises(np.linalg.LinAlgError):
         at.normal(broken).eliminate()
@@ -145,8 +148,8 @@ def test_a_crew_that_has_gone_home_leaves_results_that_can_be_used():
     with employ(2) as crew:
         crew.least = 1
         seen = observe(grid, *data, crew)
-    expected = Observations(grid, *data).linearise(physics, control, VALUES)
-    assert seen.linearise(physics, control, VALUES).cost(WEIGHTS) == pytest.approx(expected.cost(WEIGHTS))
+    expected = linearise(Observations(grid, *data), physics, control, VALUES)
+    assert linearise(seen, physics, control, VALUES).cost(WEIGHTS) == pytest.approx(expected.cost(WEIGHTS))
 
 
 # ------------------------------------------------------------------------------ a cluster that fails
@@ -178,8 +181,8 @@ def test_what_a_lost_worker_held_is_computed_here(cluster):
     grid, data, physics, control = problem()
     crew = DaskCrew(cluster)
     crew.least = 1
-    there = observe(grid, *data, crew).linearise(physics, control, VALUES)
-    here = Observations(grid, *data).linearise(physics, control, VALUES)
+    there = linearise(observe(grid, *data, crew), physics, control, VALUES)
+    here = linearise(Observations(grid, *data), physics, control, VALUES)
     assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
     expected, found = here.normal(WEIGHTS).eliminate(), there.normal(WEIGHTS).eliminate()
     close(found.matrix, expected.matrix)
@@ -190,7 +193,7 @@ def test_what_fails_on_a_cluster_fails_here():
     grid, data, physics, control = problem()
     crew = DaskCrew(Cluster(10**9))
     crew.least = 1
-    at = observe(grid, *data, crew).linearise(physics, control, VALUES)
+    at = linearise(observe(grid, *data, crew), physics, control, VALUES)
     with pytest.raises(np.linalg.LinAlgError):
         at.normal(replace(WEIGHTS, physics=np.array([np.nan, 1.0]))).eliminate()
 

@@ -8,7 +8,8 @@ from scipy.interpolate import BSpline
 from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction.data.trajectories import Rate
 from leastaction.estimation.gauss_newton import fit_joint, score_candidates
-from leastaction.estimation.joint import Observations, Physics, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
 from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights, update_weights
 
 

@@ -150,7 +150,7 @@ def test_what_is_not_finite_still_has_a_sentence():
         cause_named=False,
         may_be_prescribed=False,
     )
-    assert "off by inf % of its forces" in str(off)
+    assert "off by an unknown share of its forces" in str(off)
     assert off.values["equation_error"] is None
 
 

@@ -11,7 +11,8 @@ import pytest
 from leastaction.errors import InputError
 from leastaction.findings import Finding, find
 from leastaction.model.file import MAX_BYTES, MAX_TERMS
-from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm, load
+from leastaction.model.load import load
+from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 
 
 def pendulum():

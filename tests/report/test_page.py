@@ -242,6 +242,35 @@ def test_odd_data_can_be_reported(tmp_path):
     assert "</html>" in written(tmp_path, replace(model, diagnostics=short))
 
 
+def test_the_curve_says_why_each_structure_was_not_chosen(tmp_path):
+    model = spring()
+    reasons = ("fits-worse", "chosen", "irrelevant", "fits-worse")
+    path = tuple(replace(p, reason=r) for p, r in zip(model.diagnostics.path, reasons, strict=True))
+    path = (*path[:2], replace(path[2], bic=-3.0), path[3])
+    model = replace(model, diagnostics=replace(model.diagnostics, path=path))
+    source = written(tmp_path, model)
+    assert "belongs to a structure with 3 terms: it was not" in source
+    assert source.count("its further terms remove less than the relevant share of the equation error") == 2
+    assert source.count("it fits the data worse") == 2
+    assert "taken from the curve by hand" not in source
+    # a model that is not the chosen one
+    by_hand = replace(model, provenance={**model.provenance, "structure": ["x_dot**2", "x**2", "x**4"]})
+    source = written(tmp_path, by_hand)
+    assert "its 3 terms were taken from the curve by hand" in source
+    assert source.count("<b>this model</b>") == 1
+    assert "This gives the chosen structure" in source
+    chosen = replace(model, provenance={**model.provenance, "structure": ["x_dot**2", "x**2"]})
+    assert "taken from the curve by hand" not in written(tmp_path, chosen)
+
+
+def test_what_is_not_finite_is_not_on_the_curve(tmp_path):
+    model = spring()
+    path = (*model.diagnostics.path, replace(model.diagnostics.path[0], bic=np.inf, cost=np.inf))
+    source = written(tmp_path, replace(model, diagnostics=replace(model.diagnostics, path=path)))
+    assert "inf %" not in source
+    assert source == written(tmp_path, model)
+
+
 def test_forecasts_that_fail_are_shown_as_such(tmp_path):
     t = np.linspace(1.0, 2.0, 51)
     measured = np.cos(2 * t)[:, None]

@@ -72,6 +72,18 @@ def test_path_rows_keep_the_chosen_one():
     assert sum(row["chosen"] for row in rows) == 1
 
 
+def test_path_rows_say_why_and_keep_the_structure_of_the_model():
+    path = [PathPoint(("x",) * n, 0.0, 10.0 * n, reason="fits-worse") for n in range(3, 20)]
+    shown = PathPoint(("y",), 0.0, -5.0, reason="irrelevant")
+    path += [PathPoint(("x", "x**2"), 0.0, 0.0, True, "chosen"), shown]
+    rows = path_rows(path, Notation(["x", "y"]), limit=3, shown=shown, relevance=0.1)
+    assert [row["n_terms"] for row in rows] == [1, 2, 3]
+    assert [row["shown"] for row in rows] == [True, False, False]
+    assert "less than 10 % of the equation error" in rows[0]["because"]
+    assert rows[1]["because"] == ""
+    assert rows[2]["because"] == "it fits the data worse"
+
+
 def test_thinning_keeps_peaks_and_ends():
     t = np.linspace(0.0, 1.0, 50_000)
     y = np.sin(40 * t)

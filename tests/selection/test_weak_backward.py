@@ -10,10 +10,12 @@ import pytest
 import scipy.linalg
 
 from leastaction import systems
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
 from leastaction.selection.likelihood_search import term_penalty
-from leastaction.selection.prepare import prepare
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakForm, WeakGram
+from leastaction.selection.weak_form import WeakGram
+from leastaction.selection.weak_proposals import weak_grams
 from leastaction.selection.weak_search import noise_ratio, support_score
 
 PENALTY, N_ROWS = 12.0, 1000.0
@@ -86,22 +88,11 @@ def test_law_of_a_recording_among_a_large_library(system):
     """Noise of one per cent, one trial: the forward search takes one to four terms too many."""
     wanted = systems.get(system)
     data = systems.generate(system, noise=0.01, trials=1, seed=1)
-    prepared = prepare(data, systems.large_library(system), wanted.known, [], None, 5)
-    workspace = prepared.workspace(prepared.euler_lagrange)
-    smooth = prepared.knots.smooth
-    _, rates, _ = workspace.grid.at_quadrature(smooth.control_points)
-    form = WeakForm(
-        workspace.grid,
-        workspace.columns,
-        workspace.known,
-        workspace.forces,
-        [0.5, 1.0],
-        np.sqrt((rates**2).mean(axis=(0, 1))),
-    )
-    replicates = smooth.replicates(8, np.random.default_rng(0), workspace.observations.noise_floor)
-    place = {int(k): p for p, k in enumerate(workspace.free)}
-    truth = tuple(sorted(place[k] for k in systems.truth_for(wanted, prepared.library) if k in place))
-    for gram in form.grams(smooth.control_points, replicates):
+    setup = build_problem(data, Request(systems.large_library(system), wanted.known))
+    grid = Grid.lay(setup.problem, setup.scales.per_second)
+    place = {int(k): p for p, k in enumerate(setup.problem.free)}
+    truth = tuple(sorted(place[k] for k in systems.truth_for(wanted, setup.library) if k in place))
+    for gram in weak_grams(grid, setup.scales.smooth, 0):
         n_rows = gram.n_rows / 3.0
         penalty = term_penalty(int(n_rows), len(place))
         levels = backward_search(gram, 1e-7, penalty, n_rows)

@@ -177,29 +177,6 @@ class Task:
         fitted, held_out = (part and shift_forces(part, self.forces.delay) for part in parts)
         return replace(self, fitted=fitted, held_out=held_out, forces=replace(self.forces, delay=0.0))
 
-    def restricted(self, expressions: Sequence[str], dissipation: Sequence[str]) -> Task:
-        """The same with only these free candidates, beside the known terms, and none refused as irrelevant.
-
-        `dissipation` are the friction candidates as the model writes them, with |u| made smooth.
-        """
-        friction = [text for text in expressions if text in dissipation]
-        terms = [text for text in expressions if text not in friction]
-        # A path does not say of which function a term is: one that is a candidate of both stays one of both.
-        terms += [text for text in friction if any(text == term.text for term in self.library)]
-        known = {True: [], False: []}
-        for text in self.known:
-            known[self._is_friction(text)].append(text)
-        terms, friction = known[False] + terms, known[True] + friction
-        library = self.library.replace(terms=dict.fromkeys(terms), dissipation=dict.fromkeys(friction))
-        return replace(self, library=library, relevance=0.0)
-
-    def _is_friction(self, text: str) -> bool:
-        try:
-            self.library.index(text)
-        except InputError:
-            return True
-        return False
-
 
 def lines(text: str) -> list[str]:
     """The lines that say something: ``#`` starts a comment."""

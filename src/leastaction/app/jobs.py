@@ -1,10 +1,10 @@
-"""What runs in the process of the worker: a discovery, and forecasts of its model."""
+"""What runs in the process of the worker: a discovery, a refit, and forecasts of their models."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -13,9 +13,10 @@ from leastaction.errors import DataError, InputError
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories
+    from leastaction.model.diagnostics import PathPoint
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["Found", "Motion", "search"]
+__all__ = ["Found", "Motion", "forecast", "refine", "search"]
 
 _LONGEST = 20.0  # seconds of a forecast that is shown
 _SHARE = 0.6  # of a trial
@@ -50,11 +51,23 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A model and what the page shows of it."""
+    """A model and what the page shows of it.
+
+    Attributes
+    ----------
+    model : LagrangianModel
+    stage : {"provisional", "fitted", "forecast"}
+        How far it is: coefficients from the quadratic model of the likelihood, or fitted, or forecast, too.
+    validation, motion
+        Forecasts; None before the last stage, and where there is none.
+    motion_fault : str
+        Why there is no `motion`.
+    """
 
     model: LagrangianModel
-    validation: ForecastResult | None
-    motion: Motion | None
+    stage: Literal["provisional", "fitted", "forecast"]
+    validation: ForecastResult | None = None
+    motion: Motion | None = None
     motion_fault: str = ""
 
 
@@ -72,6 +85,19 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
+    return forecast(progress, task, model)
+
+
+def refine(progress: Callable[[str, dict], None], model: LagrangianModel, point: PathPoint) -> Found:
+    """Fit a structure of the trade-off curve of a model."""
+    from leastaction.refit import refit
+
+    return Found(refit(model, point, lambda s, d: progress(s, _plain(d))), "fitted")
+
+
+def forecast(progress: Callable[[str, dict], None], task: Task, model: LagrangianModel) -> Found:
+    """Forecast with a model."""
+    task = task.shifted()
     progress("forecast", {})
     validation = None
     if task.held_out is not None:
@@ -83,7 +109,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         motion, fault = _motion(model, task), ""
     except (InputError, DataError) as error:
         motion, fault = None, str(error)
-    return Found(model, validation, motion, fault)
+    return Found(model, "forecast", validation, motion, fault)
 
 
 def _motion(model: LagrangianModel, task: Task) -> Motion:

@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from leastaction.findings import because
+
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
     from leastaction.model.diagnostics import PathPoint
@@ -15,22 +17,28 @@ __all__ = ["Walk"]
 
 @dataclass(frozen=True)
 class Walk:
-    """The best structure of each size, in rising size; the chosen one stands for its own."""
+    """The best structure of each size, in rising size; the chosen one stands for its own.
+
+    Attributes
+    ----------
+    points : tuple of PathPoint
+    relevance : float or None
+        Share of the equation error that a term had to remove to stay.
+    """
 
     points: tuple[PathPoint, ...]
+    relevance: float | None = None
 
     @classmethod
     def of(cls, model: LagrangianModel) -> Walk:
-        """Take from a model's path what was computed and has a term of L; nothing without diagnostics."""
+        """The curve of a model that was discovered; without points if there are no diagnostics."""
         best: dict[int, PathPoint] = {}
-        friction = model.provenance.get("options", {}).get("dissipation", ())
-        moves = any(term.known for term in model.terms)
         for point in model.diagnostics.path if model.diagnostics else ():
-            usable = math.isfinite(point.bic) and math.isfinite(point.cost)
-            usable = usable and (moves or any(text not in friction for text in point.expressions))
-            if usable and (point.chosen or point.n_terms not in best):
+            finite = math.isfinite(point.bic) and math.isfinite(point.cost)
+            if finite and (point.chosen or point.n_terms not in best):
                 best[point.n_terms] = point
-        return cls(tuple(best[size] for size in sorted(best)))
+        relevance = model.provenance.get("options", {}).get("relevance")
+        return cls(tuple(best[size] for size in sorted(best)), relevance)
 
     @property
     def chosen(self) -> int:
@@ -43,14 +51,16 @@ class Walk:
         return [e for e in here if e not in there], [e for e in there if e not in here]
 
     def verdict(self, place: int) -> str:
-        """What the criterion says about a structure, in words."""
+        """What the criterion says about a structure, and why it was not chosen, in words."""
         point = self.points[place]
         if point.chosen:
             return "This is the structure that leastaction chose."
-        size = f"{abs(point.bic):.3g}"
+        size, why = f"{abs(point.bic):.3g}", because(point.reason, self.relevance)
         if point.bic >= 0:
-            return f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
-        return (
-            f"The criterion alone prefers this one by {size}. It was not chosen because each further term "
-            "takes away less than 5 % of the equation error: on hardware such terms mimic what is missing."
-        )
+            text = f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
+        else:
+            text = f"The criterion alone prefers this one by {size}."
+        if not why:
+            return text
+        hint = " On hardware such terms mimic what is missing." if point.reason == "irrelevant" else ""
+        return f"{text} It was not chosen because {why}.{hint}"

@@ -143,23 +143,30 @@ class ResultView:
             box.clear()
         notation = Notation(found.model.coordinates)
         with self.model:
-            self._formula(found.model, notation)
+            self._formula(found, notation)
         with self.table:
-            _coefficients(found.model, notation)
+            _coefficients(found, notation)
         with self.motion:
             self._forecast(found, notation)
 
-    def _formula(self, model: LagrangianModel, notation: Notation) -> None:
+    def _formula(self, found: Found, notation: Notation) -> None:
+        model = found.model
         with html.div().classes("heading"):
             with html.div():
                 say(self.session.title, "help")
                 title("The Lagrangian", "h1")
             with html.div().classes("downloads"):
-                action("report.html", self.page.guarded(self._report), "plain", "report").props(
-                    "icon=download"
-                )
-                action("model.json", self.page.guarded(self._model), "plain", "model").props("icon=download")
-        _status(model)
+                fitted = found.stage != "provisional"
+                for name, download, there in (
+                    ("report.html", self._report, fitted and not self.session.waiting),
+                    ("model.json", self._model, fitted),
+                ):
+                    button = action(name, self.page.guarded(download), "plain", name.partition(".")[0])
+                    button.props("icon=download").set_enabled(there)
+        if found.stage == "provisional":
+            self._provisional()
+        else:
+            _status(model)
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
                 if not terms:
@@ -176,12 +183,36 @@ class ResultView:
             if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
                 say("The root is dry friction, |velocity|, made smooth near rest.", "help")
 
+    def _provisional(self) -> None:
+        why = self.session.faults.get(self.session.place)
+        with html.div().classes("status doubtful"):
+            with html.p().props("role=status"):
+                say("provisional", "badge", "span")
+                say(
+                    "These numbers are from the quadratic model of the likelihood about the chosen structure"
+                    + ("; refining…" if why is None else "."),
+                    "",
+                    "span",
+                )
+            if why is not None:
+                say(f"Refining them failed: {in_words(why, self.session.folder)}.").props("role=alert")
+
+    def _no_forecast(self, found: Found) -> None:
+        """Say why there is no forecast of this model; that of another one is not shown meanwhile."""
+        if self.session.waiting:
+            say("It follows when the model is refined." if found.stage == "provisional" else "Forecasting…")
+        elif found.stage == "provisional":
+            say("Only refined models are forecast.", "help")
+        else:
+            why = found.motion_fault or self.session.faults[self.session.place]
+            fault(f"There is no forecast: {in_words(why, self.session.folder)}")
+
     def _forecast(self, found: Found, notation: Notation) -> None:
         motion, model = found.motion, found.model
         with panel():
             title("Forecast")
             if motion is None:
-                fault(f"There is no forecast: {in_words(found.motion_fault)}")
+                self._no_forecast(found)
                 return
             kind = "a trial that took no part in the fit" if motion.held_out else "a trial of the fit"
             length = motion.t[-1] - motion.t[0]
@@ -245,8 +276,11 @@ def _status(model: LagrangianModel) -> None:
                 say(text, "", "li")
 
 
-def _coefficients(model: LagrangianModel, notation: Notation) -> None:
+def _coefficients(found: Found, notation: Notation) -> None:
+    model = found.model
     title("Coefficients")
+    if found.stage == "provisional":
+        say("Provisional: from the quadratic model.", "hint")
     with html.div().classes("scroll"), html.table():
         with html.thead(), html.tr():
             for text, side in (("term", ""), ("coefficient", "n"), ("95 % interval", "n"), ("z", "n")):

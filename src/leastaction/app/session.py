@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 from leastaction.app import columns
 from leastaction.app.candidates import Choice, Task
-from leastaction.app.jobs import Found, search
+from leastaction.app.jobs import Found, forecast, refine, search
 from leastaction.app.path import Walk
 from leastaction.app.worker import Job, Worker, explain
 from leastaction.errors import DataError, InputError
+from leastaction.refit import provisional
 
 if TYPE_CHECKING:
     from leastaction import Trajectories
@@ -27,6 +28,8 @@ __all__ = ["EXAMPLES", "MOST_BYTES", "SUFFIXES", "Session", "in_words"]
 
 MOST_BYTES = 200_000_000
 """Largest upload, and largest table inside a compressed one."""
+
+_PATIENCE = 2.0  # seconds: a process that has been stopped takes as long to come back
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
 
@@ -54,9 +57,11 @@ class Session:
         As read with these roles; None if that failed, then `fault` says why.
     choice : Choice
     task, job : Task or None, Job or None
-        The discovery that runs or ran last.
+        The discovery that runs or ran last; the job is that of a refit or a forecast once there is a model.
     found : dict
-        Expressions of a structure -> its model; the one that was discovered has the key of the chosen point.
+        Place on the trade-off curve -> its model, as far as it is.
+    faults : dict
+        Place -> why its model is not refined any further.
     walk, place
         The trade-off curve, and where on it the page stands.
     """
@@ -71,8 +76,8 @@ class Session:
     choice: Choice = field(default_factory=Choice)
     task: Task | None = None
     job: Job | None = None
-    wanted: int = 0
-    found: dict[tuple[str, ...], Found] = field(default_factory=dict)
+    found: dict[int, Found] = field(default_factory=dict)
+    faults: dict[int, str] = field(default_factory=dict)
     walk: Walk = field(default_factory=lambda: Walk(()))
     place: int = 0
 
@@ -80,6 +85,7 @@ class Session:
         self.folder = Path(tempfile.mkdtemp(prefix="leastaction-app-"))
         self.worker = Worker()
         self._path = self.folder / "none"
+        self._job_place: int | None = None
         self._smooth: dict[int, SmoothMotion] = {}
 
     def close(self) -> None:
@@ -175,47 +181,76 @@ class Session:
         return self.job
 
     def go_to(self, place: int) -> Job | None:
-        """Move along the trade-off curve; returns the job of the refit, or None where one has been there."""
-        assert self.task is not None
-        if self.job is not None and self.job.state == "running":
-            self.worker.cancel()
-        self.wanted = place
-        key = self.walk.points[place].expressions
-        if key in self.found:
-            self.place, self.job = place, None
-            return None
-        friction = self.best.model.provenance["options"]["dissipation"]
-        self.job = self.worker.start(search, self.task.restricted(key, friction))
+        """Move along the trade-off curve: a provisional model is there at once, where there was none before.
+
+        Returns the job that refines it; None where nothing is left to do.
+        """
+        if place not in self.found:
+            model = provisional(self.best.model, self.walk.points[place])
+            self.found[place] = Found(model, "provisional")
+        self.place = place
+        self.faults.pop(place, None)
+        self._advance()
         return self.job
 
     def collect(self) -> bool:
-        """Take over the result of a job that is done; whether there was one."""
-        job = self.job
-        if job is None or job.state != "done":
+        """Take over the result of a job that has ended; whether it changes what the page shows."""
+        job, place = self.job, self._job_place
+        if job is None or job.state == "cancelled":
             return False
-        found: Found = job.result
+        if job.state == "running":
+            if place is not None:
+                self._advance()
+            return False
+        if place is None:
+            if job.state == "failed":
+                return False  # the job stays: the page says why there is nothing
+            self.walk = Walk.of(job.result.model)
+            place = self.place = self.walk.chosen
         self.job = None
-        if self.walk.points:
-            self.found[self.walk.points[self.wanted].expressions] = found
-            self.place = self.wanted
+        if job.state == "done":
+            self.found[place] = job.result
         else:
-            self.walk = Walk.of(found.model)
-            self.place = self.wanted = self.walk.chosen
-            self.found = {self._key(): found}
-        return True
+            self.faults[place] = job.message
+        self._advance()
+        return place == self.place
 
-    def _key(self) -> tuple[str, ...]:
-        return self.walk.points[self.place].expressions if self.walk.points else ()
+    def _advance(self) -> None:
+        """Start what the shown model lacks; a job for another place may end first if it is about to."""
+        job = self.job
+        if job is not None and job.state == "running":
+            if self._job_place == self.place or job.seconds < _PATIENCE:
+                return
+            self.worker.cancel()
+        self.job = None
+        if not self.waiting:
+            return
+        if self.current.stage == "provisional":
+            self.job = self.worker.start(refine, self.best.model, self.walk.points[self.place])
+        else:
+            self.job = self.worker.start(forecast, self.task, self.current.model)
+        self._job_place = self.place
+
+    def stay(self) -> None:
+        """Leave the shown model as it is."""
+        self.worker.cancel()
+        self.job = None
+        self.faults[self.place] = "it was cancelled"
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the shown model still lacks something that a job will bring."""
+        return self.current.stage != "forecast" and self.place not in self.faults
 
     @property
     def current(self) -> Found:
         """What the page shows."""
-        return self.found[self._key()]
+        return self.found[self.place]
 
     @property
     def best(self) -> Found:
         """What was discovered."""
-        return next(iter(self.found.values()))
+        return self.found[self.walk.chosen]
 
     def stop(self) -> None:
         """Cancel what runs."""
@@ -224,7 +259,8 @@ class Session:
     def forget(self) -> None:
         """Drop results: they belong to other data or candidates."""
         self.stop()
-        self.job, self.found, self.walk, self.place, self.wanted = None, {}, Walk(()), 0, 0
+        self.job, self._job_place, self.found, self.faults = None, None, {}, {}
+        self.walk, self.place = Walk(()), 0
 
     def write_report(self) -> str:
         """The report on the model that is shown, as HTML."""

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 from nicegui import html, ui
 
 from leastaction.app.figures import walk_figure
-from leastaction.app.parts import action, aside, drawn, fault, math, panel, say, title
-from leastaction.app.session import in_words
+from leastaction.app.parts import action, aside, drawn, math, panel, say, title
 from leastaction.report.mathml import Notation
 
 if TYPE_CHECKING:
@@ -48,56 +47,44 @@ class WalkPanel:
                 )
             self.words = html.div().classes("stack").props("aria-live=polite")
         self.timer = ui.timer(0.2, self.page.guarded(self._follow), active=False)
-        if self.session.job is not None and self.session.job.state == "running":
-            self._describe()
-            self.timer.activate()
-        else:
-            self._stay()
-        ui.timer(0.01, self.page.guarded(self._draw), once=True)
+        self._arrived()
 
     def _go(self, step: int) -> None:
-        self._go_to(self.session.wanted + step)
+        self._go_to(self.session.place + step)
 
     def _go_to(self, place: int) -> None:
         place = min(max(place, 0), len(self.session.walk.points) - 1)
-        if place == self.session.wanted:
+        if place == self.session.place:
             return
+        self.session.go_to(place)
         self.slider.value = place
-        if self.session.go_to(place) is None:
-            self._arrived()
-        else:
-            self._describe()
-            self.timer.activate()
+        self.refresh()
+        self._arrived()
 
     def _follow(self) -> None:
-        job = self.session.job
-        if job is not None and job.state == "running":
-            self.progress.text = f"Fitting {self._size()}… {job.seconds:.0f} s"
-            return
-        self.timer.deactivate()
-        if job is not None and job.state == "failed":
-            message = in_words(job.message, self.session.folder)
-            self._stay()
-            with self.words:
-                fault(f"There is no model of that size: {message}")
-        elif self.session.collect():
-            self._arrived()
-
-    def _cancel(self) -> None:
-        self.session.stop()
-        self.timer.deactivate()
-        self._stay()
+        changed = self.session.collect()
+        if changed:
+            self.refresh()
+            self._describe()
+        elif self.session.job is not None and self.session.waiting:
+            self.progress.text = f"{self._doing()}… {self.session.job.seconds:.0f} s"
+        if self.session.job is None:
+            self.timer.deactivate()
 
     def _stay(self) -> None:
-        self.session.job = None
-        self.session.wanted = self.session.place
-        self.slider.value = self.session.place
+        self.session.stay()
+        self.timer.deactivate()
+        self.refresh()
         self._describe()
 
     def _arrived(self) -> None:
         self._describe()
-        self.refresh()
+        if self.session.job is not None:
+            self.timer.activate()
         ui.timer(0.01, self.page.guarded(self._draw), once=True)
+
+    def _doing(self) -> str:
+        return "Refining" if self.session.current.stage == "provisional" else "Forecasting"
 
     async def _draw(self) -> None:
         box = self.figure
@@ -107,32 +94,23 @@ class WalkPanel:
             with box:
                 drawn(figure, "figure")
 
-    def _size(self) -> str:
-        count = self.session.walk.points[self.session.wanted].n_terms
-        return f"{count} free term{'' if count == 1 else 's'}"
-
     def _describe(self) -> None:
         session = self.session
         self.words.clear()
         with self.words:
-            if session.job is not None and session.job.state == "running":
-                with html.div().classes("heading"):
-                    self.progress = say(f"Fitting {self._size()}…").props("role=status")
-                    action("Cancel", self.page.guarded(self._cancel), "quiet", "cancel-refit")
-                return
             walk, place = session.walk, session.place
-            say(f"{self._size().capitalize()}. {walk.verdict(place)}")
+            asked = walk.points[place].n_terms
+            say(f"{asked} free term{'' if asked == 1 else 's'}. {walk.verdict(place)}")
             for text, terms in zip(("More:", "Less:"), walk.difference(place), strict=True):
                 self._list(text, terms)
-            kept = [
-                t for t in (*session.current.model.terms, *session.current.model.dissipation) if not t.known
-            ]
-            asked = walk.points[place].n_terms
-            if len(kept) < asked:
-                say(
-                    f"Of these {asked} terms the data support {len(kept)}; the others were dropped again.",
-                    "hint",
-                )
+            model = session.current.model
+            kept = sum(not term.known for term in (*model.terms, *model.dissipation))
+            if kept < asked:
+                say(f"{kept} of them are left: friction that came out negative was left out.", "hint")
+            if session.waiting:
+                with html.div().classes("heading"):
+                    self.progress = say(f"{self._doing()}…").props("role=status")
+                    action("Cancel", self.page.guarded(self._stay), "quiet", "cancel-refit")
 
     def _list(self, text: str, terms: list[str]) -> None:
         if terms:

@@ -141,6 +141,9 @@ class Worker:
                 else:
                     job._end("failed", message=rest[0])
         except (EOFError, OSError):
+            with self._lock:
+                if self._pipe is pipe:
+                    self._stop()  # it may still look alive for a moment, and would be given the next job
             job._end("failed", message="the computation stopped unexpectedly, perhaps for want of memory")
         except Exception as error:
             # Pickling may fail in many ways; whatever it is, the page has to say so.

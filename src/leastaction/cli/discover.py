@@ -138,7 +138,7 @@ def discover(
     keep_outliers: bool,
     method: str,
     settings: tuple[str, ...],
-    relevance: str | None,
+    relevance: str,
     seed: int,
     workers: int | None,
     hold_out: str | None,
@@ -152,7 +152,7 @@ def discover(
     folder = check_folder(output, OUTPUTS)
     with blame("--option"):
         chosen = method_options(settings)
-    more = {} if relevance is None else {"relevance": relevance_share(relevance)}
+    share = relevance_share(relevance)
     options = data()
     with blame("--force-offset"):
         offsets = force_offsets(force_offset) if force_offset else ()
@@ -180,14 +180,18 @@ def discover(
             method=method,
             seed=seed,
             options=chosen,
+            relevance=share,
             progress=progress,
             workers=workers,
-            **more,
         )
         progress("forecast", {})
         forecast = _forecast(model, held_out)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
+    _show(folder, model, forecast)
+
+
+def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:
     show_model(model)
     if forecast is not None:
         say()

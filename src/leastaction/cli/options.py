@@ -186,9 +186,11 @@ def relevance_share(text: str) -> float:
 # text, not click.FLOAT, so that the error is one line that says what to do
 relevance_option = click.option(
     "--relevance",
+    default="0.05",
+    show_default=True,
     metavar="SHARE",
-    help="Share of the equation error that a term must explain to stay (default: 0.05). Lower it where weak "
-    "friction of a real machine is left out; 0 asks for significance alone.",
+    help="Share of the equation error that a term must explain to stay. Lower it where weak friction of a "
+    "real machine is left out; 0 asks for significance alone.",
 )
 size_option = click.option(
     "--size",

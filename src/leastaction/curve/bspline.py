@@ -279,8 +279,18 @@ class SplineGrid:
 
     def design(self, times: Sequence[np.ndarray], nu: int = 0) -> sp.csr_array:
         """Block-diagonal design matrix for one array of times per trajectory."""
-        blocks = [s.basis(t, nu) for s, t in zip(self.spaces, times, strict=True)]
-        return sp.csr_array(sp.block_diag(blocks, format="csr"))
+        width = self.degree + 1
+        total = sum(len(t) for t in times)
+        index = np.int32 if total * width < 2**31 else np.int64
+        values, columns = np.empty((total, width)), np.empty((total, width), dtype=index)
+        start = 0
+        for space, offset, t in zip(self.spaces, self.offsets, times, strict=False):
+            rows = slice(start, start + len(t))
+            first, values[rows] = space.local_basis(t, nu)
+            columns[rows] = (offset + first)[:, None] + np.arange(width)
+            start = rows.stop
+        pointers = np.arange(total + 1, dtype=index) * index(width)
+        return sp.csr_array((values.ravel(), columns.ravel(), pointers), shape=(total, self.n_ctrl))
 
     def split(self, control_points: np.ndarray) -> list[np.ndarray]:
         """Control points of each trajectory, (n_ctrl_k, n_dof) each."""

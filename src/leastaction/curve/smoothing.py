@@ -70,33 +70,34 @@ class Smooth:
         return out
 
 
-def _to_banded(matrix: sp.sparray, bandwidth: int) -> np.ndarray:
-    """Lower banded storage of a symmetric sparse matrix."""
-    coo = sp.coo_array(matrix)
-    row, col = coo.coords
-    below = row >= col
-    banded = np.zeros((bandwidth + 1, matrix.shape[0]))
-    np.add.at(banded, (row[below] - col[below], col[below]), coo.data[below])
+def banded_gram(design: sp.csr_array, bandwidth: int) -> np.ndarray:
+    """NᵀN in lower banded storage, for rows of ``bandwidth`` + 1 neighbouring entries each."""
+    values = design.data.reshape(-1, bandwidth + 1)
+    first = design.indices[:: bandwidth + 1]
+    n = design.shape[1]
+    banded = np.zeros((bandwidth + 1, n))
+    for a in range(bandwidth + 1):
+        for b in range(a, bandwidth + 1):
+            sums = np.bincount(first, values[:, a] * values[:, b], n)
+            banded[b - a, a:] += sums[: n - a]
     return banded
 
 
-def banded_gram(design: sp.csr_array, bandwidth: int) -> np.ndarray:
-    """NᵀN in lower banded storage."""
-    return _to_banded(design.T @ design, bandwidth)
-
-
-def _penalty_matrix(grid: SplineGrid) -> sp.csr_array:
-    """∫ B‴ B‴ᵀ dt: exact, the integrand is a polynomial in each knot interval."""
+def _penalty_matrix(grid: SplineGrid) -> np.ndarray:
+    """∫ B‴ B‴ᵀ dt in lower banded storage: exact, the integrand is a polynomial in each knot interval."""
     nodes, weights = np.polynomial.legendre.leggauss(max(1, grid.degree - _PENALTY_DERIVATIVE + 1))
-    rows = []
-    scale = []
+    rows = np.zeros((grid.n_ctrl, 1, grid.degree + 1))
+    start = 0
     for space in grid.spaces:
-        width = np.diff(space.breakpoints)
-        x = space.breakpoints[:-1, None] + 0.5 * width[:, None] * (nodes + 1.0)
-        rows.append(space.basis(x.ravel(), _PENALTY_DERIVATIVE))
-        scale.append((0.5 * width[:, None] * weights).ravel())
-    basis = sp.csr_array(sp.block_diag(rows, format="csr"))
-    return sp.csr_array(basis.T @ (sp.diags_array(np.concatenate(scale)) @ basis))
+        width = np.diff(space.breakpoints)[:, None]
+        x = space.breakpoints[:-1, None] + 0.5 * width * (nodes + 1.0)
+        _, values = space.local_basis(x.ravel(), _PENALTY_DERIVATIVE)
+        values = values.reshape(*x.shape, -1)
+        scaled = (0.5 * width * weights)[:, :, None] * values
+        blocks = values.transpose(0, 2, 1) @ scaled
+        grid.add_gram(rows, blocks, slice(start, start + space.n_intervals))
+        start += space.n_intervals
+    return np.ascontiguousarray(rows[:, 0].T)
 
 
 def smooth(
@@ -131,7 +132,7 @@ def smooth(
     A rate enters as more rows of N, scaled by the ratio of the positions' noise to its own, which is found by
     the fixed point of :mod:`leastaction.estimation.weights`.
     """
-    roughness = _to_banded(_penalty_matrix(grid), grid.degree)
+    roughness = _penalty_matrix(grid)
     design = grid.design(times)
     stacked = np.concatenate(values)
     n_dof = stacked.shape[1]

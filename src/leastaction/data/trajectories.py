@@ -237,8 +237,8 @@ class Trajectories(Sequence[Trajectory]):
         )
         return self._with(*pick)
 
-    def with_forces(self, forces: Iterable[np.ndarray]) -> Trajectories:
-        """Return the same trajectories with other known forces, (n_times, n_dof) for each.
+    def with_forces(self, forces: Iterable[np.ndarray | None]) -> Trajectories:
+        """Return the same trajectories with other known forces, (n_times, n_dof) or None for each.
 
         Examples
         --------

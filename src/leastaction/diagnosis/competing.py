@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.joint import positive_definite
+from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import SLACK_LEFT
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points

@@ -24,6 +24,7 @@ __all__ = ["Verdict", "verify"]
 _WORTH_KNOWING = 0.001
 _NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
 _INDISTINCT = 0.3  # relative standard error
+_NOTHING = 1e-8  # of a standard error
 _VISIBLE = 0.3
 _MUCH_NOISE = 0.2
 _PART_OF_IT = 0.3
@@ -46,8 +47,12 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
-    """Run every check on what a search has found: the very numbers that are returned."""
+def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_causes: bool = True) -> Verdict:
+    """Run every check on what a search has found: the very numbers that are returned.
+
+    Without ``look_for_causes`` nothing is tested that is not in the structure: missing terms, friction, wrong
+    coefficients and forces.
+    """
     fit, smooth, period = search.found, search.curve, search.scales.period
     names = fit.problem.coordinates
     floor = fit.grid.observations.noise_floor
@@ -64,7 +69,8 @@ def verify(search: Search, alternatives: Sequence[Alternative]) -> Verdict:
     unexplained = [
         i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
     ]
-    causes = _likely_causes(search, share, any(share[i] > EXPLAINED for i in unexplained))
+    off = any(share[i] > EXPLAINED for i in unexplained)
+    causes = _likely_causes(search, share, off) if look_for_causes else []
     found += [
         find(
             "equations-off",
@@ -193,7 +199,8 @@ def _identifiability(fit: Fit) -> list[Finding]:
     covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
-    size = np.maximum(np.abs(fit.estimates), 1e-300)
+    # a coefficient that vanishes beside its error is as loose as can be
+    size = np.maximum(np.abs(fit.estimates), np.maximum(_NOTHING * fit.standard_errors, 1e-150))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
     texts = [fit.problem.terms[m].text for m in fit.structure]

@@ -26,15 +26,9 @@ from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.data.trajectories import Rate
 from leastaction.estimation.crew import Crew, Task
 from leastaction.estimation.elimination import Quadratic
-from leastaction.estimation.joint import (
-    Costs,
-    Linearisation,
-    Observations,
-    Physics,
-    Volume,
-    Weights,
-    noise_floors,
-)
+from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
+from leastaction.estimation.observations import Observations, noise_floors
+from leastaction.estimation.volume import Volume
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["BlockedObservations", "observe"]
@@ -151,9 +145,12 @@ class BlockedLinearisation(Costs):
         """The Gauss–Newton system, which is formed where it is eliminated."""
         return BlockedNormal(self, weights)
 
-    def freedom(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    def freedom(self, weights: Weights, factor: BlockedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Linearisation.freedom`."""
-        parts = self.over_blocks(_freedom, weights)
+        crew = self.observations.crew
+        found = [None] * len(self.blocks) if factor is None else factor.parts
+        tasks = [crew.task(_freedom, at, weights, part) for at, part in zip(self.blocks, found, strict=True)]
+        parts = crew.results(tasks)
         return _sum(p[0] for p in parts), _sum(p[1] for p in parts)
 
     def scored(self, score: Callable[..., Any], *given: Any) -> Any:
@@ -175,11 +172,6 @@ class BlockedLinearisation(Costs):
             curve_gradient=np.concatenate([s[1] for s in small]),
             border=steps.border,
         )
-
-    def over_blocks(self, function: Callable[..., Any], *given: Any) -> list[Any]:
-        """Results of a function of each block's linearisation."""
-        crew = self.observations.crew
-        return crew.results([crew.task(function, block, *given) for block in self.blocks])
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +227,7 @@ def _linearise(
     seen: Observations, columns: EulerLagrange, given: tuple[Any, ...], points: np.ndarray, values: np.ndarray
 ) -> Linearisation:
     free, forces = given
-    return seen.linearise(Physics(columns, free, forces), points, values)
+    return linearise(seen, Physics(columns, free, forces), points, values)
 
 
 def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:
@@ -246,8 +238,8 @@ def _costs(at: Linearisation) -> tuple[Any, ...]:
     return at.squares, at.equation, at.terms, at.at_mass
 
 
-def _freedom(at: Linearisation, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-    return at.freedom(weights)
+def _freedom(at: Linearisation, weights: Weights, found: Any) -> tuple[np.ndarray, np.ndarray]:
+    return at.freedom(weights, None if found is None else found.factor)
 
 
 def _eliminate(at: Linearisation, weights: Weights, damping: float) -> Quadratic:

@@ -19,7 +19,10 @@ from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Request", "Setup", "build_problem"]
+__all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem"]
+
+ENOUGH_SAMPLES = 50_000
+"""To search on; longer recordings enter when the structure is confirmed."""
 
 _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 # of data: the squares of a force from x**4 reach 1e180, and further products remain finite
@@ -245,9 +248,10 @@ def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, f
     for text, value in known.items():
         if isinstance(value, (bool, str)) or not np.isscalar(value) or not np.isfinite(value):  # type: ignore[arg-type]
             raise InputError(f"the known coefficient of {text!r} is {value!r}; expected a finite number")
-        if value and not 1.0 / _LARGEST**2 <= abs(value) <= _LARGEST**2:
+        number = float(value)  # type: ignore[arg-type]
+        if number and not 1.0 / _LARGEST**2 <= abs(number) <= _LARGEST**2:
             raise InputError(
-                f"the known coefficient of {text!r} is {value:g}; use units in which it lies between "
+                f"the known coefficient of {text!r} is {number:g}; use units in which it lies between "
                 f"{1.0 / _LARGEST**2:g} and {_LARGEST**2:g}"
             )
         kind = "lagrangian"
@@ -260,7 +264,7 @@ def _resolve_known(library: Library, known: Mapping[str, float]) -> dict[Term, f
             position = library.index(text, kind)
         except InputError:
             position, kind = library.index(text), "lagrangian"  # its message speaks of the Lagrangian
-        out[(library.terms if kind == "lagrangian" else library.dissipation)[position]] = float(value)  # type: ignore[arg-type]
+        out[(library.terms if kind == "lagrangian" else library.dissipation)[position]] = number
     if out and all(value == 0.0 for value in out.values()):
         raise InputError("all known coefficients are zero; at least one must set the scale of L")
     return out

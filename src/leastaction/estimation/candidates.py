@@ -17,14 +17,8 @@ import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.elimination import CurveFactor
-from leastaction.estimation.joint import (
-    Linearisation,
-    Volume,
-    Weights,
-    by_interval,
-    points_at,
-    volume_term,
-)
+from leastaction.estimation.joint import Linearisation, Weights, by_interval, points_at
+from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["CandidateBorder", "Scores", "schur_complement", "score"]
@@ -43,7 +37,8 @@ class CandidateBorder:
     candidates: EulerLagrange
 
     def __call__(self, step: np.ndarray) -> np.ndarray:
-        out = np.zeros(self.control_points.shape)
+        n = self.control_points.shape[1]
+        out = np.zeros((len(self.control_points), n))
         (moved,) = np.nonzero(step)
         if moved.size:
             moving = CandidateBorder(
@@ -53,7 +48,7 @@ class CandidateBorder:
                 grid = self.linearisation.observations.grid
                 values = columns[:, :, 1:] @ step[moved]
                 products = (jacobian.transpose(0, 2, 1) @ values[:, :, None])[:, :, 0]
-                grid.add_products(out, products.reshape(len(values), -1, out.shape[1]), chunk)
+                grid.add_products(out, products.reshape(len(values), -1, n), chunk)
         return out.ravel()
 
     def stretches(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
@@ -62,7 +57,7 @@ class CandidateBorder:
         n, n_quad = self.control_points.shape[1], grid.weights.shape[1]
         root = np.sqrt(self.weights.physics)[:, None, None]
         length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
-        for part in self.linearisation.parts:
+        for part in self.linearisation.parts():
             for a in range(part.chunk.start, part.chunk.stop, length):
                 chunk = slice(a, min(a + length, part.chunk.stop))
                 inside = slice(chunk.start - part.chunk.start, chunk.stop - part.chunk.start)

@@ -13,13 +13,13 @@ cannot follow exact equations any more, and the likelihood falls steeply.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.joint import Weights
+from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.weights import SLACK_LEFT, evidence
 
 __all__ = ["towards_exact"]
@@ -34,38 +34,22 @@ _LAST_TOLERANCE = 1e-4
 def towards_exact(fit: Fit) -> Fit:
     """The fit at the largest weights that are as likely as its own; those of visible errors stay.
 
-    The fit itself where every equation shows an error, or where no larger weight is as likely.
+    The weights are raised one after the other, each by its share of what the likelihood may fall: their
+    ratio, too, is chance on the plateau. The fit itself comes back where every equation shows an error, or
+    where no larger weight is as likely.
     """
     hardly = fit.weights.slack < SLACK_LEFT
     hardly[list(fit.problem.prescribed)] = False
     if not fit.converged or not hardly.any() or not np.isfinite(fit.evidence):
         return fit
     physics, index = fit.grid.physics(fit.structure)
-
-    def at(factor: float, start: JointFit | None, tolerance: float) -> tuple[JointFit, float]:
-        weights = _raised(fit.weights, hardly, factor)
-        points, values = (
-            (fit.control_points, fit.coefficients[index])
-            if start is None
-            else (start.control_points, start.coefficients)
-        )
-        found = fit_joint(fit.grid.observations, physics, weights, points, values, tolerance=tolerance)
-        value = evidence(fit.grid.observations, found) if found.converged else -np.inf
-        return found, value
-
-    best, factor, last, value = fit.evidence, 1.0, None, fit.evidence
-    for _ in range(_MOST_STEPS):
-        trial, next_value = at(factor * _STEP, last, _TOLERANCE)
-        if not next_value >= best - _INDISTINCT:
-            break
-        best = max(best, next_value)
-        factor, last, value = factor * _STEP, trial, next_value
-    else:
-        next_value = -np.inf
-    if np.isfinite(next_value):  # where between the two the likelihood has fallen by one
-        share = (value - best + _INDISTINCT) / max(value - next_value, 1e-300)
-        factor *= _STEP ** float(np.clip(share, 0.0, 1.0))
-    found, value = at(factor, last, _LAST_TOLERANCE)
+    trial = _Trial(fit, physics)
+    here = fit.weights, fit.control_points, fit.coefficients[index], fit.evidence
+    best, share = fit.evidence, _INDISTINCT / np.count_nonzero(hardly)
+    for count, equation in enumerate(np.flatnonzero(hardly), start=1):
+        here, best = _raise(trial, here, int(equation), best, count * share)
+    weights, points, values, _ = here
+    found, value = trial.at(weights, points, values, _LAST_TOLERANCE)
     if not np.isfinite(value):
         return fit
     coefficients = fit.coefficients.copy()
@@ -73,7 +57,39 @@ def towards_exact(fit: Fit) -> Fit:
     return Fit.of(fit.grid, fit.structure, coefficients, found, value)
 
 
-def _raised(weights: Weights, which: np.ndarray, factor: float) -> Weights:
-    """Weights with those of some equations raised; what is left to their errors falls alike."""
-    rise = np.where(which, factor, 1.0)
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """Fits of one structure at given weights."""
+
+    fit: Fit
+    physics: Physics
+
+    def at(self, weights: Weights, points, values, tolerance: float) -> tuple[JointFit, float]:
+        observations = self.fit.grid.observations
+        found = fit_joint(observations, self.physics, weights, points, values, tolerance=tolerance)
+        return found, evidence(observations, found) if found.converged else -np.inf
+
+
+def _raise(trial: _Trial, here, equation: int, best: float, allowed: float):
+    """Raise the weight of one equation until the log likelihood is ``allowed`` below the best one met."""
+    for _ in range(_MOST_STEPS):
+        weights, points, values, value = here
+        higher = _raised(weights, equation, _STEP)
+        found, next_value = trial.at(higher, points, values, _TOLERANCE)
+        if next_value >= best - allowed:
+            best = max(best, next_value)
+            here = higher, found.control_points, found.coefficients, next_value
+            continue
+        if np.isfinite(next_value):  # where between the two the likelihood has fallen that far
+            part = np.clip((value - best + allowed) / max(value - next_value, 1e-300), 0.0, 1.0)
+            weights = _raised(weights, equation, _STEP ** float(part))
+            here = weights, points, values, best - allowed
+        break
+    return here, best
+
+
+def _raised(weights: Weights, equation: int, factor: float) -> Weights:
+    """Weights with that of one equation raised; what is left to its error falls alike."""
+    rise = np.ones(weights.physics.size)
+    rise[equation] = factor
     return replace(weights, physics=rise * weights.physics, slack=weights.slack / rise)

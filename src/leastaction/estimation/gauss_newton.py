@@ -19,12 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction.estimation.candidates import score
-from leastaction.estimation.elimination import Quadratic
-from leastaction.estimation.joint import (
-    Physics,
-    Weights,
-)
-from leastaction.estimation.protocols import Linearised, Measurements
+from leastaction.estimation.elimination import CurveFactor, Quadratic
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
@@ -51,6 +48,8 @@ class JointFit:
     status : str
         "converged", "stalled", "step limit" or "not finite".
     n_steps : int
+    factor : CurveFactor or None
+        Of H there; None when it is not positive definite, or was not formed.
     """
 
     control_points: np.ndarray
@@ -61,6 +60,7 @@ class JointFit:
     weights: Weights
     status: str
     n_steps: int
+    factor: CurveFactor | None = None
 
     @property
     def converged(self) -> bool:
@@ -127,10 +127,11 @@ def fit_joint(
     JointFit
         Never raises for numerical failure: see ``status``.
     """
-    here = linearisation or observations.linearise(physics, control_points, coefficients)
+    here = linearisation or linearise(observations, physics, control_points, coefficients)
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
-        return _finish(physics, weights, control_points, coefficients, here, "not finite", 0)
+        unknown = np.full((physics.n_free, physics.n_free), np.nan)
+        return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
     normal = here.normal(weights)
     while step < max_steps:
@@ -147,7 +148,7 @@ def fit_joint(
         new_points = control_points + shift.reshape(control_points.shape)
         new_coefficients = coefficients.copy()
         new_coefficients[physics.free] += delta
-        there = observations.linearise(physics, new_points, new_coefficients)
+        there = linearise(observations, physics, new_points, new_coefficients)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < tolerance else 0
@@ -166,7 +167,10 @@ def fit_joint(
             if predicted < tolerance or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
-    return _finish(physics, weights, control_points, coefficients, here, status, step, normal)
+    covariance, factor = _uncertainty(here, normal, weights)
+    status = "not finite" if factor is None else status
+    log_h = np.nan if factor is None else factor.logdet
+    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
 
 
 def _step(quadratic: Quadratic, damping: float):
@@ -183,20 +187,15 @@ def _step(quadratic: Quadratic, damping: float):
     return shift, delta, predicted
 
 
-def _finish(physics, weights, control_points, coefficients, here, status, step, normal=None) -> JointFit:
-    """Covariance and log |H| at the last point."""
-    covariance, log_h = np.full((physics.n_free, physics.n_free), np.nan), np.nan
-    if status != "not finite":
-        try:
-            quadratic = (normal or here.normal(weights)).eliminate()
-            # the weights are estimated too: what the volume term seems to know of the scale, they forget
-            known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
-            covariance, log_h = symmetric_inverse(quadratic.matrix - known_scale), quadratic.logdet
-            if not np.isfinite(covariance).all():
-                status = "not finite"
-        except np.linalg.LinAlgError:
-            status = "not finite"
-    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step)
+def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np.ndarray, CurveFactor | None]:
+    """Covariance of the coefficients and the factor of H; NaN and None where they cannot be computed."""
+    # the weights are estimated too: what the volume term seems to know of the scale, they forget
+    known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
+    try:
+        quadratic = normal.eliminate()
+        return symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
+    except np.linalg.LinAlgError:
+        return np.full(known_scale.shape, np.nan), None
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -18,10 +18,11 @@ from leastaction.estimation.blocks import observe
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
-from leastaction.estimation.joint import Physics, positive_definite
+from leastaction.estimation.joint import Physics
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.structure import Structure
+from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
 from leastaction.mechanics.euler_lagrange import Points
 

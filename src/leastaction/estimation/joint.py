@@ -13,18 +13,17 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from leastaction.curve.bspline import SplineGrid
-from leastaction.curve.smoothing import banded_gram
-from leastaction.data.trajectories import Rate
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.elimination import NormalEquations
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = [
@@ -32,27 +31,16 @@ __all__ = [
     "Equations",
     "Linearisation",
     "NormalEquations",
-    "Observations",
     "Physics",
-    "Volume",
     "Weights",
     "by_interval",
     "linearise",
-    "noise_floors",
     "points_at",
-    "positive_definite",
-    "volume_term",
 ]
 
-Scored = TypeVar("Scored")
-
-_RELATIVE_FLOOR = 1e-6
-_VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _TRANSPOSED = 128
-# numbers in J and [r, e] of a grid that are kept, 64 MB; where there are more they are computed again, which
-# takes 10 to 20 % more time, and every fit that is held takes as much less memory
-_KEPT = 2**23
+_MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
@@ -82,96 +70,6 @@ class Weights:
     def position_std(self) -> np.ndarray:
         """(n_dof,) noise of the positions."""
         return self.noise_std[: self.physics.size]
-
-
-@dataclass(frozen=True, eq=False)
-class _Channel:
-    """Valid samples of one coordinate, or of one of its derivatives, and the basis at their times."""
-
-    coordinate: int
-    design: sp.csr_array
-    gram: np.ndarray
-    y: np.ndarray
-
-
-class Observations:
-    """Measured coordinates, and rates, against a spline grid; NaN samples are left out channel by channel.
-
-    Attributes
-    ----------
-    counts : (n_channels,) int array
-        Samples of each channel: positions of the coordinates in order, then ``rates``.
-    coordinates : (n_channels,) int array
-        The coordinate of each channel.
-    floors, noise_floor : (n_channels,) and (n_dof,) arrays
-        No sensor is better than a millionth of its range; below that rounding and the data's own
-        integration errors would count as physics.
-    """
-
-    def __init__(
-        self,
-        grid: SplineGrid,
-        times: Sequence[np.ndarray],
-        values: Sequence[np.ndarray],
-        rates: Sequence[Rate] = (),
-        floors: np.ndarray | None = None,
-    ) -> None:
-        stacked = np.concatenate(values)
-        self.grid, self.n_dof = grid, stacked.shape[1]
-        measured = [(i, 0, column) for i, column in enumerate(stacked.T)]
-        measured += [(r.coordinate, r.derivative, np.concatenate(r.values)) for r in rates]
-        designs = {nu: grid.design(times, nu) for nu in dict.fromkeys(nu for _, nu, _ in measured)}
-        whole: dict[int, _Channel] = {}  # complete columns share basis and Gram matrix, by derivative
-        self._channels: list[_Channel] = []
-        for i, nu, y in measured:
-            keep = np.isfinite(y)
-            complete = bool(keep.all())
-            if complete and nu in whole:
-                self._channels.append(replace(whole[nu], coordinate=i, y=y[keep]))
-                continue
-            design = designs[nu] if complete else designs[nu][keep]
-            gram = banded_gram(design, grid.degree)
-            self._channels.append(_Channel(i, design, gram, y[keep]))
-            if complete:
-                whole[nu] = self._channels[-1]
-        self.counts = np.array([c.y.size for c in self._channels])
-        self.coordinates = np.array([c.coordinate for c in self._channels])
-        self.floors = noise_floors(values, rates) if floors is None else floors
-        self.noise_floor = self.floors[: self.n_dof]
-
-    def linearise(
-        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
-    ) -> Linearisation:
-        """The joint problem linearised; see :func:`linearise`."""
-        return linearise(self, physics, control_points, coefficients)
-
-    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
-        """y − N P for each channel, valid samples only."""
-        return [
-            c.y - c.design @ np.ascontiguousarray(control_points[:, c.coordinate]) for c in self._channels
-        ]
-
-    def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
-        residuals = self.residuals(control_points)
-        gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
-        return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
-
-    def gram(self, channel: int) -> np.ndarray:
-        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
-        return self._channels[channel].gram
-
-    def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
-        """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        for c, sigma in zip(self._channels, noise_std, strict=True):
-            rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
-
-
-def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np.ndarray:
-    """(n_channels,) a millionth of the spread of each channel."""
-    spread = [*np.nanstd(np.concatenate(values), axis=0)]
-    spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
-    return _RELATIVE_FLOOR * np.array(spread)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,34 +105,11 @@ class Equations:
         J_i in the control points that matter in each interval, coordinate fastest.
     right : (n_intervals, n_dof, n_quadrature, 1 + n_border) array
         r_i, then e_i.
-    terms : (n_dof,) array
-        ∫ Σ_k (λ_k e_ik)² dt of each equation, computed only where a coordinate is prescribed.
     """
 
     chunk: slice
     jacobian: np.ndarray
     right: np.ndarray
-    terms: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Volume:
-    """The volume term at one point; see :func:`volume_term`.
-
-    Attributes
-    ----------
-    log_mean, regular : float
-        Mean of log |det M|, and share of the motion along which M is positive definite.
-    slope : (n_dof, n_border) array
-        Mean over time of (∂M/∂λ_k M⁻¹)_ii.
-    corner : (n_border, n_border) array
-        Mean over time of tr(∂M/∂λ_k M⁻¹ ∂M/∂λ_l M⁻¹).
-    """
-
-    log_mean: float
-    regular: float
-    slope: np.ndarray
-    corner: np.ndarray
 
 
 class Costs:
@@ -291,21 +166,29 @@ class Linearisation(Costs):
 
     J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
     point, which takes less memory than ∫ J_iᵀJ_i dt of every equation; products are formed on demand.
-    Along long motions not even that: they are computed anew.
 
     Attributes
     ----------
-    observations : Observations
-    parts : iterable of Equations
-        Kept, or computed anew whenever they are asked for where they would take much memory.
+    observations, physics, control_points, coefficients
+        The point.
+    kept : tuple of Equations or None
+        None for long recordings, whose equations are evaluated anew each time, run by run.
     data_gradient : (n_ctrl, n_channels) array
         −Nᵀ(y − N P).
-    squares, equation, terms, at_mass, prescribed
-        See `Costs`.
+    squares, equation : (n_channels,) and (n_dof,) arrays
+        Σ (y − N P)² of each channel and ∫ r_i² dt of each equation.
+    terms : (n_dof,) array
+        ∫ Σ_k (λ_k e_ik)² dt of each equation, computed only where a coordinate is prescribed.
+    at_mass : Volume
+    prescribed : tuple of int
+        Coordinates without an equation of motion.
     """
 
     observations: Observations
-    parts: Iterable[Equations]
+    physics: Physics
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    kept: tuple[Equations, ...] | None
     data_gradient: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
@@ -321,7 +204,7 @@ class Linearisation(Costs):
     def normal(self, weights: Weights) -> NormalEquations:
         """The Gauss–Newton system."""
         grid, n = self.observations.grid, self.observations.n_dof
-        k = 1 + self.at_mass.slope.shape[1]
+        k = 1 + self.physics.n_free
         rows = np.zeros((grid.n_ctrl, n, (grid.degree + 1) * n))
         border = np.zeros((grid.n_ctrl, n, k))
         moments = np.zeros((k, k))
@@ -364,15 +247,17 @@ class Linearisation(Costs):
             out += np.einsum("miql,miql->i", (flat @ local).reshape(jacobian.shape), jacobian)
         return weights.physics * out
 
-    def freedom(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
+    def freedom(self, weights: Weights, factor: BandedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
         """γ_i = ∂ log|H| / ∂ log w_i of each equation, η_c = ∂ log|H| / ∂ log σ_c⁻² of each channel.
+
+        ``factor`` is that of H, where it is at hand.
 
         Raises
         ------
         numpy.linalg.LinAlgError
             When H is not positive definite.
         """
-        inverse = BandedFactor.of(self.normal(weights).rows).inverse_rows()
+        inverse = (factor or BandedFactor.of(self.normal(weights).rows)).inverse_rows()
         seen = self.observations
         used = [
             trace_product(inverse, i, seen.gram(c)) / weights.noise_std[c] ** 2
@@ -380,13 +265,22 @@ class Linearisation(Costs):
         ]
         return self.traces(weights, inverse), np.array(used)
 
-    def scored(self, score: Callable[..., Scored], *given: Any) -> Scored:
+    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
         """Apply a function of the linearisation; where it is in blocks, to each of them, and add up."""
         return score(self, *given)
 
+    def parts(self) -> Iterator[Equations]:
+        """The equations, one run of knot intervals after the other."""
+        if self.kept is not None:
+            yield from self.kept
+            return
+        for chunk in self.observations.grid.chunks(_CHUNK):
+            points = points_at(self.observations.grid, self.control_points, chunk)
+            yield _equations(self.observations, self.physics, points, self.coefficients)[0]
+
     def _pieces(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Knot intervals, J and [r, e] in pieces whose products stay in the processor's cache."""
-        for part in self.parts:
+        for part in self.parts():
             m, size = part.jacobian.shape[0], part.jacobian.shape[3]
             length = max(16, min(_PIECE // size**2, m))
             for a in range(0, m, length):
@@ -408,17 +302,23 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    equations = _Along(observations, physics, control_points, coefficients)
-    kept = grid.total * equations.numbers <= _KEPT
-    parts = tuple(equations) if kept else equations
-    terms, equation = np.zeros(n), np.zeros(n)
-    for part in parts if kept else equations.residuals():
+    numbers = grid.total * grid.points.shape[1] * n * ((grid.degree + 1) * n + 1 + physics.n_free)
+    kept: list[Equations] | None = [] if numbers <= _MOST_KEPT else None
+    equation, terms = np.zeros(n), np.zeros(n)
+    for chunk in grid.chunks(_CHUNK):
+        points = points_at(grid, control_points, chunk)
+        part, of_terms = _equations(observations, physics, points, coefficients, kept is not None)
         equation += np.einsum("miq,miq->i", part.right[..., 0], part.right[..., 0])
-        terms += part.terms
+        terms += of_terms
+        if kept is not None:
+            kept.append(part)
     free = physics.columns.subset(np.flatnonzero(physics.free).tolist())
     return Linearisation(
         observations,
-        parts,
+        physics,
+        control_points,
+        coefficients,
+        None if kept is None else tuple(kept),
         gradient,
         squares,
         equation,
@@ -426,35 +326,6 @@ def linearise(
         volume_term(grid, physics.columns, control_points, coefficients, free),
         physics.columns.prescribed,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Along:
-    """The equations of motion along a curve, run by run: computed whenever they are iterated over."""
-
-    observations: Observations
-    physics: Physics
-    control_points: np.ndarray
-    coefficients: np.ndarray
-
-    @property
-    def numbers(self) -> int:
-        """Of J and [r, e], in each knot interval."""
-        grid, n = self.observations.grid, self.observations.n_dof
-        return n * grid.points.shape[1] * ((grid.degree + 1) * n + 1 + self.physics.n_free)
-
-    def __iter__(self) -> Iterator[Equations]:
-        return self._runs(whole=True)
-
-    def residuals(self) -> Iterator[Equations]:
-        """The same without J and e."""
-        return self._runs(whole=False)
-
-    def _runs(self, whole: bool) -> Iterator[Equations]:
-        grid = self.observations.grid
-        for chunk in grid.chunks(_CHUNK):
-            points = points_at(grid, self.control_points, chunk)
-            yield _equations(self.observations, self.physics, points, self.coefficients, whole)
 
 
 def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Points:
@@ -474,95 +345,37 @@ def by_interval(values: np.ndarray, out: np.ndarray) -> None:
 
 
 def _equations(
-    observations: Observations, physics: Physics, points: Points, coefficients: np.ndarray, whole: bool
-) -> Equations:
-    """One run of knot intervals; J and e are left empty unless the ``whole`` is asked for."""
+    observations: Observations,
+    physics: Physics,
+    points: Points,
+    coefficients: np.ndarray,
+    differentiate: bool = True,
+) -> tuple[Equations, np.ndarray]:
+    """One run of knot intervals, with J on demand, and ∫ Σ_k (λ_k e_ik)² dt where it is wanted."""
     grid, n, chunk = observations.grid, observations.n_dof, points.intervals
     assert chunk is not None
-    n_quad, prescribed = grid.weights.shape[1], physics.columns.prescribed
+    n_quad = grid.weights.shape[1]
     root = np.sqrt(grid.weights[chunk])
     strong = physics.columns.strong(points)  # (n_columns, n_dof, n_points)
     residual = np.tensordot(coefficients, strong, 1)
     if physics.forces is not None:
         residual -= physics.forces[chunk].transpose(2, 1, 0).reshape(n, -1)
     terms = np.zeros(n)
-    if prescribed:
+    if physics.columns.prescribed:
         weight = grid.weights[chunk].T.ravel()
         terms = np.einsum("kip,p->i", (coefficients[:, None, None] * strong) ** 2, weight)
-    for i in prescribed:
+    for i in physics.columns.prescribed:
         residual[i] = points.columns[2 * n + i]
-    right = np.empty((len(root), n, n_quad, 1 + (physics.n_free if whole else 0)))
+    right = np.empty((len(root), n, n_quad, 1 + physics.n_free))
     by_interval(residual[None], right[..., :1])
-    if not whole:
-        right *= root[:, None, :, None]
-        return Equations(chunk, np.empty((len(root), n, n_quad, 0)), right, terms)
     by_interval(strong if physics.free.all() else strong[physics.free], right[..., 1:])
     right *= root[:, None, :, None]
-    jacobian = physics.columns.jacobian(points, coefficients)
-    for i in prescribed:
-        jacobian[2, i, i] = 1.0
-    return Equations(chunk, _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n), right, terms)
-
-
-def volume_term(
-    grid: SplineGrid,
-    columns: EulerLagrange,
-    control_points: np.ndarray,
-    coefficients: np.ndarray,
-    border: EulerLagrange,
-) -> Volume:
-    """The volume term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
-
-    The equation error r is what is random, not the curve: the density of the curve carries the factor
-    |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
-    small coefficients, and large equation errors shrink all of them (errors-in-variables bias).
-    """
-    k, n = len(border), control_points.shape[1]
-    log_mean = regular = 0.0
-    slope, corner = np.zeros((n, k)), np.zeros((k, k))
-    for sample, share in _volume_samples(grid):
-        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, sample))
-        points = Points(q, qdot)
-        mass = columns.mass_matrix(points, coefficients)
-        usable = positive_definite(mass)
-        regular += share * np.count_nonzero(usable)
-        if not usable.any():
-            continue
-        log_mean += share * float(np.linalg.slogdet(mass[usable])[1].sum())
-        if not k:
-            continue
-        inverse = np.linalg.inv(mass[usable])
-        parts = np.stack([border.mass_of(j, points)[usable] @ inverse for j in range(k)])
-        slope += share * np.einsum("kpii->ik", parts)
-        turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
-        corner += share * (parts.reshape(k, -1) @ turned.T)
-    return Volume(log_mean, regular, slope, corner)
-
-
-def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
-    """Knot intervals that a mean over time is taken from, run by run, and the share of each.
-
-    Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
-    sums over the whole.
-    """
-    begin, end = grid.before, grid.before + grid.n_intervals
-    for start in range(begin - begin % _CHUNK, end, _CHUNK):
-        stop = min(start + _CHUNK, grid.total)
-        stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
-        share = (stop - start) / len(range(start, stop, stride)) / grid.total
-        first = max(start, begin)
-        sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
-        if sample.start < sample.stop:
-            yield sample, share
-
-
-def positive_definite(matrices: np.ndarray) -> np.ndarray:
-    """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
-    out = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-    safe = np.where(out[:, None, None], matrices, 0.0)
-    for k in range(1, matrices.shape[1] + 1):
-        out &= np.linalg.det(safe[:, :k, :k]) > 0.0
-    return out
+    local = np.zeros((0, n, n_quad, (grid.degree + 1) * n))
+    if differentiate:
+        jacobian = physics.columns.jacobian(points, coefficients)
+        jacobian.update({(2, i, i): np.ones(points.n_points) for i in physics.columns.prescribed})
+        local = _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
+    return Equations(chunk, local, right), terms
 
 
 def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.estimation import joint
 from leastaction.estimation.elimination import Quadratic
-from leastaction.estimation.joint import Physics, Volume, Weights
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.volume import Volume
 
-__all__ = ["Linearised", "Measurements", "System"]
+__all__ = ["Linearised", "Measurements", "System", "linearise"]
 
 
 class System(Protocol):
@@ -43,7 +46,7 @@ class Linearised(Protocol):
     def cost(self, weights: Weights) -> float: ...
     def mean(self, values: np.ndarray) -> float: ...
     def normal(self, weights: Weights) -> System: ...
-    def freedom(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]: ...
+    def freedom(self, weights: Weights, factor: Any = None) -> tuple[np.ndarray, np.ndarray]: ...
     def scored(self, score: Callable[..., Any], *given: Any) -> Any: ...
 
 
@@ -57,7 +60,19 @@ class Measurements(Protocol):
     floors: np.ndarray
     noise_floor: np.ndarray
 
+    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]: ...
+
+
+class _InBlocks(Measurements, Protocol):
     def linearise(
         self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
     ) -> Linearised: ...
-    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]: ...
+
+
+def linearise(
+    observations: Measurements, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+) -> Linearised:
+    """Linearise the joint problem at (P, λ), in one piece or in blocks of trials."""
+    if isinstance(observations, Observations):
+        return joint.linearise(observations, physics, control_points, coefficients)
+    return cast(_InBlocks, observations).linearise(physics, control_points, coefficients)

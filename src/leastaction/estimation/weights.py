@@ -23,7 +23,7 @@ import numpy as np
 
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.protocols import Measurements
+from leastaction.estimation.protocols import Measurements, linearise
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
@@ -89,7 +89,7 @@ def start_weights(
     ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
     An equation without any term has no error to weigh: it gets the smallest weight of the others.
     """
-    at = observations.linearise(physics, control_points, coefficients)
+    at = linearise(observations, physics, control_points, coefficients)
     slack = np.full_like(noise_std, equation_rank(observations))
     slack[list(physics.columns.prescribed)] = 0.0
     n = observations.n_dof
@@ -113,7 +113,7 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
         When H is not positive definite, or not finite.
     """
     weights, at = fit.weights, fit.linearisation
-    used, fitted = at.freedom(weights)
+    used, fitted = at.freedom(weights, fit.factor)
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):

@@ -2,5 +2,18 @@
 
 from leastaction.findings.finding import SEVERITIES, TEXT, Figures, Finding, Severity
 from leastaction.findings.messages import CODES, Audience, find, sentence
+from leastaction.findings.reasons import REASONS, because
 
-__all__ = ["CODES", "SEVERITIES", "TEXT", "Audience", "Figures", "Finding", "Severity", "find", "sentence"]
+__all__ = [
+    "CODES",
+    "REASONS",
+    "SEVERITIES",
+    "TEXT",
+    "Audience",
+    "Figures",
+    "Finding",
+    "Severity",
+    "because",
+    "find",
+    "sentence",
+]

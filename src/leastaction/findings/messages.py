@@ -6,12 +6,14 @@ A text is a template over ``subject`` and the figures, or a function of both whe
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Literal
 
 from leastaction.findings.finding import Finding, Severity
+from leastaction.findings.reasons import because
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 
@@ -46,6 +48,8 @@ class _Template(Formatter):
         if isinstance(value, (list, tuple)):
             return ", ".join(str(item) for item in value)
         if format_spec.endswith("%"):
+            if not math.isfinite(value):
+                return "an unknown share"
             return f"{format(100.0 * value, format_spec[:-1])} %"
         return super().format_field(value, format_spec)
 
@@ -108,6 +112,13 @@ def _wrong_known_remedy(f: dict[str, Any]) -> str:
     forces = f.get("force_factor")
     units = f"; or the forces are {forces:.3g} times too large" if forces is not None else ""
     return f"correct it, or leave it free{units}"
+
+
+def _another_structure(f: dict[str, Any]) -> str:
+    why = because(f["reason"], f["relevance"])
+    return "this structure was taken from the trade-off curve by hand; it was not chosen" + (
+        f", because {why}" if why else ""
+    )
 
 
 # words of the units in which a rate may have been recorded
@@ -280,6 +291,11 @@ CODES: dict[str, Message] = {
         "warning",
         "the dissipation term {subject} came out negative and was left out, since it would feed energy in",
         "check the sign of forces and known coefficients, or a missing term",
+    ),
+    "another-structure": Message(
+        "warning",
+        _another_structure,
+        "compare its forecasts of held-out trials with those of the chosen structure",
     ),
     # what was done to data and library
     "angle-unwrapped": Message("note", "{jumps} jumps of 2π removed from {subject}"),

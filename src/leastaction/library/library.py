@@ -145,25 +145,21 @@ class Library(Sequence[Term]):
     ) -> Library:
         """Generate the candidates that mechanical systems are usually made of.
 
-        Products of two velocities times functions of the coordinates, and potentials: cosines and sines of
-        angles, their sums and differences; powers of other coordinates; products of both kinds.
+        Two velocities times functions of the coordinates, and potentials: sines and cosines of angles, their
+        sums and differences; powers of other coordinates; products of both.
 
         Parameters
         ----------
         coordinates, angles
             Names; the angles are some of the coordinates.
         size
-            ``"compact"``, ``"standard"`` (1, 2, 3 coordinates: at most 12, 60, 150 terms), ``"large"``
-            (which also has 1/x and log(x), for coordinates that stay positive), or ``"chain"``: planar
-            links in a row, each angle absolute or measured from the link before, in the order from the
-            base on.  ``"auto"`` (or None) is ``"standard"`` where that has at most 250 terms, as it has for
-            three coordinates; beyond, ``"chain"`` with two angles or more, ``"compact"`` without.
+            ``"compact"``, ``"standard"`` (1, 2, 3 coordinates: at most 12, 60, 150 terms), ``"large"`` (also
+            1/x and log(x), for x > 0) or ``"chain"`` (planar links, from the base on).  ``"auto"`` or None:
+            ``"standard"`` up to 250 terms; beyond, ``"chain"`` with two angles or more, else ``"compact"``.
         degree
-            Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6
-            with the size.
+            Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6.
         gyroscopic
-            Whether to add terms linear in the velocities, x ẏ and φ̇ cos θ: spinning rotors, rotating frames,
-            charges in magnetic fields.
+            Whether to add terms linear in the velocities: spinning rotors, rotating frames, magnetic fields.
         dissipation
             Candidates of the dissipation function, as for `Library`.
 
@@ -277,13 +273,8 @@ class Library(Sequence[Term]):
         Parameters
         ----------
         expression
-            Text, SymPy expression or term.
         kind
             Look among the terms of the Lagrangian or of the dissipation function.
-
-        Returns
-        -------
-        int
 
         Raises
         ------

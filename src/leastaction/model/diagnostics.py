@@ -10,7 +10,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Trajectories
 from leastaction.findings import Finding
-from leastaction.library import Dropped
+from leastaction.library import Dropped, Kind
 
 __all__ = ["Diagnostics", "PathPoint"]
 
@@ -32,6 +32,8 @@ class PathPoint:
         Why it was not chosen; see `leastaction.selection.alternatives.Alternative`.
     coefficients, standard_errors : tuple of float
         Of the expressions, as the quadratic model of the likelihood about the chosen structure expects them.
+    kinds : tuple of {"lagrangian", "dissipation"}
+        Of the expressions.
     """
 
     expressions: tuple[str, ...]
@@ -41,6 +43,7 @@ class PathPoint:
     reason: str = ""
     coefficients: tuple[float, ...] = ()
     standard_errors: tuple[float, ...] = ()
+    kinds: tuple[Kind, ...] = ()
 
     @property
     def n_terms(self) -> int:
@@ -67,6 +70,8 @@ class Diagnostics:
         Candidates removed before the fit, and for which others.
     findings : tuple of Finding
         Those of the fit; the model to which the diagnostics belong sets them.
+    prepared : tuple of Finding
+        Those of them that speak of data and library, before any fit.
     timings : dict
         Stage → seconds.
     rate_noise_std : dict
@@ -88,6 +93,7 @@ class Diagnostics:
     rate_noise_std: dict[str, float] = field(default_factory=dict)
     force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    prepared: tuple[Finding, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from leastaction.model.checks import (
     held_out,
     prescribed_in,
 )
-from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.model.term import FitSummary, ModelTerm, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
 from leastaction.simulation.integrate import SimulationResult, simulate
 from leastaction.threads import single_threaded
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from leastaction.model.diagnostics import Diagnostics
 
-__all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "load"]
+__all__ = ["FitSummary", "LagrangianModel", "ModelTerm"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,12 +118,12 @@ class LagrangianModel:
     @cached_property
     def lagrangian(self) -> sp.Expr:
         """L with its numbers, over real SymPy symbols such as ``theta1`` and ``theta1_dot``."""
-        return _weighted_sum(self.terms, self.expressions)
+        return weighted_sum(self.terms, self.expressions)
 
     @cached_property
     def dissipation_function(self) -> sp.Expr:
         """ψ with its numbers; 0 if there is no dissipation."""
-        return _weighted_sum(self.dissipation, self.dissipation_expressions)
+        return weighted_sum(self.dissipation, self.dissipation_expressions)
 
     @property
     def prescribed(self) -> tuple[str, ...]:
@@ -391,24 +391,10 @@ class LagrangianModel:
         --------
         >>> from tempfile import TemporaryDirectory
         >>> spring = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+        >>> from leastaction import load
         >>> with TemporaryDirectory() as folder:
         ...     spring.save(f"{folder}/spring.json")
         ...     load(f"{folder}/spring.json")
         <LagrangianModel of x: L = 0.5*x_dot**2 - 2*x**2; fit ok>
         """
         write_text(path, model_file.to_text(self.to_dict()))
-
-
-def load(path: str | os.PathLike[str]) -> LagrangianModel:
-    """Read a model that `LagrangianModel.save` has written; everything in the file is checked.
-
-    Raises
-    ------
-    InputError
-        If the file is not a model of this or an older version; the text names the file and the place.
-    """
-    return LagrangianModel.from_dict(model_file.read_document(path), os.fspath(path))
-
-
-def _weighted_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> sp.Expr:
-    return sp.Add(*(sp.Float(t.coefficient) * e for t, e in zip(terms, expressions, strict=True)))

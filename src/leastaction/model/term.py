@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import sympy as sp
 
 from leastaction.errors import InputError
 from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
 
-__all__ = ["FitSummary", "ModelTerm", "as_float"]
+__all__ = ["FitSummary", "ModelTerm", "as_float", "weighted_sum"]
 
 # Half width of a central 95 % interval of a normal distribution, in standard errors.
 _Z95 = 1.959963984540054
@@ -204,3 +205,8 @@ def _items(value: Iterable, label: str, expected: str) -> list:
         return list(value)
     except TypeError:
         raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}") from None
+
+
+def weighted_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> sp.Expr:
+    """Σ coefficient · expression."""
+    return sp.Add(*(sp.Float(t.coefficient) * e for t, e in zip(terms, expressions, strict=True)))

@@ -13,6 +13,7 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from leastaction.findings import because
 from leastaction.model.model import LagrangianModel
 from leastaction.report import captions, tables
 from leastaction.report import figures_model as figures
@@ -56,8 +57,7 @@ def _context(
     diagnostics = model.diagnostics
     assert diagnostics is not None
     notation, series = Notation(model.coordinates), Series(model)
-    options = model.provenance.get("options")
-    options = options if isinstance(options, Mapping) else {}
+    options = _options(model)
     angles = options.get("angles") or ()
     units = tuple("rad" if c in angles else "units" for c in model.coordinates)
     trials = tables.trial_rows(series)
@@ -123,22 +123,36 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
     ]
 
 
+def _options(model: LagrangianModel) -> Mapping[str, Any]:
+    options = model.provenance.get("options")
+    return options if isinstance(options, Mapping) else {}
+
+
 def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     path = model.diagnostics.path if model.diagnostics else ()
     path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
     if not any(point.chosen for point in path):
-        return {"path": [], "runner_up": None}
+        return {"path": [], "runner_up": None, "shown": None}
     rivals = [point for point in path if not point.chosen]
-    rows = tables.path_rows(path, notation)
+    relevance = _options(model).get("relevance")
+    by_hand = model.provenance.get("structure")
+    shown = next((p for p in rivals if list(p.expressions) == by_hand), None)
+    rows = tables.path_rows(path, notation, shown=shown, relevance=relevance)
     best = min(rivals, key=lambda p: p.bic, default=None)
     return {
         "path": rows,
         "n_hidden": len(path) - len(rows),
         "path_figure": figures.path_figure(path),
         "path_title": captions.path_title(path),
+        "shown": shown,
         "runner_up": None
         if best is None
-        else {"bic": best.bic, "text": plain(best.bic), "n_terms": best.n_terms},
+        else {
+            "bic": best.bic,
+            "text": plain(best.bic),
+            "n_terms": best.n_terms,
+            "because": because(best.reason, relevance),
+        },
     }
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from leastaction.findings import because
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.notation import rounded
@@ -126,10 +127,24 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
     return rows
 
 
-def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 9) -> list[dict[str, Any]]:
-    """Structures of the path and what differs from the chosen one; sizes far from it are left out."""
+def path_rows(
+    path: Sequence[PathPoint],
+    notation: Notation,
+    limit: int = 9,
+    *,
+    shown: PathPoint | None = None,
+    relevance: float | None = None,
+) -> list[dict[str, Any]]:
+    """Structures of the path, what differs from the chosen one, and why; sizes far from it are left out.
+
+    ``shown`` is the one that the model has, where that is not the chosen one.
+    """
     chosen = next(point for point in path if point.chosen)
-    near = sorted(path, key=lambda p: (not p.chosen, abs(p.n_terms - chosen.n_terms), p.bic))[:limit]
+
+    def distance(point: PathPoint) -> tuple[bool, int, float]:
+        return not (point.chosen or point is shown), abs(point.n_terms - chosen.n_terms), point.bic
+
+    near = sorted(path, key=distance)[:limit]
     return [
         {
             "n_terms": point.n_terms,
@@ -138,6 +153,8 @@ def path_rows(path: Sequence[PathPoint], notation: Notation, limit: int = 9) -> 
             "added": [notation.term(e) for e in point.expressions if e not in chosen.expressions],
             "removed": [notation.term(e) for e in chosen.expressions if e not in point.expressions],
             "chosen": point.chosen,
+            "shown": point is shown,
+            "because": because(point.reason, relevance),
         }
         for point in sorted(near, key=lambda p: (p.n_terms, p.bic))
     ]

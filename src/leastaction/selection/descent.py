@@ -15,6 +15,7 @@ from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.grid import Grid, greville_sites
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.protocols import linearise
 from leastaction.estimation.structure import Structure
 from leastaction.selection.search_state import Search
 
@@ -71,7 +72,7 @@ def _fit(grid: Grid, found: AdamFit) -> Fit:
     structure = Structure(k for k in grid.problem.free if found.coefficients[k] != 0.0)
     physics, index = grid.physics(structure)
     observations = grid.observations
-    at = observations.linearise(physics, found.control_points, found.coefficients[index])
+    at = linearise(observations, physics, found.control_points, found.coefficients[index])
     noise_std = np.sqrt(at.squares / np.maximum(observations.counts, 1))
     unknown = np.full(observations.n_dof, np.nan)
     status = "converged" if found.converged else "step limit"

@@ -13,16 +13,24 @@ from leastaction.estimation.weights import Start
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
+from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakForm, WeakGram
-from leastaction.selection.weak_search import beam_search, grow_bases, solve_support, support_score
+from leastaction.selection.weak_search import (
+    Support,
+    beam_search,
+    grow_bases,
+    noise_ratio,
+    solve_support,
+    support_score,
+)
 
-__all__ = ["Proposal", "propose_structures"]
+__all__ = ["Proposal", "propose_structures", "weak_grams"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _EXPLAINED = 3.0
-_MAX_SIZE = 24  # largest structure that the weak search proposes; the likelihood may add to it
+_ROWS_EACH = 1.6  # independent rows a candidate, at least, for a search backward: 1.7 sufficed, 1.4 did not
 _TRIED = 60  # structures whose mass matrix is looked at
 _MOSTLY_REGULAR = 0.9
 _OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
@@ -47,17 +55,8 @@ def propose_structures(
     energies that can: with much noise, near-identities of a large library explain the rows as well as the
     law does. A thorough search does so in any case.
     """
-    problem = grid.problem
-    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
-    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
-    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
-    widths = [factor * period for factor in _WIDTHS]
-    forces = None if grid.forces is None else grid.forces.values
-    known = problem.completed(np.full(len(problem.candidates), np.nan))
-    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
-    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
+    problem, grams = grid.problem, weak_grams(grid, curve, seed)
     found: list[Proposal] = []
-    grams = form.grams(curve.control_points, replicates)
     for from_bases in (False, True):
         bases = kinetic_bases(grid, curve) if from_bases else None
         for gram in grams:
@@ -71,6 +70,20 @@ def propose_structures(
     return sorted(found, key=lambda p: -p.evidence)
 
 
+def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
+    """The weak form along a smooth curve for each width of test functions."""
+    problem = grid.problem
+    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
+    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
+    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
+    widths = [factor * period for factor in _WIDTHS]
+    forces = None if grid.forces is None else grid.forces.values
+    known = problem.completed(np.full(len(problem.candidates), np.nan))
+    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
+    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
+    return form.grams(curve.control_points, replicates)
+
+
 def _best_support(
     grid: Grid, curve: Smooth, gram: WeakGram, bases: list[tuple[int, ...]] | None
 ) -> tuple[Structure, np.ndarray]:
@@ -81,12 +94,7 @@ def _best_support(
     price = term_penalty(int(n_rows), free.size)
     first = None
     for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
-        most = min(free.size, _MAX_SIZE)
-        if bases is None:
-            levels = beam_search(gram, error, price, n_rows, most)
-        else:
-            levels = grow_bases(gram, error, price, n_rows, most, bases)
-        ranked = sorted((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
+        ranked = _ranked(gram, error, price, n_rows, bases)
         if ranked[0].ratio < _EXPLAINED:
             break
     for support in ranked[:_TRIED]:
@@ -98,6 +106,26 @@ def _best_support(
         first = first or answer
     assert first is not None
     return first
+
+
+def _ranked(
+    gram: WeakGram, error: float, price: float, n_rows: float, bases: list[tuple[int, ...]] | None
+) -> list[Support]:
+    """Supports in rising score.
+
+    Backward from the whole library where rows outnumber the candidates, so that it leaves noise; else
+    forward, and forward from bases where some are given.
+    """
+    size, noise = gram.residual.shape[0] - 1, 1.0
+    if bases is not None:
+        levels = grow_bases(gram, error, price, n_rows, size, bases)
+    elif n_rows < _ROWS_EACH * size:
+        levels = beam_search(gram, error, price, n_rows, size)
+    else:
+        levels = backward_search(gram, error, price, n_rows)
+        noise = noise_ratio(levels[-1][0].ratio, size, n_rows)
+    supports = (s for level in levels for s in level)
+    return sorted(supports, key=lambda s: support_score(s, price, n_rows, noise))
 
 
 def _settle(grid: Grid, curve: Smooth, structure: Structure, coefficients: np.ndarray) -> Proposal:

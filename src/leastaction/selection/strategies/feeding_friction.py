@@ -7,10 +7,11 @@ Cost: a fit, and a search on its quadratic model, for each round.
 
 from __future__ import annotations
 
+from leastaction.estimation.fit import Fit
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
 
-__all__ = ["run"]
+__all__ = ["negative_friction", "run"]
 
 _NEGATIVE = -3.0  # standard errors
 _ROUNDS = 4
@@ -20,11 +21,16 @@ def run(search: Search) -> Search:
     """Exclude negative friction until there is none; those significantly negative are remembered."""
     fit, feeding = search.found, search.feeding
     while fit.usable:
-        friction = [fit.problem.terms[m].kind == "dissipation" for m in fit.structure]
-        negative = {m: z for m, z, f in zip(fit.structure, fit.z, friction, strict=True) if f and z < 0.0}
+        negative = negative_friction(fit)
         if not negative:
             break
         feeding += tuple(m for m, z in negative.items() if z < _NEGATIVE)
         grid = fit.grid.posed(fit.problem.excluding(list(negative)))
         fit = refine(grid.fit(fit.structure.without(negative), fit.start), search.report, _ROUNDS)
     return search.now(fit, feeding=feeding)
+
+
+def negative_friction(fit: Fit) -> dict[int, float]:
+    """Candidates of dissipation with a negative coefficient → their z."""
+    friction = [fit.problem.terms[m].kind == "dissipation" for m in fit.structure]
+    return {m: z for m, z, f in zip(fit.structure, fit.z, friction, strict=True) if f and z < 0.0}

@@ -6,6 +6,8 @@ followed vibrations, and where the data themselves are in doubt.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from leastaction.estimation.grid import Grid
 from leastaction.selection.likelihood_refinement import best_structure, value
 from leastaction.selection.search_state import Search, explains
@@ -17,11 +19,12 @@ __all__ = ["run"]
 
 def run(search: Search) -> Search:
     """The better of the structure so far and the best of a second search."""
-    fit = search.found
+    fit, before = search.found, search.first
+    search = replace(search, first=None)  # nobody needs it after this
     if not search.thorough or search.vibrates or explains(fit, value(fit)):
         return search
     first = Grid.lay(fit.problem, search.scales.per_second)
     proposals = propose_structures(first, search.curve, search.report, search.seed + 1, thorough=True)
     # compared on the grid of the first search, where both were found
-    other = best_structure(proposals, search.first, search.report)
-    return search if other is search.first else finer_knots.run(search.now(other))
+    other = best_structure(proposals, before, search.report)
+    return search if other is before else finer_knots.run(search.now(other))

@@ -1,0 +1,101 @@
+"""Measured coordinates and rates against a spline grid."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from leastaction.curve.bspline import SplineGrid
+from leastaction.curve.smoothing import banded_gram
+from leastaction.data.trajectories import Rate
+
+__all__ = ["Observations", "noise_floors"]
+
+_RELATIVE_FLOOR = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class _Channel:
+    """Valid samples of one coordinate, or of one of its derivatives, and the basis at their times."""
+
+    coordinate: int
+    design: sp.csr_array
+    gram: np.ndarray
+    y: np.ndarray
+
+
+class Observations:
+    """Measured coordinates, and rates, against a spline grid; NaN samples are left out channel by channel.
+
+    Attributes
+    ----------
+    counts : (n_channels,) int array
+        Samples of each channel: positions of the coordinates in order, then ``rates``.
+    coordinates : (n_channels,) int array
+        The coordinate of each channel.
+    floors, noise_floor : (n_channels,) and (n_dof,) arrays
+        No sensor is better than a millionth of its range; below that rounding and the data's own
+        integration errors would count as physics.
+    """
+
+    def __init__(
+        self,
+        grid: SplineGrid,
+        times: Sequence[np.ndarray],
+        values: Sequence[np.ndarray],
+        rates: Sequence[Rate] = (),
+        floors: np.ndarray | None = None,
+    ) -> None:
+        stacked = np.concatenate(values)
+        self.grid, self.n_dof = grid, stacked.shape[1]
+        measured = [(i, 0, column) for i, column in enumerate(stacked.T)]
+        measured += [(r.coordinate, r.derivative, np.concatenate(r.values)) for r in rates]
+        designs = {nu: grid.design(times, nu) for nu in dict.fromkeys(nu for _, nu, _ in measured)}
+        whole: dict[int, _Channel] = {}  # complete columns share basis and Gram matrix, by derivative
+        self._channels: list[_Channel] = []
+        for i, nu, y in measured:
+            keep = np.isfinite(y)
+            complete = bool(keep.all())
+            if complete and nu in whole:
+                self._channels.append(replace(whole[nu], coordinate=i, y=y[keep]))
+                continue
+            design = designs[nu] if complete else designs[nu][keep]
+            gram = banded_gram(design, grid.degree)
+            self._channels.append(_Channel(i, design, gram, y[keep]))
+            if complete:
+                whole[nu] = self._channels[-1]
+        self.counts = np.array([c.y.size for c in self._channels])
+        self.coordinates = np.array([c.coordinate for c in self._channels])
+        self.floors = noise_floors(values, rates) if floors is None else floors
+        self.noise_floor = self.floors[: self.n_dof]
+
+    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
+        """y − N P for each channel, valid samples only."""
+        return [
+            c.y - c.design @ np.ascontiguousarray(control_points[:, c.coordinate]) for c in self._channels
+        ]
+
+    def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
+        residuals = self.residuals(control_points)
+        gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
+        return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
+
+    def gram(self, channel: int) -> np.ndarray:
+        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
+        return self._channels[channel].gram
+
+    def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
+        """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
+        for c, sigma in zip(self._channels, noise_std, strict=True):
+            rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
+
+
+def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np.ndarray:
+    """(n_channels,) a millionth of the spread of each channel."""
+    spread = [*np.nanstd(np.concatenate(values), axis=0)]
+    spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
+    return _RELATIVE_FLOOR * np.array(spread)

@@ -1,0 +1,97 @@
+"""The log-determinant term: what the change of variables from the equation error to the curve contributes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.curve.bspline import SplineGrid
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+
+__all__ = ["Volume", "positive_definite", "volume_term"]
+
+_VOLUME_POINTS = 512
+_CHUNK = 4096  # knot intervals handled at once
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """The volume term at one point; see :func:`volume_term`.
+
+    Attributes
+    ----------
+    log_mean, regular : float
+        Mean of log |det M|, and share of the motion along which M is positive definite.
+    slope : (n_dof, n_border) array
+        Mean over time of (∂M/∂λ_k M⁻¹)_ii.
+    corner : (n_border, n_border) array
+        Mean over time of tr(∂M/∂λ_k M⁻¹ ∂M/∂λ_l M⁻¹).
+    """
+
+    log_mean: float
+    regular: float
+    slope: np.ndarray
+    corner: np.ndarray
+
+
+def volume_term(
+    grid: SplineGrid,
+    columns: EulerLagrange,
+    control_points: np.ndarray,
+    coefficients: np.ndarray,
+    border: EulerLagrange,
+) -> Volume:
+    """The volume term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
+
+    The equation error r is what is random, not the curve: the density of the curve carries the factor
+    |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
+    small coefficients, and large equation errors shrink all of them (errors-in-variables bias).
+    """
+    k, n = len(border), control_points.shape[1]
+    log_mean = regular = 0.0
+    slope, corner = np.zeros((n, k)), np.zeros((k, k))
+    for some, share in _volume_samples(grid):
+        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
+        points = Points(q, qdot)
+        mass = columns.mass_matrix(points, coefficients)
+        usable = positive_definite(mass)
+        regular += share * np.count_nonzero(usable)
+        if not usable.any():
+            continue
+        log_mean += share * float(np.linalg.slogdet(mass[usable])[1].sum())
+        if not k:
+            continue
+        inverse = np.linalg.inv(mass[usable])
+        parts = np.stack([border.mass_of(j, points)[usable] @ inverse for j in range(k)])
+        slope += share * np.einsum("kpii->ik", parts)
+        turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
+        corner += share * (parts.reshape(k, -1) @ turned.T)
+    return Volume(log_mean, regular, slope, corner)
+
+
+def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
+    """Knot intervals that a mean over time is taken from, run by run, and the share of each.
+
+    Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
+    sums over the whole.
+    """
+    begin, end = grid.before, grid.before + grid.n_intervals
+    for start in range(begin - begin % _CHUNK, end, _CHUNK):
+        stop = min(start + _CHUNK, grid.total)
+        stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
+        share = (stop - start) / len(range(start, stop, stride)) / grid.total
+        first = max(start, begin)
+        sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
+        if sample.start < sample.stop:
+            yield sample, share
+
+
+def positive_definite(matrices: np.ndarray) -> np.ndarray:
+    """Which of many small symmetric matrices are positive definite: all leading minors are positive."""
+    out = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+    safe = np.where(out[:, None, None], matrices, 0.0)
+    for k in range(1, matrices.shape[1] + 1):
+        out &= np.linalg.det(safe[:, :k, :k]) > 0.0
+    return out
