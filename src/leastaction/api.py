@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.adam_options import AdamOptions
 from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_problem
+from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.findings import find
@@ -50,6 +52,7 @@ def discover(
     seed: int = 0,
     options: AdamOptions | Mapping[str, object] | None = None,
     progress: Progress | None = None,
+    workers: int | Any = None,
 ) -> LagrangianModel:
     r"""Find a sparse Lagrangian, and friction, from measured coordinates.
 
@@ -109,6 +112,10 @@ def discover(
         Called as ``progress(stage, details)``; where a stage has an intermediate law, ``details`` holds its
         ``"coefficients"`` (term → value) and the number of free ``"terms"``. Raise `leastaction.StopSearch`
         in it to end a long search: the best law so far comes back, with the finding ``stopped-early``.
+    workers : int or distributed.Client, optional
+        Compute with so many threads, or with the workers of a Dask cluster; by default in this thread. Trials
+        are shared out, and so are the pieces that a long recording is searched on; the fit to all data of
+        one single trial is not. The result is the same to rounding. A worker that is lost costs time only.
 
     Returns
     -------
@@ -160,27 +167,29 @@ def discover(
         prescribed,
         robust=robust and not descent,
     )
-    setup = _set_up(trajectories, request, positions_alone=descent, whole=bool(descent or slow))
-    search = begin_search(
-        setup,
-        slow,
-        relevance=relevance,
-        seed=seed,
-        # data at fault: searching longer does not help
-        thorough=not any(finding.severity == "warning" for finding in setup.findings),
-        report=clock.report,
-    )
-    _check_columns(setup, search.grid)
-    search = run_descent(search, settings) if descent else run_search(search)
-    _refuse_nothing(search.found)
-    clock.start("verify")
-    alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
-    verdict = verify(search, alternatives)
-    clock.stop()
-    given = {"method": method, **_given(request, setup, search)}
-    if descent:
-        given["adam"] = asdict(settings)
-    return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
+    with employ(workers) as crew:
+        setup = _set_up(trajectories, request, positions_alone=descent, whole=bool(descent or slow))
+        setup = setup.computed_by(crew)
+        search = begin_search(
+            setup,
+            slow,
+            relevance=relevance,
+            seed=seed,
+            # data at fault: searching longer does not help
+            thorough=not any(finding.severity == "warning" for finding in setup.findings),
+            report=clock.report,
+        )
+        _check_columns(setup, search.grid)
+        search = run_descent(search, settings) if descent else run_search(search)
+        _refuse_nothing(search.found)
+        clock.start("verify")
+        alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
+        verdict = verify(search, alternatives)
+        clock.stop()
+        given = {"method": method, **_given(request, setup, search)}
+        if descent:
+            given["adam"] = asdict(settings)
+        return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
 
 
 def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bool, whole: bool) -> Setup:

@@ -111,6 +111,13 @@ Example:
     help="Of the simulated noise that the search weighs supports with.",
 )
 @click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Threads to compute with; trials, and the pieces that long recordings are searched on, are shared "
+    "out among them (default: 1).",
+)
+@click.option(
     "--hold-out",
     metavar="N|NAMES",
     help="The last N trials, or trials by name (a,b; with a comma behind a single name that is a number), "
@@ -133,6 +140,7 @@ def discover(
     settings: tuple[str, ...],
     relevance: str,
     seed: int,
+    workers: int | None,
     hold_out: str | None,
     output: str,
 ) -> None:
@@ -174,6 +182,7 @@ def discover(
             options=chosen,
             relevance=share,
             progress=progress,
+            workers=workers,
         )
         progress("forecast", {})
         forecast = _forecast(model, held_out)

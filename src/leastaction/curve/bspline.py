@@ -118,8 +118,10 @@ class SplineSpace:
         """Design matrix N, Ṅ, N̈, … as a sparse (n_points, n_ctrl) array."""
         x = np.asarray(x, dtype=float)
         first, values = self.local_basis(x, nu)
-        columns = first[:, None] + np.arange(self.degree + 1)
-        pointers = np.arange(x.size + 1) * (self.degree + 1)
+        count = x.size * (self.degree + 1)
+        kind = np.int32 if max(count, self.n_ctrl) <= np.iinfo(np.int32).max else np.int64  # half the memory
+        columns = first.astype(kind)[:, None] + np.arange(self.degree + 1, dtype=kind)
+        pointers = np.arange(0, count + 1, self.degree + 1, dtype=kind)
         return sp.csr_array((values.ravel(), columns.ravel(), pointers), shape=(x.size, self.n_ctrl))
 
     def evaluate(self, control_points: np.ndarray, x, nu: int = 0) -> np.ndarray:
@@ -143,6 +145,8 @@ class SplineGrid:
     n_quadrature : int
         Gauss–Legendre points in each knot interval; with a single one, points of collocation, which see
         every spline: the left knot for odd degrees, the midpoint for even ones.
+    before, total : int, optional
+        Where the grid is a part of another one: knot intervals before it, and in all.
 
     Attributes
     ----------
@@ -156,7 +160,14 @@ class SplineGrid:
         Trajectory of each interval.
     """
 
-    def __init__(self, spaces: Sequence[SplineSpace], n_quadrature: int = 3) -> None:
+    def __init__(
+        self,
+        spaces: Sequence[SplineSpace],
+        n_quadrature: int = 3,
+        *,
+        before: int = 0,
+        total: int | None = None,
+    ) -> None:
         self.spaces = tuple(spaces)
         self.degree = self.spaces[0].degree
         counts = np.array([s.n_ctrl for s in self.spaces])
@@ -166,6 +177,7 @@ class SplineGrid:
             [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
         )
         self.n_intervals = self.first.size
+        self.before, self.total = before, self.n_intervals if total is None else total
         self.owner = np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
         nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
         if n_quadrature == 1 and self.degree % 2:  # at midpoints the fastest spline vanishes

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import sympy as sp
@@ -12,6 +12,7 @@ from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import DataError, InputError
+from leastaction.estimation.crew import Crew
 from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
@@ -66,6 +67,11 @@ class Setup:
     library: Library
     scales: Knots
     findings: tuple[Finding, ...]
+
+    def computed_by(self, crew: Crew | None) -> Setup:
+        """The same, with the work shared out to a crew."""
+        problem, searched = (replace(p, crew=crew) for p in (self.problem, self.searched))
+        return replace(self, problem=problem, searched=searched)
 
 
 def build_problem(trajectories, request: Request, most_samples: int | None = None) -> Setup:

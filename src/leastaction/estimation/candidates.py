@@ -10,16 +10,18 @@ last few control points before it: nothing of the size candidates × control poi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
+from leastaction.estimation.elimination import CurveFactor
 from leastaction.estimation.joint import Linearisation, Weights, by_interval, points_at
+from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["CandidateBorder", "schur_complement"]
+__all__ = ["CandidateBorder", "Scores", "schur_complement", "score"]
 
 _STRETCH, _SHORTEST = 512, 16  # knot intervals
 _NUMBERS = 2_000_000  # in the columns of one stretch, at most: 16 MB
@@ -71,6 +73,63 @@ class CandidateBorder:
                     jacobian.reshape(len(columns), n * n_quad, -1),
                     columns.reshape(len(columns), n * n_quad, size),
                 )
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """All candidates about a fit, before the volume term.
+
+    Attributes
+    ----------
+    schur : (1 + n, 1 + n) array
+        See :func:`schur_complement`.
+    volume : Volume
+        Its derivatives in the candidates' coefficients.
+    factor : CurveFactor
+        Of H.
+    curve_gradient : (n_ctrl · n_dof,) array
+        Half gradient in the control points.
+    border : callable
+        (n,) step → C · step.
+    """
+
+    schur: np.ndarray
+    volume: Volume
+    factor: CurveFactor
+    curve_gradient: np.ndarray
+    border: Callable[[np.ndarray], np.ndarray]
+
+
+def score(
+    at: Linearisation,
+    weights: Weights,
+    curve: tuple[np.ndarray, np.ndarray],
+    columns: EulerLagrange,
+    candidates: EulerLagrange,
+) -> Scores:
+    """Score candidates about a fit.
+
+    Parameters
+    ----------
+    at : Linearisation
+    weights : Weights
+    curve : pair of arrays
+        Control points and coefficients of the fit.
+    columns : EulerLagrange
+        Those of the fit.
+    candidates : EulerLagrange
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When H is not positive definite.
+    """
+    normal = at.normal(weights)
+    curve_gradient = normal.border[:, 0].copy()
+    factor = BandedFactor.of(normal.rows)
+    border = CandidateBorder(at, weights, curve[0], candidates)
+    volume = volume_term(at.observations.grid, columns, *curve, candidates)
+    return Scores(schur_complement(border, factor, curve_gradient), volume, factor, curve_gradient, border)
 
 
 def schur_complement(border: CandidateBorder, factor: BandedFactor, curve_gradient: np.ndarray) -> np.ndarray:

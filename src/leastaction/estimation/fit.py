@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candidates
-from leastaction.estimation.joint import Linearisation, Weights
+from leastaction.estimation.joint import Weights
+from leastaction.estimation.protocols import Linearised
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -36,7 +37,7 @@ class Fit:
     control_points : (n_ctrl, n_dof) array
         The curve.
     weights : Weights
-    linearisation : Linearisation
+    linearisation : Linearised
         At the curve and these coefficients.
     logdet : float
         log |H| of the curve's block.
@@ -53,7 +54,7 @@ class Fit:
     covariance: np.ndarray
     control_points: np.ndarray
     weights: Weights
-    linearisation: Linearisation
+    linearisation: Linearised
     logdet: float
     status: str
     n_steps: int
@@ -121,9 +122,9 @@ class Fit:
 
     def points(self, most: int | None = None) -> Points:
         """States of the fitted curve, one in each knot interval, or about ``most`` of them."""
-        states = self.grid.spline.at_quadrature(self.control_points)
         stride = 1 if most is None else max(1, self.grid.spline.n_intervals // most)
-        return Points(*(s[::stride, 0] for s in states))
+        states = self.grid.spline.at_quadrature(self.control_points, slice(None, None, stride))
+        return Points(*(s[:, 0] for s in states))
 
     def regular(self, coefficients: np.ndarray | None = None) -> float:
         """Share of the motion along which the mass matrix is positive definite."""

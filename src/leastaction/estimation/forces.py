@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
@@ -112,6 +112,20 @@ class Pushes(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class _From:
+    """Pushes on a part of a grid that begins at some knot interval."""
+
+    pushes: Pushes
+    start: int
+
+    def __len__(self) -> int:
+        return len(self.pushes)
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        return self.pushes.on(slice(intervals.start + self.start, intervals.stop + self.start), n_dof)
+
+
 class WithPushes(EulerLagrange):
     """Columns of a structure, then those of pushes, which depend on time, not on the state."""
 
@@ -121,6 +135,13 @@ class WithPushes(EulerLagrange):
 
     def __len__(self) -> int:
         return len(self.terms) + len(self.pushes)
+
+    def from_interval(self, start: int) -> EulerLagrange:
+        return WithPushes(self, _From(self.pushes, start))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        columns = EulerLagrange(self.terms, self.coordinates, self.prescribed)
+        return type(self), (columns, self.pushes)
 
     def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
         own = EulerLagrange.strong(self, points, range(len(self.terms)))

@@ -14,16 +14,14 @@ that cannot leave this region ends as "not finite".
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor
-from leastaction.estimation.candidates import CandidateBorder, schur_complement
-from leastaction.estimation.joint import Linearisation, NormalEquations, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations
-from leastaction.estimation.volume import volume_term
+from leastaction.estimation.candidates import score
+from leastaction.estimation.elimination import CurveFactor, Quadratic
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
@@ -50,19 +48,19 @@ class JointFit:
     status : str
         "converged", "stalled", "step limit" or "not finite".
     n_steps : int
-    factor : BandedFactor or None
+    factor : CurveFactor or None
         Of H there; None when it is not positive definite, or was not formed.
     """
 
     control_points: np.ndarray
     coefficients: np.ndarray
     covariance: np.ndarray
-    linearisation: Linearisation
+    linearisation: Linearised
     logdet: float
     weights: Weights
     status: str
     n_steps: int
-    factor: BandedFactor | None = None
+    factor: CurveFactor | None = None
 
     @property
     def converged(self) -> bool:
@@ -74,40 +72,8 @@ class JointFit:
         return self.status != "not finite"
 
 
-@dataclass(frozen=True, eq=False)
-class Quadratic:
-    """The cost as a function of the coefficients alone, the curve eliminated.
-
-    Attributes
-    ----------
-    gradient, matrix : (n_border,) and (n_border, n_border) arrays
-        Half gradient, and half second derivative.
-    factor : BandedFactor
-        Of H.
-    curve_gradient : (n_ctrl · n_dof,) array
-        Half gradient in the control points.
-    border : callable
-        (n_border,) step → C · step.
-    """
-
-    gradient: np.ndarray
-    matrix: np.ndarray
-    factor: BandedFactor
-    curve_gradient: np.ndarray
-    border: Callable[[np.ndarray], np.ndarray]
-
-    @property
-    def logdet(self) -> float:
-        """log |H|"""
-        return self.factor.logdet
-
-    def curve_step(self, step: np.ndarray) -> np.ndarray:
-        """H⁻¹(g_P + C · step), flat: subtract it from the control points as λ moves by the step."""
-        return self.factor.solve(self.curve_gradient + self.border(step))
-
-
 def condense(
-    observations: Observations, linearisation: Linearisation, weights: Weights, damping: float = 0.0
+    observations: Measurements, linearisation: Linearised, weights: Weights, damping: float = 0.0
 ) -> Quadratic:
     """Eliminate the control points.
 
@@ -116,23 +82,7 @@ def condense(
     numpy.linalg.LinAlgError
         When H is not positive definite, or not finite.
     """
-    return _eliminate(linearisation.normal(weights), damping)
-
-
-def _eliminate(normal: NormalEquations, damping: float = 0.0) -> Quadratic:
-    """A − CᵀH⁻¹C and g_λ − CᵀH⁻¹g_P from the triangular factor alone."""
-    factor = BandedFactor.of(normal.rows, damping)
-    if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
-        raise np.linalg.LinAlgError("the normal matrix is not finite")
-    half = factor.forward(normal.border)
-    products = half.T @ half
-    return Quadratic(
-        normal.gradient - products[1:, 0],
-        normal.corner - products[1:, 1:],
-        factor,
-        normal.border[:, 0],
-        normal.border[:, 1:].dot,
-    )
+    return linearisation.normal(weights).eliminate(damping)
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -152,13 +102,13 @@ def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_joint(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     weights: Weights,
     control_points: np.ndarray,
     coefficients: np.ndarray,
     *,
-    linearisation: Linearisation | None = None,
+    linearisation: Linearised | None = None,
     tolerance: float = 1e-2,
     max_steps: int = 30,
 ) -> JointFit:
@@ -187,8 +137,8 @@ def fit_joint(
     while step < max_steps:
         step += 1
         try:
-            quadratic = _eliminate(normal, damping)
-            shift, delta, predicted = _step(normal, quadratic, damping)
+            quadratic = normal.eliminate(damping)
+            shift, delta, predicted = _step(quadratic, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -223,7 +173,7 @@ def fit_joint(
     return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
 
 
-def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
+def _step(quadratic: Quadratic, damping: float):
     """Steps of curve and coefficients, and how much they should lower the cost.
 
     Raises LinAlgError when they are not finite.
@@ -231,28 +181,26 @@ def _step(normal: NormalEquations, quadratic: Quadratic, damping: float):
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = -quadratic.curve_step(delta)
-    predicted = -float(quadratic.curve_gradient @ shift + normal.gradient @ delta)
+    predicted = -float(quadratic.curve_gradient @ shift + quadratic.held @ delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
     return shift, delta, predicted
 
 
-def _uncertainty(
-    here: Linearisation, normal: NormalEquations, weights: Weights
-) -> tuple[np.ndarray, BandedFactor | None]:
+def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np.ndarray, CurveFactor | None]:
     """Covariance of the coefficients and the factor of H; NaN and None where they cannot be computed."""
     # the weights are estimated too: what the volume term seems to know of the scale, they forget
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
     try:
-        quadratic = _eliminate(normal)
+        quadratic = normal.eliminate()
         return symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
     except np.linalg.LinAlgError:
-        return np.full(normal.corner.shape, np.nan), None
+        return np.full(known_scale.shape, np.nan), None
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def score_candidates(
-    observations: Observations, physics: Physics, fit: JointFit, candidates: EulerLagrange
+    observations: Measurements, physics: Physics, fit: JointFit, candidates: EulerLagrange
 ) -> Quadratic:
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
 
@@ -264,14 +212,10 @@ def score_candidates(
         When H is not positive definite.
     """
     at, weights = fit.linearisation, fit.weights
-    normal = at.normal(weights)
-    curve_gradient = normal.border[:, 0].copy()
-    factor = BandedFactor.of(normal.rows)
-    border = CandidateBorder(at, weights, fit.control_points, candidates)
-    volume = volume_term(observations.grid, physics.columns, fit.control_points, fit.coefficients, candidates)
-    schur = schur_complement(border, factor, curve_gradient)
-    gradient = schur[1:, 0] - weights.volume @ volume.slope
-    matrix = schur[1:, 1:] + at.mean(weights.volume) * volume.corner
+    curve = (fit.control_points, fit.coefficients)
+    found = at.scored(score, weights, curve, physics.columns, candidates)
+    gradient = found.schur[1:, 0] - weights.volume @ found.volume.slope
+    matrix = found.schur[1:, 1:] + at.mean(weights.volume) * found.volume.corner
     lost = ~(np.isfinite(np.diag(matrix)) & np.isfinite(gradient))
     if lost.any():
         gradient = np.where(lost, 0.0, gradient)
@@ -279,7 +223,7 @@ def score_candidates(
     return Quadratic(
         gradient,
         matrix,
-        factor,
-        curve_gradient,
-        lambda step: border(np.where(lost, 0.0, step)),
+        found.factor,
+        found.curve_gradient,
+        lambda step: found.border(np.where(lost, 0.0, step)),
     )

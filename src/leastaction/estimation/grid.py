@@ -14,12 +14,13 @@ from scipy.sparse.linalg import splu
 
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
+from leastaction.estimation.blocks import observe
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.joint import Physics
-from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
@@ -39,7 +40,7 @@ class Grid:
     problem : Problem
     knots_per_second : float
     spline : SplineGrid
-    observations : Observations
+    observations : Measurements
     forces : GridForces or None
         Known forces at the quadrature points; None where nothing acts.
     """
@@ -47,7 +48,7 @@ class Grid:
     problem: Problem
     knots_per_second: float
     spline: SplineGrid
-    observations: Observations
+    observations: Measurements
     forces: GridForces | None
 
     @classmethod
@@ -59,7 +60,7 @@ class Grid:
         # interval they would lock: a spline that meets both must be smoother than the motion
         n_quadrature = 1 if problem.prescribed else 2
         spline = uniform_grid(times, knots_per_second, problem.degree, n_quadrature)
-        observations = Observations(spline, times, [t.q for t in data], data.rates)
+        observations = observe(spline, times, [t.q for t in data], data.rates, problem.crew)
         forces = _forces(spline, data, [t.forces for t in data])
         return cls(problem, knots_per_second, spline, observations, forces)
 
@@ -155,9 +156,9 @@ class Grid:
 
     def regular(self, coefficients: np.ndarray, control_points: np.ndarray) -> float:
         """Share of the motion along which the mass matrix of all candidates is positive definite."""
-        states = self.spline.at_quadrature(control_points)
         stride = max(1, self.spline.n_intervals // _POINTS)
-        points = Points(*(s[::stride, 0] for s in states))
+        states = self.spline.at_quadrature(control_points, slice(None, None, stride))
+        points = Points(*(s[:, 0] for s in states))
         mass = self.problem.candidates.mass_matrix(points, coefficients)
         return float(np.mean(positive_definite(mass)))
 

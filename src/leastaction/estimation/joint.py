@@ -13,18 +13,21 @@ Gauss–Newton matrix of P is banded and λ forms a dense border.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.estimation.banded import BandedFactor, trace_product
+from leastaction.estimation.elimination import NormalEquations
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = [
+    "Costs",
     "Equations",
     "Linearisation",
     "NormalEquations",
@@ -109,29 +112,56 @@ class Equations:
     right: np.ndarray
 
 
-class NormalEquations(NamedTuple):
-    """The Gauss–Newton system at given weights.
+class Costs:
+    """The cost at one point for any weights, from a few sums over data and motion.
 
     Attributes
     ----------
-    rows : (n_ctrl, n_dof, n_local) array
-        H by block rows; see :meth:`leastaction.curve.bspline.SplineGrid.add_gram`.
-    border : (n_ctrl · n_dof, 1 + n_border) array
-        Half gradient in the control points, then C.
-    gradient : (n_border,) array
-        Half gradient in the coefficients.
-    corner : (n_border, n_border) array
-        A, the volume term included.
+    squares, equation : (n_channels,) and (n_dof,) arrays
+        Σ (y − N P)² of each channel and ∫ r_i² dt of each equation.
+    terms : (n_dof,) array
+        ∫ Σ_k (λ_k e_ik)² dt of each equation, computed only where a coordinate is prescribed.
+    at_mass : Volume
+    prescribed : tuple of int
+        Coordinates without an equation of motion.
     """
 
-    rows: np.ndarray
-    border: np.ndarray
-    gradient: np.ndarray
-    corner: np.ndarray
+    squares: np.ndarray
+    equation: np.ndarray
+    terms: np.ndarray
+    at_mass: Volume
+    prescribed: tuple[int, ...]
+
+    @property
+    def log_volume(self) -> float:
+        """Mean of log |det M|."""
+        return self.at_mass.log_mean
+
+    @property
+    def regular(self) -> float:
+        """Share of the motion along which M is positive definite."""
+        return self.at_mass.regular
+
+    @property
+    def volume(self) -> np.ndarray:
+        """(n_dof, n_border) mean over time of (∂M/∂λ_k M⁻¹)_ii."""
+        return self.at_mass.slope
+
+    def misfit(self, weights: Weights) -> float:
+        """Data and equation parts of the cost."""
+        return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
+
+    def cost(self, weights: Weights) -> float:
+        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
+        return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
+
+    def mean(self, values: np.ndarray) -> float:
+        """Mean over the equations of motion of what is zero where a coordinate has none."""
+        return float(values.sum()) / (self.equation.size - len(self.prescribed))
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
+class Linearisation(Costs):
     """The problem linearised at one point, free of the weights.
 
     J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
@@ -165,33 +195,6 @@ class Linearisation:
     terms: np.ndarray
     at_mass: Volume
     prescribed: tuple[int, ...] = ()
-
-    @property
-    def log_volume(self) -> float:
-        """Mean of log |det M|."""
-        return self.at_mass.log_mean
-
-    @property
-    def regular(self) -> float:
-        """Share of the motion along which M is positive definite."""
-        return self.at_mass.regular
-
-    @property
-    def volume(self) -> np.ndarray:
-        """(n_dof, n_border) mean over time of (∂M/∂λ_k M⁻¹)_ii."""
-        return self.at_mass.slope
-
-    def misfit(self, weights: Weights) -> float:
-        """Data and equation parts of the cost."""
-        return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
-
-    def cost(self, weights: Weights) -> float:
-        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
-        return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
-
-    def mean(self, values: np.ndarray) -> float:
-        """Mean over the equations of motion of what is zero where a coordinate has none."""
-        return float(values.sum()) / (self.equation.size - len(self.prescribed))
 
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
@@ -244,6 +247,28 @@ class Linearisation:
             out += np.einsum("miql,miql->i", (flat @ local).reshape(jacobian.shape), jacobian)
         return weights.physics * out
 
+    def freedom(self, weights: Weights, factor: BandedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """γ_i = ∂ log|H| / ∂ log w_i of each equation, η_c = ∂ log|H| / ∂ log σ_c⁻² of each channel.
+
+        ``factor`` is that of H, where it is at hand.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When H is not positive definite.
+        """
+        inverse = (factor or BandedFactor.of(self.normal(weights).rows)).inverse_rows()
+        seen = self.observations
+        used = [
+            trace_product(inverse, i, seen.gram(c)) / weights.noise_std[c] ** 2
+            for c, i in enumerate(seen.coordinates)
+        ]
+        return self.traces(weights, inverse), np.array(used)
+
+    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
+        """Apply a function of the linearisation; where it is in blocks, to each of them, and add up."""
+        return score(self, *given)
+
     def parts(self) -> Iterator[Equations]:
         """The equations, one run of knot intervals after the other."""
         if self.kept is not None:
@@ -277,7 +302,7 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    numbers = grid.points.size * n * ((grid.degree + 1) * n + 1 + physics.n_free)
+    numbers = grid.total * grid.points.shape[1] * n * ((grid.degree + 1) * n + 1 + physics.n_free)
     kept: list[Equations] | None = [] if numbers <= _MOST_KEPT else None
     equation, terms = np.zeros(n), np.zeros(n)
     for chunk in grid.chunks(_CHUNK):

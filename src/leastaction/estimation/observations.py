@@ -12,7 +12,7 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
 
-__all__ = ["Observations"]
+__all__ = ["Observations", "noise_floors"]
 
 _RELATIVE_FLOOR = 1e-6
 
@@ -47,6 +47,7 @@ class Observations:
         times: Sequence[np.ndarray],
         values: Sequence[np.ndarray],
         rates: Sequence[Rate] = (),
+        floors: np.ndarray | None = None,
     ) -> None:
         stacked = np.concatenate(values)
         self.grid, self.n_dof = grid, stacked.shape[1]
@@ -68,8 +69,7 @@ class Observations:
                 whole[nu] = self._channels[-1]
         self.counts = np.array([c.y.size for c in self._channels])
         self.coordinates = np.array([c.coordinate for c in self._channels])
-        spread = [*np.nanstd(stacked, axis=0), *(np.nanstd(y) for _, nu, y in measured if nu)]
-        self.floors = _RELATIVE_FLOOR * np.array(spread)
+        self.floors = noise_floors(values, rates) if floors is None else floors
         self.noise_floor = self.floors[: self.n_dof]
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
@@ -92,3 +92,10 @@ class Observations:
         """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
         for c, sigma in zip(self._channels, noise_std, strict=True):
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
+
+
+def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np.ndarray:
+    """(n_channels,) a millionth of the spread of each channel."""
+    spread = [*np.nanstd(np.concatenate(values), axis=0)]
+    spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
+    return _RELATIVE_FLOOR * np.array(spread)

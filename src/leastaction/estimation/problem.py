@@ -19,6 +19,7 @@ import numpy as np
 
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
+from leastaction.estimation.crew import Crew
 from leastaction.library import Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -42,6 +43,8 @@ class Problem:
         Of the splines.
     excluded : frozenset of int
         Free candidates that no structure may contain, such as friction that would feed energy in.
+    crew : Crew or None
+        Who computes; None is this thread. It has no say in the result.
     """
 
     trajectories: Trajectories
@@ -49,6 +52,7 @@ class Problem:
     known: np.ndarray
     degree: int = 5
     excluded: frozenset[int] = frozenset()
+    crew: Crew | None = None
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,13 +52,9 @@ def volume_term(
     k, n = len(border), control_points.shape[1]
     log_mean = regular = 0.0
     slope, corner = np.zeros((n, k)), np.zeros((k, k))
-    for chunk in grid.chunks(_CHUNK):
-        length = chunk.stop - chunk.start
-        stride = max(1, length // _VOLUME_POINTS)  # a mean over time needs no more
-        some = slice(chunk.start, chunk.stop, stride)
+    for some, share in _volume_samples(grid):
         q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
         points = Points(q, qdot)
-        share = length / points.n_points / grid.n_intervals
         mass = columns.mass_matrix(points, coefficients)
         usable = positive_definite(mass)
         regular += share * np.count_nonzero(usable)
@@ -72,6 +69,23 @@ def volume_term(
         turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
         corner += share * (parts.reshape(k, -1) @ turned.T)
     return Volume(log_mean, regular, slope, corner)
+
+
+def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
+    """Knot intervals that a mean over time is taken from, run by run, and the share of each.
+
+    Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
+    sums over the whole.
+    """
+    begin, end = grid.before, grid.before + grid.n_intervals
+    for start in range(begin - begin % _CHUNK, end, _CHUNK):
+        stop = min(start + _CHUNK, grid.total)
+        stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
+        share = (stop - start) / len(range(start, stop, stride)) / grid.total
+        first = max(start, begin)
+        sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
+        if sample.start < sample.stop:
+            yield sample, share
 
 
 def positive_definite(matrices: np.ndarray) -> np.ndarray:

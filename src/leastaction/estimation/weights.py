@@ -21,10 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
-from leastaction.estimation.joint import Physics, Weights, linearise
-from leastaction.estimation.observations import Observations
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Measurements, linearise
 
 __all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
@@ -51,7 +50,7 @@ class Start:
         return cls(fit.control_points, fit.coefficients, fit.weights)
 
 
-def equation_rank(observations: Observations) -> int:
+def equation_rank(observations: Measurements) -> int:
     """Directions of one coordinate that its equation touches: all but initial position and rate.
 
     No more than there are points at which the equation is compared.
@@ -61,7 +60,7 @@ def equation_rank(observations: Observations) -> int:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def evidence(observations: Observations, fit: JointFit) -> float:
+def evidence(observations: Measurements, fit: JointFit) -> float:
     """Log marginal likelihood of a fit, up to a constant that depends on the data and the knots only.
 
     −∞ when the mass matrix is not positive definite along most of the motion: such equations do not
@@ -79,7 +78,7 @@ def evidence(observations: Observations, fit: JointFit) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def start_weights(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     noise_std: np.ndarray,
     control_points: np.ndarray,
@@ -103,7 +102,7 @@ def start_weights(
     return Weights(noise_std, ratio, slack)
 
 
-def update_weights(observations: Observations, fit: JointFit) -> Weights:
+def update_weights(observations: Measurements, fit: JointFit) -> Weights:
     """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters.
 
     The weight of an equation that vanishes identically stays as it is.
@@ -114,9 +113,7 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
         When H is not positive definite, or not finite.
     """
     weights, at = fit.weights, fit.linearisation
-    factor = fit.factor or BandedFactor.of(at.normal(weights).rows)
-    inverse = factor.inverse_rows()
-    used = at.traces(weights, inverse)
+    used, fitted = at.freedom(weights, fit.factor)
     n, rank = observations.n_dof, equation_rank(observations)
     new_physics, slack, new_noise = np.empty(n), np.empty(n), np.empty_like(weights.noise_std)
     for i in range(n):
@@ -133,9 +130,8 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
             hardly = slack[i] < SLACK_LEFT and fit.covariance.size > 0  # not while coefficients are held
             least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
             new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
-    for c, i in enumerate(observations.coordinates):
-        freedom = trace_product(inverse, i, observations.gram(c)) / weights.noise_std[c] ** 2
-        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - freedom, 1.0))
+    for c in range(new_noise.size):
+        estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - fitted[c], 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
     slack[list(at.prescribed)] = 0.0
     if not (np.isfinite(new_physics).all() and np.isfinite(new_noise).all()):
@@ -145,7 +141,7 @@ def update_weights(observations: Observations, fit: JointFit) -> Weights:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_weights(
-    observations: Observations,
+    observations: Measurements,
     physics: Physics,
     start: Start,
     *,
@@ -206,7 +202,7 @@ def _accelerate(old: Weights, new: Weights) -> Weights:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def fit_curve(observations: Observations, physics: Physics, start: Start) -> tuple[Start, float]:
+def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tuple[Start, float]:
     """Fit the curve alone, coefficients held, and update the weights once.
 
     Returns the new start and the evidence at the old weights; −inf when the fit failed.

@@ -13,8 +13,10 @@ Both are linear in the coefficients.  A *column* below is one candidate, of eith
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -125,6 +127,9 @@ def _atom_function(atom: sp.Basic, symbols: tuple[sp.Symbol, ...]) -> Callable:
     return sp.lambdify(symbols, atom, modules="numpy", dummify=True)
 
 
+_compiling = threading.RLock()
+
+
 class _Column:
     """One candidate: its derivatives, compiled when first asked for."""
 
@@ -135,6 +140,10 @@ class _Column:
         self._compiled: dict[str, _Compiled] = {}
 
     def get(self, what: str) -> _Compiled:
+        with _compiling:  # SymPy is not for several threads, and once is enough
+            return self._get(what)
+
+    def _get(self, what: str) -> _Compiled:
         if what not in self._compiled:
             expressions = getattr(self, f"_{what}")()
             state = [*self.q, *self.qdot] if what in ("weak", "mass") else [*self.q, *self.qdot, *self.qddot]
@@ -263,6 +272,14 @@ class EulerLagrange:
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Some of the columns, in the given sequence; compiled functions are shared."""
         return self.of([self.terms[k] for k in select])
+
+    def from_interval(self, start: int) -> EulerLagrange:
+        """The columns for a part of a motion that begins at this knot interval."""
+        return self
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # functions do not travel between processes: they are compiled once more where they arrive
+        return type(self), (self.terms, self.coordinates, self.prescribed)
 
     def of(self, terms: Sequence[Term]) -> EulerLagrange:
         """Other terms for the same coordinates."""

@@ -1,0 +1,275 @@
+"""Trials as independent blocks of the joint problem, each computed by whoever is free.
+
+Control points of two trials never couple, so H is block diagonal over the trials, and what the coefficients
+need are sums over blocks k,
+
+    Σ_k (A_k − C_kᵀH_k⁻¹C_k),    Σ_k (g_k − C_kᵀH_k⁻¹g_Pk),    Σ_k log|H_k|,
+
+costs, equation errors and traces alike.  A block keeps its data, basis, Jacobian and factor; a step sends it
+λ, weights and control points, and fetches small matrices and the step of the control points.
+
+The classes here take the places of `Observations`, `Linearisation`, `NormalEquations` and `BandedFactor`.
+A single trial is never cut: its control points couple all along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from leastaction.curve.bspline import SplineGrid, SplineSpace
+from leastaction.data.trajectories import Rate
+from leastaction.estimation.crew import Crew, Task
+from leastaction.estimation.elimination import Quadratic
+from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
+from leastaction.estimation.observations import Observations, noise_floors
+from leastaction.estimation.volume import Volume
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["BlockedObservations", "observe"]
+
+
+def observe(
+    grid: SplineGrid,
+    times: Sequence[np.ndarray],
+    values: Sequence[np.ndarray],
+    rates: Sequence[Rate] = (),
+    crew: Crew | None = None,
+) -> Observations | BlockedObservations:
+    """Observations in one piece, or in blocks of trials where a crew has something to share."""
+    cuts = [] if crew is None else _cuts(grid, crew)
+    if crew is None or len(cuts) < 3:
+        return Observations(grid, times, values, rates)
+    return BlockedObservations(grid, (times, values, rates), crew, cuts)
+
+
+def _cuts(grid: SplineGrid, crew: Crew) -> list[int]:
+    """The trials that blocks of about equal numbers of knot intervals begin with, and the end."""
+    ends = np.cumsum([space.n_intervals for space in grid.spaces])
+    count = min(len(grid.spaces), crew.n_blocks, grid.n_intervals // crew.least)
+    wanted = grid.n_intervals * np.arange(1, count) / max(count, 1)
+    inner = 1 + np.searchsorted(ends, wanted - 1e-9)
+    inner = inner[inner < len(grid.spaces)]
+    return [0, *dict.fromkeys(inner.tolist()), len(grid.spaces)]
+
+
+class BlockedObservations:
+    """Observations in blocks of successive trials; see `Observations`.
+
+    Attributes
+    ----------
+    blocks : tuple of Task
+        Of the `Observations` of each block.
+    points, intervals : tuple of slice
+        Control points and knot intervals of each block.
+    """
+
+    def __init__(
+        self,
+        grid: SplineGrid,
+        data: tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]],
+        crew: Crew,
+        cuts: Sequence[int],
+    ) -> None:
+        times, values, rates = data
+        self.grid, self.crew, self.n_dof = grid, crew, values[0].shape[1]
+        self.floors = noise_floors(values, rates)
+        self.noise_floor = self.floors[: self.n_dof]
+        self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
+        ends = np.concatenate([[0], np.cumsum([space.n_intervals for space in grid.spaces])])
+        parts = [slice(a, b) for a, b in pairwise(cuts)]
+        self.points = tuple(slice(int(grid.offsets[p.start]), int(grid.offsets[p.stop])) for p in parts)
+        self.intervals = tuple(slice(int(ends[p.start]), int(ends[p.stop])) for p in parts)
+        self.blocks = tuple(
+            crew.task(
+                _observe_block,
+                (grid.spaces[p], grid.points.shape[1], int(ends[p.start]), grid.n_intervals),
+                (times[p], values[p], [replace(rate, values=rate.values[p]) for rate in rates]),
+                self.floors,
+            )
+            for p in parts
+        )
+        positions = np.sum([np.isfinite(q).sum(axis=0) for q in values], axis=0)
+        others = [sum(int(np.isfinite(x).sum()) for x in rate.values) for rate in rates]
+        self.counts = np.array([*positions, *others])
+
+    def linearise(
+        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+    ) -> BlockedLinearisation:
+        """The joint problem linearised, block by block."""
+        blocks = tuple(
+            self.crew.task(
+                _linearise,
+                seen,
+                physics.columns.from_interval(intervals.start),
+                (physics.free, None if physics.forces is None else physics.forces[intervals]),
+                control_points[points],
+                coefficients,
+            )
+            for seen, points, intervals in zip(self.blocks, self.points, self.intervals, strict=True)
+        )
+        costs = self.crew.results([self.crew.task(_costs, block) for block in blocks])
+        squares, equation, terms = (_sum(c[k] for c in costs) for k in range(3))
+        volume = reduce(_add_volumes, (c[3] for c in costs))
+        return BlockedLinearisation(
+            self, blocks, squares, equation, terms, volume, physics.columns.prescribed
+        )
+
+    def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
+        """y − N P for each channel, valid samples only."""
+        tasks = [
+            self.crew.task(_residuals, seen, control_points[points])
+            for seen, points in zip(self.blocks, self.points, strict=True)
+        ]
+        return [np.concatenate(parts) for parts in zip(*self.crew.results(tasks), strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class BlockedLinearisation(Costs):
+    """The problem linearised at one point, block by block; see `Linearisation`."""
+
+    observations: BlockedObservations
+    blocks: tuple[Task, ...]
+    squares: np.ndarray
+    equation: np.ndarray
+    terms: np.ndarray
+    at_mass: Volume
+    prescribed: tuple[int, ...]
+
+    def normal(self, weights: Weights) -> BlockedNormal:
+        """The Gauss–Newton system, which is formed where it is eliminated."""
+        return BlockedNormal(self, weights)
+
+    def freedom(self, weights: Weights, factor: BlockedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """See :meth:`Linearisation.freedom`."""
+        crew = self.observations.crew
+        found = [None] * len(self.blocks) if factor is None else factor.parts
+        tasks = [crew.task(_freedom, at, weights, part) for at, part in zip(self.blocks, found, strict=True)]
+        parts = crew.results(tasks)
+        return _sum(p[0] for p in parts), _sum(p[1] for p in parts)
+
+    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
+        """All candidates about a fit, summed over the blocks."""
+        weights, curve, columns, candidates = given
+        crew, seen = self.observations.crew, self.observations
+        tasks = [
+            crew.task(_score, score, block, weights, (curve[0][points], curve[1]), columns, candidates)
+            for block, points in zip(self.blocks, seen.points, strict=True)
+        ]
+        small = crew.results([crew.task(_small_scores, task) for task in tasks])
+        steps = BlockedFactor(seen, tuple(tasks), _sum(s[2] for s in small))
+        found = small[0][0]
+        return replace(
+            found,
+            schur=_sum(s[0].schur for s in small),
+            volume=reduce(_add_volumes, (s[0].volume for s in small)),
+            factor=steps,
+            curve_gradient=np.concatenate([s[1] for s in small]),
+            border=steps.border,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BlockedNormal:
+    """The Gauss–Newton system in blocks; see `NormalEquations`."""
+
+    at: BlockedLinearisation
+    weights: Weights
+
+    def eliminate(self, damping: float = 0.0) -> Quadratic:
+        """See :meth:`NormalEquations.eliminate`."""
+        seen = self.at.observations
+        tasks = [seen.crew.task(_eliminate, block, self.weights, damping) for block in self.at.blocks]
+        small = seen.crew.results([seen.crew.task(_small, task) for task in tasks])
+        gradient, matrix, held, logdet = (_sum(s[k] for s in small) for k in range(4))
+        factor = BlockedFactor(seen, tuple(tasks), float(logdet))
+        curve_gradient = np.concatenate([s[4] for s in small])
+        return Quadratic(gradient, matrix, factor, curve_gradient, factor.border, held)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockedFactor:
+    """Factors of the blocks of H, and their borders, with whoever computed them."""
+
+    observations: BlockedObservations
+    parts: tuple[Task, ...]
+    logdet: float
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """H⁻¹b for one right-hand side."""
+        n, crew = self.observations.n_dof, self.observations.crew
+        tasks = [
+            crew.task(_solve, part, right[points.start * n : points.stop * n])
+            for part, points in zip(self.parts, self.observations.points, strict=True)
+        ]
+        return np.concatenate(crew.results(tasks))
+
+    def border(self, step: np.ndarray) -> np.ndarray:
+        """C · step."""
+        crew = self.observations.crew
+        return np.concatenate(crew.results([crew.task(_border, part, step) for part in self.parts]))
+
+
+# ---------------------------------------------------------------- what is computed with a block
+def _observe_block(place: tuple[Any, ...], data: tuple[Any, ...], floors: np.ndarray) -> Observations:
+    spaces: tuple[SplineSpace, ...] = place[0]
+    grid = SplineGrid(spaces, place[1], before=place[2], total=place[3])
+    times, values, rates = data
+    return Observations(grid, times, values, rates, floors)
+
+
+def _linearise(
+    seen: Observations, columns: EulerLagrange, given: tuple[Any, ...], points: np.ndarray, values: np.ndarray
+) -> Linearisation:
+    free, forces = given
+    return linearise(seen, Physics(columns, free, forces), points, values)
+
+
+def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:
+    return seen.residuals(points)
+
+
+def _costs(at: Linearisation) -> tuple[Any, ...]:
+    return at.squares, at.equation, at.terms, at.at_mass
+
+
+def _freedom(at: Linearisation, weights: Weights, found: Any) -> tuple[np.ndarray, np.ndarray]:
+    return at.freedom(weights, None if found is None else found.factor)
+
+
+def _eliminate(at: Linearisation, weights: Weights, damping: float) -> Quadratic:
+    return at.normal(weights).eliminate(damping)
+
+
+def _small(part: Quadratic) -> tuple[Any, ...]:
+    return part.gradient, part.matrix, part.held, part.logdet, part.curve_gradient
+
+
+def _score(score: Callable[..., Any], at: Linearisation, *given: Any) -> Any:
+    return score(at, *given)
+
+
+def _small_scores(part: Any) -> tuple[Any, np.ndarray, float]:
+    small = replace(part, factor=None, curve_gradient=None, border=None)
+    return small, part.curve_gradient, part.factor.logdet
+
+
+def _solve(part: Any, right: np.ndarray) -> np.ndarray:
+    return part.factor.solve(right)
+
+
+def _border(part: Any, step: np.ndarray) -> np.ndarray:
+    return part.border(step)
+
+
+def _add_volumes(a: Volume, b: Volume) -> Volume:
+    return Volume(a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner)
+
+
+def _sum(parts: Iterable[Any]) -> Any:
+    return sum(parts)

@@ -1,0 +1,218 @@
+"""Who computes: threads of this process, or the workers of a Dask cluster.
+
+A *task* is a function and its arguments, some of which may be other tasks. Its result stays where it was
+computed; only what is asked for travels. A task remembers how it was made, so that a result which is lost
+with its worker is computed again: by another worker where there is one, otherwise here. Functions are pure,
+so the result is the same.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from leastaction.errors import InputError
+from leastaction.threads import single_threaded
+
+__all__ = ["Crew", "DaskCrew", "Task", "ThreadCrew", "employ"]
+
+_PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
+_LOOK = 1.0  # seconds between two looks at the cluster
+_LEAST_HERE = 256  # knot intervals a block: a task costs 0.1 ms, the work on an interval 12 µs a step
+_LEAST_AWAY = 1024  # a task on a cluster costs some milliseconds
+
+
+@dataclass(eq=False)
+class Task:
+    """A function of arguments that may be tasks, and where its result is being computed.
+
+    Attributes
+    ----------
+    function : callable
+        Pure.
+    given : tuple
+        Its arguments.
+    future : object or None
+        Of the executor; None where the result is computed here.
+    """
+
+    function: Callable[..., Any]
+    given: tuple[Any, ...]
+    future: Any = None
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+    _done: list[Any] = field(default_factory=list, repr=False)
+
+    def here(self) -> Any:
+        """Compute the result in this process, with everything that it rests on; kept for the next call."""
+        with self._lock:
+            if not self._done:
+                given = [x.here() if isinstance(x, Task) else x for x in self.given]
+                self._done.append(_quietly(self.function, *given))
+            return self._done[0]
+
+
+class Crew(Protocol):
+    """Computes tasks."""
+
+    n_blocks: int
+    least: int
+
+    def task(self, function: Callable[..., Any], *given: Any) -> Task:
+        """Begin to compute a function of arguments that may be other tasks of this crew."""
+        ...
+
+    def results(self, tasks: Sequence[Task]) -> list[Any]:
+        """Wait for results. What a function raised is raised here."""
+        ...
+
+
+class ThreadCrew:
+    """Threads of this process. NumPy and LAPACK let them run side by side.
+
+    Attributes
+    ----------
+    n_blocks : int
+        Into how many blocks long data are cut, at most: more than workers, so that none waits for long.
+    least : int
+        Knot intervals below which a block is not worth its overhead.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="leastaction")
+        self.n_blocks, self.least = 2 * workers, _LEAST_HERE
+
+    def task(self, function: Callable[..., Any], *given: Any) -> Task:
+        task = Task(function, given)
+        with suppress(RuntimeError):  # after shutdown: whoever holds an old fit computes on his own
+            task.future = self._pool.submit(_resolved, function, given)
+        return task
+
+    def results(self, tasks: Sequence[Task]) -> list[Any]:
+        return [task.here() if task.future is None else task.future.result() for task in tasks]
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+class DaskCrew:
+    """The workers of a Dask cluster, by a ``distributed.Client`` that belongs to the caller.
+
+    Dask itself repeats the tasks of a worker that is gone. If no worker is left, or the scheduler is gone,
+    the results are computed here.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._alone = client, False
+        self.n_blocks = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        self.least = _LEAST_AWAY
+
+    def task(self, function: Callable[..., Any], *given: Any) -> Task:
+        task = Task(function, given)
+        away = [x.future if isinstance(x, Task) else x for x in given]
+        if self._alone or any(x is None for x, y in zip(away, given, strict=True) if isinstance(y, Task)):
+            return task
+        try:
+            with _large_arguments():
+                # not pure: no time goes into hashing arrays
+                task.future = self._client.submit(_quietly, function, *away, pure=False)
+        except Exception:  # the client is closed, or its scheduler gone
+            self._alone = True
+        return task
+
+    def results(self, tasks: Sequence[Task]) -> list[Any]:
+        return [self._result(task) for task in tasks]
+
+    def _result(self, task: Task) -> Any:
+        if task.future is None:
+            return task.here()
+        waited = 0.0
+        while not self._alone:
+            try:
+                return task.future.result(timeout=_LOOK)
+            except TimeoutError:
+                waited = 0.0 if self._anybody() else waited + _LOOK
+                self._alone = waited > _PATIENCE
+            except (Exception, asyncio.CancelledError) as error:
+                if not _is_loss(error):
+                    raise
+                break
+        return task.here()
+
+    def _anybody(self) -> bool:
+        """Whether the cluster has any worker."""
+        try:
+            return bool(self._client.scheduler_info(n_workers=-1)["workers"])
+        except Exception:
+            return False
+
+
+@contextmanager
+def employ(workers: Any) -> Iterator[Crew | None]:
+    """The crew that a user asks for: None for one worker, which is this thread.
+
+    Parameters
+    ----------
+    workers : int, distributed.Client or None
+
+    Raises
+    ------
+    InputError
+    """
+    if workers is None or (isinstance(workers, int) and not isinstance(workers, bool) and workers == 1):
+        yield None
+    elif isinstance(workers, int) and not isinstance(workers, bool) and workers >= 1:
+        crew = ThreadCrew(min(workers, 4 * (os.cpu_count() or 1)))
+        try:
+            yield crew
+        finally:
+            crew.close()
+    elif hasattr(workers, "submit") and hasattr(workers, "scheduler_info"):
+        yield DaskCrew(workers)
+    else:
+        raise InputError(
+            f"workers is {workers!r}; expected a number of threads, 1 or more, or a Client of Dask "
+            "(distributed.Client)"
+        )
+
+
+def _resolved(function: Callable[..., Any], given: Sequence[Any]) -> Any:
+    """In a thread: wait for the tasks among the arguments, which were begun earlier."""
+    return _quietly(function, *(_value(x) for x in given))
+
+
+def _value(given: Any) -> Any:
+    if not isinstance(given, Task):
+        return given
+    future: Future[Any] | None = given.future
+    return given.here() if future is None else future.result()
+
+
+def _large_arguments() -> AbstractContextManager[Any]:
+    """Dask warns of arguments above 10 MB; data of a block are sent once, and are larger."""
+    try:
+        import dask.config  # pyright: ignore[reportMissingImports]
+    except ImportError:  # something else with the methods of its client
+        return nullcontext()
+    return dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})
+
+
+def _quietly(function: Callable[..., Any], *given: Any) -> Any:
+    """Compute as the solver does: one BLAS thread, and overflow is tested, not warned of."""
+    with single_threaded(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        return function(*given)
+
+
+def _is_loss(error: BaseException) -> bool:
+    """Whether Dask says that a result is lost, and not that its function failed."""
+    if isinstance(error, (asyncio.CancelledError, CancelledError, OSError)):
+        return True
+    return type(error).__module__.partition(".")[0] == "distributed"

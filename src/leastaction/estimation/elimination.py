@@ -1,0 +1,110 @@
+"""Normal equations of the joint problem, and the curve eliminated from them.
+
+    ( H   C ) (ΔP)     (g_P)
+    ( Cᵀ  A ) (Δλ) = − (g_λ)      →      (A − CᵀH⁻¹C) Δλ = −(g_λ − CᵀH⁻¹g_P)
+
+H is banded and belongs to the control points of the curve, A is small and belongs to the coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from leastaction.estimation.banded import BandedFactor
+
+__all__ = ["CurveFactor", "NormalEquations", "Quadratic"]
+
+
+class CurveFactor(Protocol):
+    """What is needed of a factorisation of H, wherever it is held."""
+
+    @property
+    def logdet(self) -> float:
+        """log |H|"""
+        ...
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """H⁻¹b for one right-hand side."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Quadratic:
+    """The cost as a function of the coefficients alone, the curve eliminated.
+
+    Attributes
+    ----------
+    gradient, matrix : (n_border,) and (n_border, n_border) arrays
+        Half gradient, and half second derivative.
+    factor : CurveFactor
+        Of H.
+    curve_gradient : (n_ctrl · n_dof,) array
+        Half gradient in the control points.
+    border : callable
+        (n_border,) step → C · step.
+    held : (n_border,) array, optional
+        Half gradient in the coefficients while the curve is held, g_λ.
+    """
+
+    gradient: np.ndarray
+    matrix: np.ndarray
+    factor: CurveFactor
+    curve_gradient: np.ndarray
+    border: Callable[[np.ndarray], np.ndarray]
+    held: np.ndarray | None = None
+
+    @property
+    def logdet(self) -> float:
+        """log |H|"""
+        return self.factor.logdet
+
+    def curve_step(self, step: np.ndarray) -> np.ndarray:
+        """H⁻¹(g_P + C · step), flat: subtract it from the control points as λ moves by the step."""
+        return self.factor.solve(self.curve_gradient + self.border(step))
+
+
+class NormalEquations(NamedTuple):
+    """The Gauss–Newton system at given weights.
+
+    Attributes
+    ----------
+    rows : (n_ctrl, n_dof, n_local) array
+        H by block rows; see :meth:`leastaction.curve.bspline.SplineGrid.add_gram`.
+    border : (n_ctrl · n_dof, 1 + n_border) array
+        Half gradient in the control points, then C.
+    gradient : (n_border,) array
+        Half gradient in the coefficients.
+    corner : (n_border, n_border) array
+        A, the volume term included.
+    """
+
+    rows: np.ndarray
+    border: np.ndarray
+    gradient: np.ndarray
+    corner: np.ndarray
+
+    def eliminate(self, damping: float = 0.0) -> Quadratic:
+        """A − CᵀH⁻¹C and g_λ − CᵀH⁻¹g_P from the triangular factor alone.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When H is not positive definite, or not finite.
+        """
+        factor = BandedFactor.of(self.rows, damping)
+        if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
+            raise np.linalg.LinAlgError("the normal matrix is not finite")
+        half = factor.forward(self.border)
+        products = half.T @ half
+        return Quadratic(
+            self.gradient - products[1:, 0],
+            self.corner - products[1:, 1:],
+            factor,
+            self.border[:, 0],
+            self.border[:, 1:].dot,
+            self.gradient,
+        )

@@ -1,0 +1,284 @@
+"""Trials as blocks: the same sums, whoever computes them, and whoever is lost on the way."""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import CancelledError, Future
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from helpers import euler_lagrange, interpolate, uniform_grid
+from leastaction import systems
+from leastaction.data.trajectories import Rate
+from leastaction.estimation import joint, volume
+from leastaction.estimation.blocks import BlockedObservations, observe
+from leastaction.estimation.candidates import score
+from leastaction.estimation.crew import DaskCrew, ThreadCrew, employ
+from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.protocols import linearise
+
+DURATIONS = (2.0, 1.5, 3.0, 0.8, 2.2)
+TERMS = ["x_dot**2", "y_dot**2", "x_dot*y_dot*cos(y)", "cos(y)", "x**2"]
+MORE = [*TERMS, "x*y", "x**4"]
+VALUES = np.array([1.5, 0.6, 1.1, 9.81, -5.0])
+WEIGHTS = Weights(np.array([0.02, 0.03, 0.1]), np.array([4.0, 9.0]), np.array([7.0, 3.0]), 0.01)
+
+
+@pytest.fixture
+def crew(monkeypatch):
+    """Two threads, and blocks as small as a trial."""
+    crew = ThreadCrew(2)
+    crew.least = 1
+    yield crew
+    crew.close()
+
+
+def motion(t):
+    return np.column_stack([0.5 * np.sin(2.3 * t) + 0.2, 0.7 * np.cos(3.1 * t)])
+
+
+def problem():
+    """Five trials of different lengths, with missing samples, a velocity, and forces."""
+    grid = uniform_grid(DURATIONS, 6.0, 5, 2)
+    rng = np.random.default_rng(5)
+    times = [np.sort(rng.uniform(0.0, d, 60)) for d in DURATIONS]
+    values = [motion(t) + 0.02 * rng.standard_normal((t.size, 2)) for t in times]
+    values[1][5:9, 0] = np.nan
+    values[3][:, 1] = np.nan  # not measured at all in this trial
+    rates = (Rate(1, 1, tuple(-0.7 * 3.1 * np.sin(3.1 * t) for t in times)),)
+    forces = rng.standard_normal((*grid.points.shape, 2))
+    physics = Physics(euler_lagrange(TERMS, ["x", "y"]), np.array([True, True, True, False, True]), forces)
+    control = interpolate(grid, [motion] * len(DURATIONS)) + 0.01 * rng.standard_normal((grid.n_ctrl, 2))
+    return grid, (times, values, rates), physics, control
+
+
+def close(found, expected, tolerance=1e-9):
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * max(float(scale), 1e-300))
+
+
+@pytest.mark.parametrize("n_blocks", [2, 3, 5, 9])
+def test_blocks_give_the_sums_of_the_whole(n_blocks, crew, monkeypatch):
+    # runs that begin within trials, and means over time that leave points out
+    monkeypatch.setattr(joint, "_CHUNK", 13)
+    monkeypatch.setattr(volume, "_CHUNK", 13)
+    monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
+    grid, data, physics, control = problem()
+    crew.n_blocks = n_blocks
+    whole, parts = Observations(grid, *data), observe(grid, *data, crew)
+    assert isinstance(parts, BlockedObservations)
+    assert 2 <= len(parts.blocks) <= min(n_blocks, len(DURATIONS))
+    for name in ("counts", "coordinates", "floors", "noise_floor"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
+        np.testing.assert_allclose(mine, others, atol=1e-12)
+    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
+    for name in ("squares", "equation", "volume"):
+        close(getattr(there, name), getattr(here, name), 1e-12)
+    assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
+    assert there.regular == pytest.approx(here.regular, rel=1e-12)
+    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
+    for mine, others in zip(there.freedom(WEIGHTS), here.freedom(WEIGHTS), strict=True):
+        close(mine, others)
+    expected, found = here.normal(WEIGHTS).eliminate(0.01), there.normal(WEIGHTS).eliminate(0.01)
+    for name in ("gradient", "matrix", "held", "curve_gradient"):
+        close(getattr(found, name), getattr(expected, name))
+    assert found.logdet == pytest.approx(expected.logdet, abs=1e-9)
+    step = np.array([0.1, -0.2, 0.3, 0.4])
+    close(found.curve_step(step), expected.curve_step(step), 1e-8)
+
+
+def test_blocks_score_candidates_as_the_whole(crew):
+    grid, data, physics, control = problem()
+    more = euler_lagrange(MORE, ["x", "y"])
+    expected, found = (
+        linearise(seen, physics, control, VALUES).scored(
+            score, WEIGHTS, (control, VALUES), physics.columns, more
+        )
+        for seen in (Observations(grid, *data), observe(grid, *data, crew))
+    )
+    close(found.schur, expected.schur)
+    close(found.volume.slope, expected.volume.slope)
+    close(found.volume.corner, expected.volume.corner)
+    close(found.curve_gradient, expected.curve_gradient)
+    close(found.border(np.arange(7.0)), expected.border(np.arange(7.0)))
+    assert found.factor.logdet == pytest.approx(expected.factor.logdet, abs=1e-9)
+
+
+def test_what_is_computed_again_equals_what_is_kept(monkeypatch):
+    grid, data, physics, control = problem()
+    more = euler_lagrange(MORE, ["x", "y"])
+    kept = linearise(Observations(grid, *data), physics, control, VALUES)
+    monkeypatch.setattr(joint, "_MOST_KEPT", 0)
+    again = linearise(Observations(grid, *data), physics, control, VALUES)
+    assert kept.kept is not None
+    assert again.kept is None
+    assert again.cost(WEIGHTS) == kept.cost(WEIGHTS)
+    for one, other in zip(kept.normal(WEIGHTS), again.normal(WEIGHTS), strict=True):
+        np.testing.assert_array_equal(one, other)
+    for one, other in zip(kept.freedom(WEIGHTS), again.freedom(WEIGHTS), strict=True):
+        np.testing.assert_array_equal(one, other)
+    one, other = (at.scored(score, WEIGHTS, (control, VALUES), physics.columns, more) for at in (kept, again))
+    np.testing.assert_array_equal(one.schur, other.schur)
+
+
+def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew):
+    grid, data, _, _ = problem()
+    t, q = data[0][0], data[1][0]
+    assert isinstance(observe(uniform_grid([2.0], 6.0, 5, 2), [t], [q], (), crew), Observations)
+    crew.least = grid.n_intervals
+    assert isinstance(observe(grid, *data, crew), Observations)
+    assert isinstance(observe(grid, *data, None), Observations)
+
+
+def test_a_failure_in_a_block_is_the_failure_of_the_whole(crew):
+    grid, data, physics, control = problem()
+    at = linearise(observe(grid, *data, crew), physics, control, VALUES)
+    broken = replace(WEIGHTS, physics=np.array([np.nan, 1.0]))
+    with pytest.raises(np.linalg.LinAlgError):
+        at.normal(broken).eliminate()
+
+
+def test_a_crew_that_has_gone_home_leaves_results_that_can_be_used():
+    grid, data, physics, control = problem()
+    with employ(2) as crew:
+        crew.least = 1
+        seen = observe(grid, *data, crew)
+    expected = linearise(Observations(grid, *data), physics, control, VALUES)
+    assert linearise(seen, physics, control, VALUES).cost(WEIGHTS) == pytest.approx(expected.cost(WEIGHTS))
+
+
+# ------------------------------------------------------------------------------ a cluster that fails
+class Cluster:
+    """The methods of Dask's client that are used, computing at once; every so often a result is lost."""
+
+    def __init__(self, lost_every: int, gone_after: int = 10**9) -> None:
+        self.lost_every, self.gone_after, self.submitted = lost_every, gone_after, 0
+
+    def scheduler_info(self, n_workers: int = 5) -> dict:
+        return {"workers": {"a": {}, "b": {}}}
+
+    def submit(self, function, *given, pure=True) -> Future:
+        self.submitted += 1
+        if self.submitted > self.gone_after:
+            raise OSError("the scheduler is gone")
+        out: Future = Future()
+        try:
+            if self.submitted % self.lost_every == 0:
+                raise CancelledError
+            out.set_result(function(*(x.result() if isinstance(x, Future) else x for x in given)))
+        except BaseException as error:
+            out.set_exception(error)
+        return out
+
+
+@pytest.mark.parametrize("cluster", [Cluster(1), Cluster(2), Cluster(5), Cluster(99, gone_after=17)])
+def test_what_a_lost_worker_held_is_computed_here(cluster):
+    grid, data, physics, control = problem()
+    crew = DaskCrew(cluster)
+    crew.least = 1
+    there = linearise(observe(grid, *data, crew), physics, control, VALUES)
+    here = linearise(Observations(grid, *data), physics, control, VALUES)
+    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
+    expected, found = here.normal(WEIGHTS).eliminate(), there.normal(WEIGHTS).eliminate()
+    close(found.matrix, expected.matrix)
+    close(found.curve_step(np.ones(4)), expected.curve_step(np.ones(4)), 1e-8)
+
+
+def test_what_fails_on_a_cluster_fails_here():
+    grid, data, physics, control = problem()
+    crew = DaskCrew(Cluster(10**9))
+    crew.least = 1
+    at = linearise(observe(grid, *data, crew), physics, control, VALUES)
+    with pytest.raises(np.linalg.LinAlgError):
+        at.normal(replace(WEIGHTS, physics=np.array([np.nan, 1.0]))).eliminate()
+
+
+# ------------------------------------------------------------------------------------- discover()
+def recordings(trials: int = 4):
+    return systems.generate("double_pendulum", noise=0.05, trials=trials, duration=15.0, seed=1)
+
+
+def found(data, **more):
+    return la.discover(data, systems.compact_library("double_pendulum"), **more)
+
+
+def assert_same(one, other, tolerance: float = 1e-6):
+    """Terms, coefficients within a millionth of a standard error, and the verdict."""
+    assert [t.expression for t in one.terms] == [t.expression for t in other.terms]
+    for a, b in zip(one.terms, other.terms, strict=True):
+        assert abs(a.coefficient - b.coefficient) <= tolerance * a.standard_error
+        assert b.standard_error == pytest.approx(a.standard_error, rel=1e-5)
+    assert one.fit.status == other.fit.status
+    assert [f.code for f in one.fit.findings] == [f.code for f in other.fit.findings]
+
+
+@pytest.fixture(scope="module")
+def alone():
+    data = recordings()
+    return data, found(data)
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_the_number_of_workers_does_not_change_the_result(workers, alone):
+    data, model = alone
+    assert_same(model, found(data, workers=workers))
+
+
+def test_slow_forces_are_found_in_blocks_too():
+    """Their columns depend on time, so that a block has to know where it begins."""
+    pendulum = systems.generate("single_pendulum", noise=0.02, trials=4, duration=15.0, seed=3)
+    library = ["theta_dot**2", "cos(theta)"]
+    one, two = (
+        la.discover(pendulum, library, known={"cos(theta)": 9.81}, force_offset={"theta": 6.0}, workers=n)
+        for n in (None, 2)
+    )
+    assert_same(one, two, 1e-4)
+
+
+@pytest.mark.parametrize("workers", [0, -1, True, 1.5, "two"])
+def test_workers_that_make_no_sense_are_refused(workers):
+    with pytest.raises(la.InputError, match="workers is"):
+        found(recordings(1), workers=workers)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        yield client
+
+
+def test_a_cluster_gives_the_same_result(cluster, alone):
+    data, model = alone
+    assert_same(model, found(data, workers=cluster))
+
+
+def test_a_killed_worker_costs_time_and_not_the_result(cluster, alone):
+    data, model = alone
+    killed = []
+
+    def kill(stage, details):
+        if stage in ("select", "confirm", "knots") and not killed:
+            killed.append(next(iter(cluster.scheduler_info(n_workers=-1)["workers"])))
+            cluster.run(_die, workers=killed, wait=False, on_error="ignore")
+            time.sleep(0.1)
+
+    assert_same(model, found(data, workers=cluster, progress=kill))
+    assert killed
+
+
+def _die() -> None:
+    import os
+    import signal
+
+    os.kill(os.getpid(), signal.SIGKILL)
