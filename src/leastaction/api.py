@@ -153,10 +153,7 @@ def discover(
     trajectories = Trajectories.coerce(trajectories)
     prescribed = _texts(prescribed)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
-    if descent and slow:
-        raise InputError(
-            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
-        )
+    _refuse_slow_forces(slow, descent)
     request = Request(
         library,
         known or {},
@@ -168,8 +165,8 @@ def discover(
         robust=robust and not descent,
     )
     with employ(workers) as crew:
-        setup = _set_up(trajectories, request, positions_alone=descent, whole=bool(descent or slow))
-        setup = setup.computed_by(crew)
+        whole = bool(descent or slow)
+        setup = _set_up(trajectories, request, positions_alone=descent, whole=whole).computed_by(crew)
         search = begin_search(
             setup,
             slow,
@@ -205,6 +202,13 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
     if unused:
         findings.append(find("rates-unused"))
     return replace(setup, findings=(*setup.findings, *findings))
+
+
+def _refuse_slow_forces(slow: Mapping[int, float], descent: bool) -> None:
+    if descent and slow:
+        raise InputError(
+            "method 'adam' takes forces as they are: a force_offset that changes needs the default"
+        )
 
 
 def _refuse_nothing(fit: Fit) -> None:
