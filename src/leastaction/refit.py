@@ -145,7 +145,7 @@ def _terms(model: LagrangianModel, point: PathPoint) -> list[tuple[Kind, ModelTe
     own.extend(("lagrangian", term) for term in model.terms)
     own.extend(("dissipation", term) for term in model.dissipation)
     place = {(kind, term.expression): k for k, (kind, term) in enumerate(own)}
-    terms = [(kind, term) for kind, term in own if term.known]
+    terms: list[tuple[Kind, ModelTerm]] = [(kind, term) for kind, term in own if term.known]
     numbers = zip(point.expressions, point.coefficients, point.standard_errors, strict=True)
     terms.extend((kind, ModelTerm(*term)) for kind, term in zip(point.kinds, numbers, strict=True))
     return sorted(terms, key=lambda pair: place.get((pair[0], pair[1].expression), len(own)))
