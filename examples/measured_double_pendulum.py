@@ -16,7 +16,7 @@ import numpy as np
 
 import leastaction as la
 
-with as_file(files("leastaction") / "data" / "double_pendulum.csv.gz") as path:
+with as_file(files("leastaction") / "datasets" / "double_pendulum.csv.gz") as path:
     data = la.read_csv(path, coordinates=["theta1", "theta2"])
 
 held_out = data[2::3]
