@@ -41,6 +41,7 @@ _VAGUE = 1e-6  # prior precision at the start; 1 is that of the data, the other 
 _IRRELEVANT = 10.0
 _ROUNDS = 300
 _SETTLED = 1e-2
+_LARGEST = 1e150  # whose square is still a number
 _SPARE = 18  # neighbours solved beyond those wanted: rounding may rank near-ties differently
 
 
@@ -200,10 +201,10 @@ def relevant(model: QuadraticModel, penalty: float) -> tuple[int, ...]:
             covariance = np.linalg.inv(model.matrix[np.ix_(kept, kept)] + np.diag(precision))
         except np.linalg.LinAlgError:
             break
-        mean = covariance @ right[kept]
+        mean = np.clip(covariance @ right[kept], -_LARGEST, _LARGEST)
         determined = np.maximum(1.0 - precision * np.diag(covariance), 1e-12)
         updated = determined / np.maximum(mean**2, 1e-300)
-        settled = np.all(np.abs(np.log(updated / precision)) < _SETTLED)
+        settled = np.all(np.abs(np.log(updated) - np.log(precision)) < _SETTLED)
         stays = updated < _IRRELEVANT
         kept, precision = kept[stays], updated[stays]
         if settled or not kept.size:
