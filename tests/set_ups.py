@@ -21,8 +21,6 @@ from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
 from leastaction.simulation.integrate import rk4
 
-PASSIVE_KNOWN = {"single_pendulum": {"theta_dot**2": 0.5}}
-
 
 def _system(name: str, noise: float = 0.01, friction: bool = False, library: str = "compact", **options):
     settings = {"trials": 2, "duration": 6.0, "seed": 1, **options}

@@ -18,7 +18,7 @@ from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_p
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
-from leastaction.findings import find
+from leastaction.findings import doubtful, find
 from leastaction.library import Library
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.model.model import LagrangianModel
@@ -173,7 +173,7 @@ def discover(
             relevance=relevance,
             seed=seed,
             # data at fault: searching longer does not help
-            thorough=not any(finding.severity == "warning" for finding in setup.findings),
+            thorough=not doubtful(setup.findings),
             report=clock.report,
         )
         _check_columns(setup, search.grid)

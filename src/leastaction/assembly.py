@@ -10,7 +10,7 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
-from leastaction.findings import find
+from leastaction.findings import doubtful, find
 from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm
@@ -40,7 +40,7 @@ def assemble_model(
         *search.bias.findings(),
         *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
     )
-    doubtful = any(finding.severity == "warning" for finding in findings)
+    status = "doubtful" if doubtful(findings) else "ok"
     diagnostics = Diagnostics(
         fit.problem.trajectories,
         grid.spline,
@@ -62,9 +62,7 @@ def assemble_model(
         tuple(term for kind, term in terms if kind == "dissipation"),
         None if np.isnan(fit.covariance).any() else fit.covariance,
         fit.weights.position_std,
-        FitSummary(
-            "doubtful" if doubtful else "ok", verdict.chi2_per_sample, density.tolist(), findings=findings
-        ),
+        FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
             "version": _version(),
             "options": options,

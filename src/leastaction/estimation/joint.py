@@ -60,9 +60,9 @@ class Weights:
 
     @property
     def volume(self) -> np.ndarray:
-        """(n_dof,) weight of the volume term: degrees of freedom of what really pushes (see ``_add_volume``).
+        """(n_dof,) weight of the volume term: degrees of freedom of what really pushes.
 
-        The noise of measured forces is in the equations, too, but pushes nothing.
+        The noise of measured forces is in the equations, too, but pushes nothing. See `volume.volume_term`.
         """
         return self.slack * (1.0 - np.clip(self.physics * self.force_density, 0.0, 1.0))
 

@@ -1,6 +1,6 @@
 """What checks say: a code and figures for programs, sentences for people."""
 
-from leastaction.findings.finding import SEVERITIES, TEXT, Figures, Finding, Severity
+from leastaction.findings.finding import SEVERITIES, TEXT, Figures, Finding, Severity, doubtful
 from leastaction.findings.messages import CODES, Audience, find, sentence
 from leastaction.findings.reasons import REASONS, because
 
@@ -14,6 +14,7 @@ __all__ = [
     "Finding",
     "Severity",
     "because",
+    "doubtful",
     "find",
     "sentence",
 ]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["SEVERITIES", "TEXT", "Figures", "Finding", "Severity", "Value"]
+__all__ = ["SEVERITIES", "TEXT", "Figures", "Finding", "Severity", "Value", "doubtful"]
 
 Severity = Literal["note", "warning"]
 Value = None | bool | int | float | str | tuple["Value", ...]
@@ -204,3 +204,8 @@ class Finding:
             return cls(**value)
         except InputError as problem:
             raise InputError(f"{place}: {problem}") from None
+
+
+def doubtful(findings: Iterable[Finding]) -> bool:
+    """Whether any finding is a warning."""
+    return any(finding.severity == "warning" for finding in findings)
