@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 from scipy.interpolate import BSpline
 
 __all__ = ["SplineGrid", "SplineSpace", "uniform_grid", "uniform_space"]
@@ -114,7 +115,7 @@ class SplineSpace:
             values = raised
         return first, values
 
-    def basis(self, x, nu: int = 0) -> sp.csr_array:
+    def basis(self, x: ArrayLike, nu: int = 0) -> sp.csr_array:
         """Design matrix N, Ṅ, N̈, … as a sparse (n_points, n_ctrl) array."""
         x = np.asarray(x, dtype=float)
         first, values = self.local_basis(x, nu)
@@ -124,7 +125,7 @@ class SplineSpace:
         pointers = np.arange(0, count + 1, self.degree + 1, dtype=kind)
         return sp.csr_array((values.ravel(), columns.ravel(), pointers), shape=(x.size, self.n_ctrl))
 
-    def evaluate(self, control_points: np.ndarray, x, nu: int = 0) -> np.ndarray:
+    def evaluate(self, control_points: np.ndarray, x: np.ndarray, nu: int = 0) -> np.ndarray:
         """Derivative ``nu`` of the curve at times x: (n_points, n_dof)."""
         return np.asarray(BSpline(self.knots, control_points, self.degree)(x, nu=nu))
 
@@ -194,7 +195,9 @@ class SplineGrid:
         Away from the clamped ends all intervals of a uniform space look alike, so 2p + 1 patterns
         a trajectory are enough and memory does not grow with its length.
         """
-        patterns, tables, total = [], [[], [], []], 0
+        patterns: list[np.ndarray] = []
+        tables: list[list[np.ndarray]] = [[], [], []]
+        total = 0
         for k, space in enumerate(self.spaces):
             m, p = space.n_intervals, self.degree
             points = self.points[self.owner == k]

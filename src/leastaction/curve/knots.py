@@ -8,7 +8,7 @@ import numpy as np
 
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
-from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectories import Trajectories, Trajectory
 
 __all__ = ["FEWEST_SAMPLES", "KNOTS_PER_RADIAN", "Knots", "excerpt", "lay_knots"]
 
@@ -86,7 +86,7 @@ def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
     if share >= 1.0:
         return trajectories
     most = max(FEWEST_SAMPLES, n_samples // (trajectories.n_dof * _PIECES))
-    pieces = []
+    pieces: list[Trajectory] = []
     for whole in trajectories:
         for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
             if np.isfinite(whole.q[rows]).sum(axis=0).min() >= FEWEST_SAMPLES:
@@ -94,4 +94,4 @@ def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
     if not pieces:
         return trajectories
     count = min(len(pieces), max(1, round(share * len(pieces))))
-    return Trajectories([pieces[k] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)])
+    return Trajectories([pieces[int(k)] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)])

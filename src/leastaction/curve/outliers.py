@@ -50,6 +50,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     least = _DIGITS * np.nanstd(np.concatenate(values), axis=0)
     measured = np.isfinite(np.concatenate(values)).sum(axis=0)
     out = [np.zeros(q.shape, dtype=bool) for q in values]
+    share = np.zeros(trajectories.n_dof)
     for _ in range(_ROUNDS):
         kept = [np.where(o, np.nan, q) for q, o in zip(values, out, strict=True)]
         curve = smooth(grid, times, kept)

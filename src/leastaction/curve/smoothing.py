@@ -18,6 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
+from leastaction.data.validation import FloatArray
 
 __all__ = ["Smooth", "banded_gram", "smooth"]
 
@@ -27,6 +28,11 @@ _LOG_STEP = 0.05
 _MOST_ROUNDS = 12
 _NEARLY_EXACT = 0.01  # noise over spread
 _SETTLED = 0.1  # relative change of the noise of a rate
+
+_Block = tuple[sp.csr_array, np.ndarray]
+"""Design and samples of one kind of measurement."""
+_One = tuple[np.ndarray, float, float, np.ndarray]
+"""Control points of one coordinate, noise, penalty, and the factor of the normal matrix."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +65,7 @@ class Smooth:
         The noise is at least ``floor``, (n_dof,).
         """
         noise_std = np.maximum(self.noise_std, floor)
-        out = []
+        out: list[np.ndarray] = []
         for _ in range(count):
             points = np.empty_like(self.control_points)
             for i, (design, factor) in enumerate(zip(self._designs, self._factors, strict=True)):
@@ -136,16 +142,19 @@ def smooth(
     design = grid.design(times)
     stacked = np.concatenate(values)
     n_dof = stacked.shape[1]
-    results, designs, rate_std = [], [], np.zeros(len(rates))
+    results: list[_One] = []
+    designs: list[sp.csr_array] = []
+    rate_std = np.zeros(len(rates))
     derivatives = {nu: grid.design(times, nu) for nu in {rate.derivative for rate in rates}}
     for i in range(n_dof):
         valid = np.isfinite(stacked[:, i])
-        rows, y = design if valid.all() else design[valid], stacked[valid, i]
+        rows: sp.csr_array = design if valid.all() else design[valid]
+        y = stacked[valid, i]
         kappa = None if penalty is None else float(penalty[i])
         result = _smooth_one(rows, y, roughness, grid, kappa)
         own = [k for k, rate in enumerate(rates) if rate.coordinate == i]
         if own:
-            blocks = [(rows, y)]
+            blocks: list[_Block] = [(rows, y)]
             for k in own:
                 values_k = np.concatenate(rates[k].values)
                 seen = np.isfinite(values_k)
@@ -158,7 +167,9 @@ def smooth(
     return Smooth(grid, points, np.array(noise), np.array(chosen), designs, list(factors), rate_std)
 
 
-def _smooth_together(blocks, penalty: np.ndarray, grid: SplineGrid, kappa: float | None, result):
+def _smooth_together(
+    blocks: Sequence[_Block], penalty: np.ndarray, grid: SplineGrid, kappa: float | None, result: _One
+) -> tuple[_One, sp.csr_array, np.ndarray]:
     """Smooth positions and rates of one coordinate, (design, samples) each, positions first.
 
     ``result`` is that of the positions alone. Returns what ``_smooth_one`` does, the scaled design, and the
@@ -177,10 +188,19 @@ def _smooth_together(blocks, penalty: np.ndarray, grid: SplineGrid, kappa: float
     return min(found, key=lambda f: f[0])[1:]
 
 
-def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, start, floors: np.ndarray):
+def _settle_noise(
+    blocks: Sequence[_Block],
+    grams: Sequence[np.ndarray],
+    penalty: np.ndarray,
+    grid: SplineGrid,
+    kappa: float | None,
+    start: np.ndarray,
+    floors: np.ndarray,
+) -> tuple[float, _One, sp.csr_array, np.ndarray]:
     """The fixed point from given noise; the criterion comes first, then as ``_smooth_together``."""
     noise, sizes = np.maximum(start, floors), np.array([y.size for _, y in blocks])
-    for _ in range(_MOST_ROUNDS):
+    rounds = 0
+    while True:
         ratios = noise[0] / noise
         rows = sp.csr_array(sp.vstack([c * d for c, (d, _) in zip(ratios, blocks, strict=True)], "csr"))
         y = np.concatenate([c * y for c, (_, y) in zip(ratios, blocks, strict=True)])
@@ -192,7 +212,8 @@ def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, s
             left = np.sum((samples - design @ coefficients) ** 2)
             new[k] = max(np.sqrt(left / max(samples.size - used, 1.0)), floors[k])
         change, noise = new / noise, new
-        if np.all(np.abs(np.log(change / change[0])) < _SETTLED):
+        rounds += 1
+        if rounds == _MOST_ROUNDS or np.all(np.abs(np.log(change / change[0])) < _SETTLED):
             break
     n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
     score = 2.0 * (max(y.size - n_null, 1) * np.log(sigma + 1e-300) - sizes @ np.log(ratios))
@@ -202,9 +223,9 @@ def _settle_noise(blocks, grams, penalty: np.ndarray, grid: SplineGrid, kappa, s
 
 def _slope(whole: np.ndarray, part: np.ndarray) -> float:
     """Derivative of log|H| in the logarithm of a factor of one of its parts: degrees of freedom used."""
-    both = []
+    both: list[float] = []
     for factor in (np.expm1(_LOG_STEP), np.expm1(-_LOG_STEP)):
-        moved = whole + factor * part
+        moved: FloatArray = whole + factor * part
         moved[0] *= 1.0 + 1e-13
         both.append(2.0 * np.log(cholesky_banded(moved, lower=True, check_finite=False)[0]).sum())
     return float(0.5 * (both[0] - both[1]) / _LOG_STEP)
@@ -212,16 +233,16 @@ def _slope(whole: np.ndarray, part: np.ndarray) -> float:
 
 def _smooth_one(
     design: sp.csr_array, y: np.ndarray, penalty: np.ndarray, grid: SplineGrid, kappa: float | None = None
-) -> tuple[np.ndarray, float, float, np.ndarray]:
+) -> _One:
     gram = banded_gram(design, grid.degree)
     moment = design.T @ y
     n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
     unit = gram[0].sum() / penalty[0].sum()
     freedom = max(y.size - n_null, 1)
 
-    def solve(log_kappa: float):
+    def solve(log_kappa: float) -> tuple[float, np.ndarray, float, float, np.ndarray]:
         kappa = unit * 10.0**log_kappa
-        banded = gram + kappa * penalty
+        banded: FloatArray = gram + kappa * penalty
         # a gap longer than a knot interval leaves tiny pivots at small kappa
         banded[0] *= 1.0 + 1e-13
         factor = cholesky_banded(banded, lower=True, check_finite=False)

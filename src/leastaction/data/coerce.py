@@ -11,6 +11,7 @@ from scipy.sparse import issparse
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
+from leastaction.kinds import is_array, is_list
 
 __all__ = ["gather", "one_each"]
 
@@ -47,28 +48,29 @@ def gather(
 
 def one_each(values: Any, shared: int = 1) -> bool:
     """Whether there is an entry for each trajectory, rather than an array of `shared` axes for all."""
-    if isinstance(values, np.ndarray):
+    if is_array(values):
         return values.ndim > shared or values.dtype == object
-    return isinstance(values, (list, tuple)) and any(v is None or np.ndim(v) > 0 for v in values)
+    return is_list(values) and any(v is None or np.ndim(v) > 0 for v in values)
 
 
 def _runs(q: Any) -> tuple[list[Any], bool]:
     """One entry per trajectory, and whether it was a single array."""
     if isinstance(q, Trajectory):
         return [q], True
+    runs: Any = q
     if not isinstance(q, (Trajectories, list, tuple)):
         if issparse(q):
             raise InputError(
                 "q is a sparse matrix; sparse data are not supported: expected an array of numbers"
             )
-        q = np.asarray(q)
-        if np.iscomplexobj(q):
+        runs = np.asarray(q)
+        if np.iscomplexobj(runs):
             raise InputError("Complex data not supported: q must be real numbers")
-        if not (q.ndim == 3 or (q.dtype == object and q.ndim == 1)):
-            return [q], True
-    if len(q) == 0:
+        if not (runs.ndim == 3 or (runs.dtype == object and runs.ndim == 1)):
+            return [runs], True
+    if len(runs) == 0:
         raise InputError("q is empty; expected an array of coordinates, or a sequence of them")
-    return list(q), False
+    return list(runs), False
 
 
 def _each(label: str, values: Any, count: int) -> list[Any]:

@@ -141,7 +141,7 @@ class Trajectories(Sequence[Trajectory]):
     @property
     def rates(self) -> tuple[Rate, ...]:
         """What is measured beside the positions: velocities by coordinate, then accelerations."""
-        out = []
+        out: list[Rate] = []
         for derivative, field in enumerate(RATES, start=1):
             arrays = [item.rates(field) for item in self._items]
             for i in range(self.n_dof):
@@ -190,7 +190,8 @@ class Trajectories(Sequence[Trajectory]):
         ([3.0, 3.283, 3.783], {'theta': 1})
         """
         columns = self._angle_columns(angles)
-        items, wraps = [], []
+        items: list[Trajectory] = []
+        wraps: list[tuple[int, ...]] = []
         for item, counted in zip(self._items, self._wraps, strict=True):
             q, count = item.q.copy(), list(counted)
             for column in columns:
@@ -332,7 +333,7 @@ def _plain_bytes(array: np.ndarray) -> bytes:
     return np.ascontiguousarray(plain, dtype="<f8").tobytes()
 
 
-def _check_items(trajectories: Iterable[Trajectory]) -> tuple[Trajectory, ...]:
+def _check_items(trajectories: Iterable[object]) -> tuple[Trajectory, ...]:
     cure = "pass a Trajectory or a sequence of them, e.g. [Trajectory(t, q)]"
     try:
         items = tuple(trajectories)
@@ -340,12 +341,14 @@ def _check_items(trajectories: Iterable[Trajectory]) -> tuple[Trajectory, ...]:
         raise InputError(f"{type(trajectories).__name__} is not a sequence of trajectories; {cure}") from None
     if not items:
         raise InputError("there is no trajectory; at least one is needed")
+    checked: list[Trajectory] = []
     for position, item in enumerate(items):
         if not isinstance(item, Trajectory):
             raise InputError(f"item {position} is of type {type(item).__name__}, not Trajectory; {cure}")
-        if item.coordinates != items[0].coordinates:
+        checked.append(item)
+        if item.coordinates != checked[0].coordinates:
             raise InputError(
                 f"trajectory {position} has the coordinates {listed(item.coordinates)}, but trajectory 0 has "
-                f"{listed(items[0].coordinates)}; all must have the same, in the same order"
+                f"{listed(checked[0].coordinates)}; all must have the same, in the same order"
             )
-    return items
+    return tuple(checked)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from leastaction.data.validation import (
     FloatArray,
     check_forces,
+    check_name,
     check_rates,
     check_samples,
     check_times,
@@ -120,8 +121,7 @@ class Trajectory:
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
     ) -> None:
-        if not isinstance(name, str):
-            raise InputError(f"the name of a trajectory must be text, not {quoted(name)}")
+        name = check_name(name)
         where = f"trajectory {quoted(name)}: " if name else ""
         times = check_times(real_array(t, f"{where}t"), where)
         samples = check_samples(real_array(q, f"{where}q"), times.size, where)
@@ -150,7 +150,7 @@ class Trajectory:
                 value.flags.writeable = False
             object.__setattr__(self, field, value)
         object.__setattr__(self, "coordinates", names)
-        object.__setattr__(self, "name", str(name))
+        object.__setattr__(self, "name", name)
 
     @property
     def n_times(self) -> int:
@@ -232,5 +232,13 @@ class Trajectory:
         )
 
 
-def _restored(t, q, forces, coordinates, name, velocities, accelerations) -> Trajectory:
+def _restored(
+    t: FloatArray,
+    q: FloatArray,
+    forces: FloatArray | None,
+    coordinates: tuple[str, ...],
+    name: str,
+    velocities: FloatArray | None,
+    accelerations: FloatArray | None,
+) -> Trajectory:
     return Trajectory(t, q, forces, coordinates, name, velocities=velocities, accelerations=accelerations)

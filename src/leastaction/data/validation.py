@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
+from leastaction.kinds import is_masked
 
 __all__ = [
     "FloatArray",
     "check_forces",
+    "check_name",
     "check_rates",
     "check_samples",
     "check_times",
@@ -49,7 +51,7 @@ def real_array(value: ArrayLike, label: str) -> FloatArray:
         raise InputError(
             f"{label} is not a rectangular array of numbers; check the lengths of its rows"
         ) from None
-    if np.ma.isMaskedArray(value):
+    if is_masked(value):
         # The data under a mask may be anything.
         array = array.astype(object)
         array[np.ma.getmaskarray(value)] = None
@@ -63,6 +65,13 @@ def real_array(value: ArrayLike, label: str) -> FloatArray:
         return np.array(array, dtype=np.float64, order="C")
     except (ValueError, TypeError, OverflowError):
         raise InputError(f"{label} cannot be converted to float64 numbers") from None
+
+
+def check_name(name: object) -> str:
+    """Return the name of a trajectory as plain text, or raise InputError if it is not text."""
+    if not isinstance(name, str):
+        raise InputError(f"the name of a trajectory must be text, not {quoted(name)}")
+    return str(name)
 
 
 def check_times(t: FloatArray, where: str) -> FloatArray:
@@ -178,7 +187,7 @@ def fill_names(names: Sequence[str]) -> tuple[str, ...]:
         if name in taken:
             raise InputError(f"two trajectories are called {quoted(name)}; give each its own name")
         taken.add(name)
-    filled = []
+    filled: list[str] = []
     for position, name in enumerate(names):
         if not name:
             name = str(position)
@@ -196,8 +205,8 @@ def position_of(key: object, names: Sequence[str]) -> int:
             return names.index(key)
         known = f"there are {listed(names)}{close_match(key, names)}"
         raise InputError(f"no trajectory is called {quoted(key)}; {known}")
-    if isinstance(key, (int, np.integer)) and not isinstance(key, bool):
-        if -len(names) <= key < len(names):
+    if not isinstance(key, bool) and isinstance(key, Integral):
+        if -len(names) <= int(key) < len(names):
             return int(key) % len(names)
         raise InputError(f"there is no trajectory number {key}; there are {len(names)}, counted from 0")
     raise InputError(f"select trajectories by name or number, not by {quoted(key)}")
@@ -247,7 +256,7 @@ def _turns_from_trend(samples: FloatArray) -> FloatArray:
 
 def _check_objects(array: NDArray[np.object_], label: str) -> None:
     for index, item in np.ndenumerate(array):
-        if item is not None and (isinstance(item, (bool, np.bool_)) or not isinstance(item, Real)):
+        if item is not None and (isinstance(item, bool) or not isinstance(item, Real)):
             place = ", ".join(map(str, index))
             raise InputError(f"{label}[{place}] is {quoted(item)}; a real number is expected")
 

@@ -73,7 +73,7 @@ class _Arithmetic:
     def number(self, expr: sympy.Expr) -> Any:
         if self.context is None:
             return float(expr)
-        if expr.is_Rational:
+        if isinstance(expr, sympy.Rational):
             return self.context.mpf(int(expr.p)) / int(expr.q)
         if expr.is_Float:
             return self.context.mpf(float(expr))
@@ -188,7 +188,7 @@ class Jets:
             for part in rest[1:]:
                 product = self._product(product, self.jet(part))
             return product if factor == 1 else product * self._arithmetic.number(factor)
-        if expr.is_Pow:
+        if isinstance(expr, sympy.Pow):
             return self._power(self.jet(expr.base), expr.exp)
         u = self.jet(expr.args[0])
         return self._compose(u, *self._arithmetic.derivatives(expr.func, u[0]))

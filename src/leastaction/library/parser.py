@@ -241,7 +241,7 @@ class _Converter:
                 raise self._error(node, "this number is out of range; expected |number| <= 1e12")
         elif expr.is_Mul and abs(_value(expr.as_coeff_Mul()[0])) > MAX_NUMBER:
             raise self._error(node, "a number in this product is out of range; expected |number| <= 1e12")
-        elif expr.is_Pow and abs(_value(expr.exp)) > MAX_EXPONENT:
+        elif isinstance(expr, sympy.Pow) and abs(_value(expr.exp)) > MAX_EXPONENT:
             raise self._error(node, f"this power is out of range; expected |exponent| <= {MAX_EXPONENT}")
         return expr
 
@@ -249,7 +249,7 @@ class _Converter:
 def _value(number: sympy.Expr) -> float:
     """Return a constant expression as a float; NaN for what is not one real number."""
     try:
-        if number.is_Rational:
+        if isinstance(number, sympy.Rational):
             return math.inf if number.q == 0 else number.p / number.q
         value = sympy.N(number, 15)
         return float(value) if value.is_Float or value.is_Rational else math.nan
@@ -283,7 +283,7 @@ def _with_canonical_numbers(expr: sympy.Expr) -> sympy.Expr:
     for _ in range(4):
         changes = {}
         for number in expr.atoms(sympy.Float, sympy.Rational):
-            if number.is_Float:
+            if isinstance(number, sympy.Float):
                 new = canonical_number(Fraction(repr(float(number))))
             else:
                 new = canonical_number(Fraction(int(number.p), int(number.q)))

@@ -106,7 +106,7 @@ class Mechanics:
         prescribed: Sequence[int] = (),
     ) -> Mechanics:
         """Terms of L and ψ with their coefficients, numbers or parameters."""
-        parts = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
+        parts: dict[str, sp.Expr] = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
         for term, value in zip(terms, values, strict=True):
             parts[term.kind] += value * term.expr
         return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters, prescribed)

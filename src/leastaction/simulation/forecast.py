@@ -292,7 +292,8 @@ def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start
             seen = np.isfinite(q)
             enough = seen[t <= window + slack].sum(axis=0) >= _LEAST_SAMPLES
             if enough.all() and seen[t > window + slack].any():
-                forces = CubicSpline(trial.t, trial.forces) if trial.driven else None
+                known = trial.forces if trial.driven else None
+                forces = None if known is None else CubicSpline(trial.t, known)
                 starts.append(Start(k, float(begin), t, q, forces))
         if len(starts) == before:
             reason = "too short" if count < 1 else "too few samples"

@@ -14,7 +14,7 @@ from leastaction.identifiers import quoted
 __all__ = ["check_path", "read_bytes", "replace_file", "write_bytes", "write_text"]
 
 
-def check_path(path: str | os.PathLike[str]) -> Path:
+def check_path(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Path:
     """Return `path` as a Path, or raise InputError if it is not a path."""
     try:
         text = os.fspath(path)

@@ -37,7 +37,7 @@ class _Message:
     logged: int
     position: Mapping[str, float]
     effort: Mapping[str, float]
-    velocity: Mapping[str, float] = field(default_factory=dict)
+    velocity: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 def is_bag(path: Path) -> bool:
@@ -170,10 +170,10 @@ def _choose(topic: str | None, kinds: Mapping[str, str], path: str) -> str:
 
 
 def _message(state: Any, logged: int, number: int, source: str, fields: tuple[str, ...]) -> _Message:
-    names = list(state.name)
+    names: list[str] = list(state.name)
     if len(set(names)) < len(names):
         raise InputError(f"{source}, message {number}: a joint is named twice among {listed(names)}")
-    values = {}
+    values: dict[str, dict[str, float]] = {}
     for kind in fields:
         array = getattr(state, kind)
         # The message definition allows an array to be empty: then there is nothing to report of this kind.
@@ -216,7 +216,7 @@ def _times(messages: list[_Message], column: str, source: str) -> np.ndarray:
 
 
 def _numbers(messages: list[_Message], layout: Layout, source: str) -> dict[str, FloatArray]:
-    numbers = {}
+    numbers: dict[str, FloatArray] = {}
     for kind, word in (("coordinates", "position"), ("forces", _EFFORT), ("velocities", _VELOCITY)):
         for column in dict.fromkeys(getattr(layout, kind).values()):
             joint = column if kind == "coordinates" else column.removesuffix(f".{word}")
@@ -237,7 +237,8 @@ def _in_sequence(
     first = np.flatnonzero(np.diff(times, prepend=times[0] - 1) > 0)
     group = np.cumsum(np.diff(times, prepend=times[0] - 1) > 0) - 1
     repeats = np.setdiff1d(np.arange(times.size), first)
-    merged, conflicts = {}, np.zeros(times.size, dtype=bool)
+    merged: dict[str, FloatArray] = {}
+    conflicts = np.zeros(times.size, dtype=bool)
     for name, values in numbers.items():
         values = values[order]
         kept = values[first]

@@ -149,7 +149,7 @@ def _sniff(line: str, layout: Layout) -> tuple[str, tuple[str, ...]]:
 
     def cells(delimiter: str) -> tuple[str, ...]:
         try:
-            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), list[str]())
         except csv.Error:  # a line of megabytes
             row = []
         return tuple(cell.strip() for cell in row)

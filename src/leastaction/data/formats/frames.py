@@ -106,7 +106,7 @@ def _numbers_from_objects(
     for row, (item, gone) in enumerate(zip(items, missing, strict=True)):
         if gone:
             continue
-        if isinstance(item, (bool, np.bool_)) or not isinstance(item, Real):
+        if isinstance(item, bool) or not isinstance(item, Real):
             cure = "convert the column to numbers (times to seconds)"
             raise InputError(
                 f"{source}, row {row} (counted from 0), column {quoted(name)}: "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -50,8 +51,8 @@ class Layout:
     forces: dict[str, str]
     trial: str | None
     angles: tuple[str, ...]
-    velocities: dict[str, str] = field(default_factory=dict)
-    accelerations: dict[str, str] = field(default_factory=dict)
+    velocities: dict[str, str] = field(default_factory=dict[str, str])
+    accelerations: dict[str, str] = field(default_factory=dict[str, str])
 
     @classmethod
     def of(
@@ -70,8 +71,7 @@ class Layout:
         given_columns = {"forces": forces, "velocities": velocities, "accelerations": accelerations}
         beside = {kind: _columns_for(kind, given, known) for kind, given in given_columns.items()}
         for role, column in (("time", time), ("trial", trial)):
-            if column is not None and not isinstance(column, str):
-                raise InputError(f"{role} must be the name of a column, not {quoted(column)}")
+            _check_column(role, column)
         given = (angles,) if isinstance(angles, str) else tuple(angles)
         turning = check_coordinate_names(given) if given else ()
         for name in turning:
@@ -209,7 +209,7 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
         If a coordinate has fewer than `MIN_SAMPLES` samples in a trial.
     """
     _check_values(layout, table)
-    trajectories = []
+    trajectories: list[Trajectory] = []
     for label, rows in _trial_rows(layout, table, name):
         _check_times(layout, table, label, rows)
         q = np.column_stack([table.numbers[column][rows] for column in layout.coordinates.values()])
@@ -235,14 +235,19 @@ def _matrix(
     return out
 
 
-def _coordinate_columns(coordinates: Coordinates) -> dict[str, str]:
+def _check_column(role: str, column: object) -> None:
+    if column is not None and not isinstance(column, str):
+        raise InputError(f"{role} must be the name of a column, not {quoted(column)}")
+
+
+def _coordinate_columns(coordinates: Mapping[str, object] | Sequence[str] | str) -> dict[str, str]:
     if isinstance(coordinates, Mapping):
-        names = check_coordinate_names(coordinates)
-        columns = list(coordinates.values())
-        for name, column in zip(names, columns, strict=True):
+        checked: dict[str, str] = {}
+        for name, column in zip(check_coordinate_names(coordinates), coordinates.values(), strict=True):
             if not isinstance(column, str):
                 raise InputError(f"the column of coordinate {name} must be a name, not {quoted(column)}")
-        return dict(zip(names, columns, strict=True))
+            checked[name] = column
+        return checked
     if not isinstance(coordinates, str):
         try:
             coordinates = list(coordinates)
@@ -252,13 +257,17 @@ def _coordinate_columns(coordinates: Coordinates) -> dict[str, str]:
     return dict(zip(names, [coordinates] if isinstance(coordinates, str) else coordinates, strict=True))
 
 
-def _columns_for(kind: str, given: Forces, coordinates: tuple[str, ...]) -> dict[str, str]:
+def _columns_for(
+    kind: str, given: Mapping[Any, object] | Sequence[object] | str | None, coordinates: tuple[str, ...]
+) -> dict[str, str]:
     """Coordinate -> column of its force, velocity or acceleration."""
     word = _BESIDE[kind]
     if given is None:
         return {}
     if isinstance(given, Mapping):
-        pairs = [(_normal(name) if isinstance(name, str) else name, column) for name, column in given.items()]
+        pairs: list[tuple[Any, object]] = [
+            (_normal(name) if isinstance(name, str) else name, column) for name, column in given.items()
+        ]
     else:
         try:
             columns = [given] if isinstance(given, str) else list(given)
