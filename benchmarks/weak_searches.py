@@ -18,14 +18,13 @@ from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.library import make_term
 from leastaction.selection.likelihood_search import term_penalty
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_proposals import weak_grams
 from leastaction.selection.weak_search import beam_search, noise_ratio, support_score
 
 ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
 NOISE = 0.001
-EXPLAINED = 3.0
-OVERLAP = 3.0
 
 
 def grams_of(chain: Chain):
@@ -57,7 +56,7 @@ def main() -> None:
             grams, law, n_candidates = grams_of(Chain(n, relative))
             start = f"{n:5d}  {'relative' if relative else 'absolute'}  {n_candidates:10d}  {len(law):3d}"
             for gram, width in zip(grams, ("1", "½", "2"), strict=True):
-                n_rows = gram.n_rows / OVERLAP
+                n_rows = gram.n_rows / SELECTION.overlap
                 penalty = term_penalty(int(n_rows), n_candidates)
                 for search in ("forward", "backward"):
                     begin = time.process_time()
@@ -69,7 +68,7 @@ def main() -> None:
                             levels = backward_search(gram, error, penalty, n_rows)
                             noise = noise_ratio(levels[-1][0].ratio, n_candidates, n_rows)
                         best = judge(levels, penalty, n_rows, noise)
-                        if best.ratio < EXPLAINED:
+                        if best.ratio < SELECTION.rows_explained:
                             break
                     found = set(best.members)
                     print(

@@ -7,16 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from leastaction.curve.bspline import uniform_grid
+from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 
-__all__ = ["FEWEST_SAMPLES", "KNOTS_PER_RADIAN", "Knots", "excerpt", "lay_knots"]
+__all__ = ["FEWEST_SAMPLES", "Knots", "excerpt", "lay_knots"]
 
 FEWEST_SAMPLES = 20
-KNOTS_PER_RADIAN = 4.0  # knots while the fastest coordinate's q̈ turns by one radian
 _MOST_GRIDS = 6
 _KNOTS_SETTLED = 0.25
-_MOST_OVER_SLOWER = 3.5  # simulated motions ask for 1 to 3 times the knots of the derivative below
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
@@ -63,20 +62,20 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
 
     def knots_for(nu: int) -> float:
         fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
-        return min(KNOTS_PER_RADIAN * fastest, 2.0 * rate)
+        return min(CURVE.knots_per_radian * fastest, 2.0 * rate)
 
     rates = trajectories.rates
     smoothed = smooth(uniform_grid(times, rate / 5.0, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
-        wanted = min(knots_for(2), _MOST_OVER_SLOWER * knots_for(1))
+        wanted = min(knots_for(2), CURVE.most_over_slower * knots_for(1))
         if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
             break
         knots = wanted
     else:
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
-    period = 2.0 * np.pi * KNOTS_PER_RADIAN / knots_for(1)
+    period = 2.0 * np.pi * CURVE.knots_per_radian / knots_for(1)
     return Knots(knots, coarse, period, smoothed, spread(1))
 
 

@@ -9,16 +9,14 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction.curve.bspline import uniform_grid
+from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.findings import Finding, find
 
 __all__ = ["leave_out_outliers"]
 
-_FAR = 5.0  # standard deviations: one good sample in two million
-_ALONE = 3.0  # times the residuals about it: a curve that is too smooth is off for many samples in a row
 _ABOUT = 3  # samples on either side
-_MOST = 0.05  # more are not outliers but noise with heavy tails
 _SAMPLES_PER_KNOT = 2.5
 _ROUNDS = 10
 _DIGITS = 1e-5  # of the spread: what a curve through noiseless samples is off by
@@ -62,7 +60,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
         found = [_far_and_alone(np.abs(r) / scale) for r in residuals]
         share = np.sum([f.sum(axis=0) for f in found], axis=0) / measured
         for f in found:
-            f[:, share > _MOST] = False
+            f[:, share > CURVE.most_outliers] = False
         unchanged = all(np.array_equal(f, o) for f, o in zip(found, out, strict=True))
         out = found
         if unchanged:
@@ -71,7 +69,7 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     if not np.any(counts):
         return trajectories, []
     notes = [
-        find("outliers-left-out", name, count=count, share=part, far=_FAR)
+        find("outliers-left-out", name, count=count, share=part, far=CURVE.outlier)
         for name, count, part in zip(trajectories.coordinates, counts, share, strict=True)
         if count
     ]
@@ -89,5 +87,5 @@ def _far_and_alone(sizes: np.ndarray) -> np.ndarray:
         padded = np.pad(size, _ABOUT, mode="reflect")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _ABOUT + 1)
         about = np.median(np.delete(windows, _ABOUT, axis=1), axis=1)
-        out[measured, i] = (size > _FAR) & (size > _ALONE * about)
+        out[measured, i] = (size > CURVE.outlier) & (size > CURVE.outlier_alone * about)
     return out

@@ -6,11 +6,7 @@ from dataclasses import dataclass
 
 from leastaction.findings import Finding
 
-__all__ = ["BETTER", "Cause"]
-
-# what warnings propose has to explain the motion so much better: −2 log likelihood beyond the price of every
-# term; to it comes the relevant share of the equation error's variance, as in the selection
-BETTER = 10.0
+__all__ = ["Cause"]
 
 
 @dataclass(frozen=True)

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.volume import positive_definite
-from leastaction.estimation.weights import SLACK_LEFT
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
 
 __all__ = ["rival_warnings"]
 
-_AS_LIKELY = 5.0  # −2 log likelihood
-_ONE_MORE = 2.0  # by which a rival with one term more has to be likelier than the chosen terms with one more
 _MOST = 3
 _STATES = 400
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
@@ -31,11 +30,11 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
     """
     chosen = fit.structure
     same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
-    rivals = [a for a in same if a.cost < _AS_LIKELY]
-    if np.all(fit.weights.slack < SLACK_LEFT):
+    rivals = [a for a in same if a.cost < DIAGNOSIS.as_likely]
+    if np.all(fit.weights.slack < ESTIMATION.slack_left):
         larger = [a for a in alternatives if len(a.structure) == len(chosen) + 1]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
-        rivals += [a for a in larger if a.cost < min(0.0, extended) - _ONE_MORE]
+        rivals += [a for a in larger if a.cost < min(0.0, extended) - DIAGNOSIS.one_more]
     texts = [term.text for term in fit.problem.terms]
     out = []
     for rival in rivals[:_MOST]:

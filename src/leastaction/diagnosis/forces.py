@@ -10,15 +10,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 
 __all__ = ["doubts_about_forces"]
 
-_SHARE = 0.3  # of the residual's sum of squares
 _NULL = 1e-6
-_SWAPPED = 0.5  # of the difference of two forces; an exchange makes it 1
 
 
 def doubts_about_forces(fit: Fit) -> list[Finding]:
@@ -32,7 +31,7 @@ def doubts_about_forces(fit: Fit) -> list[Finding]:
     residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
     members = (strong[list(fit.structure)] * root).reshape(len(fit.structure), -1)
     basis, _ = np.linalg.qr(members.T)
-    best, most = None, _SHARE
+    best, most = None, DIAGNOSIS.force_share
     for swapped, signature in _signatures(fit, forces):
         column = (root * signature).ravel()
         size = float(column @ column)
@@ -42,7 +41,7 @@ def doubts_about_forces(fit: Fit) -> list[Finding]:
             continue
         amount = float(column @ residual) / left
         share = amount**2 * left / float(residual @ residual)
-        if share > most and (not swapped or amount > _SWAPPED):
+        if share > most and (not swapped or amount > DIAGNOSIS.swapped):
             best, most = (swapped, amount, share), share
     if best is None:
         return []

@@ -12,7 +12,8 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.cause import BETTER, Cause
+from leastaction.diagnosis.cause import Cause
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
 from leastaction.findings import Finding, find
@@ -24,10 +25,7 @@ from leastaction.selection.search_state import equations_hold
 
 __all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
-_DECISIVE = 30.0  # −2 log likelihood: one in ten million by chance
-_UNUSUAL = 20.0  # instead of BETTER, where friction is not viscous
 _MOST_RELEASED = 3
-_HALF = 0.15  # of a sample
 
 
 def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
@@ -62,7 +60,7 @@ def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int,
     """
 
     def value(chosen: tuple[int, ...]) -> float:
-        price = sum(BETTER if _viscous(tested[k]) else _UNUSUAL for k in chosen)
+        price = sum(DIAGNOSIS.better if _viscous(tested[k]) else DIAGNOSIS.unusual for k in chosen)
         return _gain(model, base, *chosen) - price
 
     chosen: tuple[int, ...] = ()
@@ -139,7 +137,7 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     if gain < threshold:
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
-    held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < _HALF
+    held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < DIAGNOSIS.half_a_sample
     return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
 
 
@@ -150,7 +148,7 @@ def _beside(
     quadratic, chosen = fit.score(candidates), len(fit.structure)
     here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
     model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-    threshold = _DECISIVE + relevance * float(fit.weights.slack.sum())
+    threshold = DIAGNOSIS.decisive + relevance * float(fit.weights.slack.sum())
     return model, tuple(range(chosen)), threshold
 
 
@@ -172,7 +170,7 @@ def wrong_known(fit: Fit) -> list[Cause]:
         released = fit.grid.posed(fit.problem.releasing(int(k)))
         found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))
         gain = 2.0 * (value(found) - value(fit))
-        if not gain > BETTER:
+        if not gain > DIAGNOSIS.better:
             continue
         estimate, text = found.coefficients[k], fit.problem.terms[int(k)].text
         fewer = len(fit.structure) + 1 - len(found.structure)

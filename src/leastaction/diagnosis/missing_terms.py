@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from leastaction.diagnosis.cause import BETTER, Cause
+from leastaction.diagnosis.cause import Cause
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
@@ -45,7 +46,7 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     found = refine(here, rounds=_ROUNDS, most=1)
     gain = 2.0 * (value(found) - value(here))
     new = [found.problem.terms[m].text for m in found.structure if m >= len(columns)]
-    threshold = BETTER + relevance * float(fit.weights.slack.sum())
+    threshold = DIAGNOSIS.better + relevance * float(fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.structure) <= len(fit.structure)
     holds = equations_hold(found)

@@ -17,6 +17,7 @@ import numpy as np
 from leastaction.curve.smoothing import Smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import Rate
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.findings import Finding, find
 
 __all__ = ["doubts_about_rates"]
@@ -24,10 +25,6 @@ __all__ = ["doubts_about_rates"]
 _WIDTH = 1.25  # of a test function, in periods of the coordinate
 _FINEST = 12  # samples in a test function that the sums need
 _FEWEST = 12  # test functions that a judgement needs
-_SURE = 5.0  # standard errors
-_FACTOR = 0.05  # a sensor's calibration may be off by less
-_FOLLOWS = 0.25  # squared correlation
-_CLEAR = 3.0  # signal over noise
 _HUBER = 1.5
 _ROUNDS = 20
 _NEAR = 0.03
@@ -56,7 +53,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
         # what the pairs would be if there were no motion, and the channel nothing but white noise
         y = np.concatenate(rate.values)
         spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
-        clear = np.all(pairs.std(axis=0) > _CLEAR * gains * spread)
+        clear = np.all(pairs.std(axis=0) > DIAGNOSIS.rate_clear * gains * spread)
         constant = np.nanmax(y) == np.nanmin(y)
         wrong = ("rate-constant", {}) if constant else _about(rate.derivative, pairs, bool(clear))
         if wrong:
@@ -120,16 +117,17 @@ def _about(derivative: int, pairs: np.ndarray, clear: bool) -> tuple[str, dict] 
     derived, measured = pairs.T
     flat, offset, error = _line(derived, measured)
     back, _, back_error = _line(measured, derived)
-    if flat * back < _FOLLOWS:
+    if flat * back < DIAGNOSIS.rate_follows:
         return ("rate-unrelated", {}) if clear else None
     steep = 1.0 / back
     low, high = sorted([flat, steep])
-    low, high = low - _SURE * error[0], high + _SURE * back_error[0] * steep**2
-    if low > 1.0 + _FACTOR or high < 1.0 - _FACTOR:
+    sure, allowed = DIAGNOSIS.rate_sure, DIAGNOSIS.rate_factor
+    low, high = low - sure * error[0], high + sure * back_error[0] * steep**2
+    if low > 1.0 + allowed or high < 1.0 - allowed:
         factor = 0.5 * (flat + steep)
         return "rate-scaled", {"factor": factor, "unit": _unit(derivative, factor)}
     other = offset + (flat - steep) * float(np.mean(derived))
-    least = max(_SURE * error[1], _FACTOR * float(np.std(measured)))
+    least = max(sure * error[1], allowed * float(np.std(measured)))
     if min(abs(offset), abs(other)) > least and offset * other > 0.0:
         return "rate-offset", {"offset": offset}
     return None

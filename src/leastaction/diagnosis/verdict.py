@@ -12,30 +12,18 @@ from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.forces import doubts_about_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.wider_search import search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
-from leastaction.selection.search_state import EXPLAINED, Search
+from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["Verdict", "verify"]
 
-_WORTH_KNOWING = 0.001
-_NOISE_RATIO = 1.15  # residual of the fit over that of the smoothing
-_INDISTINCT = 0.3  # relative standard error
 _NOTHING = 1e-8  # of a standard error
-_VISIBLE = 0.3
-_MUCH_NOISE = 0.2
-_PART_OF_IT = 0.3
-_FEW_SAMPLES = 7.0  # a period of the fastest motion
-_BAND = 12.0  # times the frequency of the fastest coordinate
-_EVIDENT = 20.0  # degrees of freedom of an equation error; exact libraries leave 12 at most
-_OF_FORCES = 4.0  # noise of forces gives 0.2 to 3 times its density, a missing term 30 and more
-_HIDDEN = 0.001  # equation error below which no cause is looked for
-_LAG_ONE = 0.1
-_TWO_TURNS = 4.0 * np.pi
-_SMALL_OFFSET = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +50,17 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     share, rms = fit.equation_error()
     share = np.maximum(share, _behind_noise(fit, rms / np.maximum(share, 1e-300), period))
     samples_per_period = period / fit.problem.trajectories.sampling_interval
+    needed = DIAGNOSIS.few_samples
     found: list[Finding] = []
     if not fit.converged:
         found.append(find("not-converged", reason=fit.status))
-    excused = (share > EXPLAINED) & _as_forces_are(fit)
+    excused = (share > SELECTION.holds) & _as_forces_are(fit)
     unexplained = [
-        i for i in range(len(names)) if (share[i] > EXPLAINED and not excused[i]) or chi2[i] > _NOISE_RATIO**2
+        i
+        for i in range(len(names))
+        if (share[i] > SELECTION.holds and not excused[i]) or chi2[i] > DIAGNOSIS.noise_ratio**2
     ]
-    off = any(share[i] > EXPLAINED for i in unexplained)
+    off = any(share[i] > SELECTION.holds for i in unexplained)
     causes = _likely_causes(search, share, off) if look_for_causes else []
     found += [
         find(
@@ -83,13 +74,13 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         for i in unexplained
     ]
     found += _unexplained_rates(fit, chi2) + causes
-    if (unexplained or excused.any()) and samples_per_period >= _FEW_SAMPLES:
+    if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
     if unexplained:
         found += _perhaps_degrees(fit)
     found += _unexplained_little(names, share, excused, unexplained)
-    if samples_per_period < _FEW_SAMPLES:
-        found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=_FEW_SAMPLES))
+    if samples_per_period < needed:
+        found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
     found += _signal(fit) + _identifiability(fit)
     found += rival_warnings(fit, alternatives)
     found += _mass_matrix(fit)
@@ -116,7 +107,8 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
     found += [cause.finding for cause in likelier]
     for check in (hidden_friction, late_forces):
         found += check(fit, relevance)
-    if not found and np.any(share > _HIDDEN):  # what is left of another cause may look like forces
+    # what is left of another cause may look like forces
+    if not found and np.any(share > DIAGNOSIS.worth_knowing):
         found = doubts_about_forces(fit)
     return found
 
@@ -132,9 +124,10 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
     if any(power.exp == sp.Rational(1, 2) for t in friction for power in t.expr.atoms(sp.Pow)):
         return np.zeros(size.size)
     weights = fit.weights
-    rms = np.sqrt(2.0 * _BAND / period / weights.physics)
+    rms = np.sqrt(2.0 * DIAGNOSIS.band / period / weights.physics)
     # an equation without terms has no size to compare with
-    return np.divide(rms, size, out=np.zeros(size.size), where=(weights.slack > _EVIDENT) & (size > 0.0))
+    visible = (weights.slack > DIAGNOSIS.evident) & (size > 0.0)
+    return np.divide(rms, size, out=np.zeros(size.size), where=visible)
 
 
 def _as_forces_are(fit: Fit) -> np.ndarray:
@@ -142,7 +135,7 @@ def _as_forces_are(fit: Fit) -> np.ndarray:
 
     1/w_i is the spectral density of the one; what no curve can follow shows that of the other.
     """
-    return fit.weights.physics * fit.grid.force_density * _OF_FORCES > 1.0
+    return fit.weights.physics * fit.grid.force_density * DIAGNOSIS.of_forces > 1.0
 
 
 def _unexplained_little(
@@ -155,7 +148,7 @@ def _unexplained_little(
             continue
         if excused[i]:
             notes.append(find("scatter-of-forces", names[i], equation_error=share[i]))
-        elif share[i] > _WORTH_KNOWING:
+        elif share[i] > DIAGNOSIS.worth_knowing:
             notes.append(find("equation-error", names[i], equation_error=share[i]))
     return notes
 
@@ -166,7 +159,7 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     return [
         find("looks-like-noise", name, share=part)
         for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
-        if part > _MUCH_NOISE
+        if part > DIAGNOSIS.much_noise
     ]
 
 
@@ -177,7 +170,7 @@ def _perhaps_degrees(fit: Fit) -> list[Finding]:
     return [
         find("angle-in-degrees", name, span=span)
         for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
-        if name in fit.problem.candidates.turning and span > _TWO_TURNS
+        if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
     ]
 
 
@@ -190,7 +183,7 @@ def _signal(fit: Fit) -> list[Finding]:
         for name, size, noise in zip(
             fit.problem.trajectories.coordinates, spread, fit.weights.position_std, strict=True
         )
-        if size < _VISIBLE * noise
+        if size < DIAGNOSIS.visible * noise
     ]
 
 
@@ -204,12 +197,12 @@ def _identifiability(fit: Fit) -> list[Finding]:
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
     texts = [fit.problem.terms[m].text for m in fit.structure]
-    loose = [text for text, r in zip(texts, relative, strict=True) if r > _INDISTINCT]
+    loose = [text for text, r in zip(texts, relative, strict=True) if r > DIAGNOSIS.indistinct]
     if not loose:
         return []
     # eigenvector of relative changes: the terms that move together
     weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
-    moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > _PART_OF_IT]
+    moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > DIAGNOSIS.part_of_it]
     together = len(moving) == len(texts) > 1 and np.all(weakest[moving] * weakest[moving[0]] > 0.5)
     signs = ["+" if weakest[k] * weakest[moving[0]] > 0 else "-" for k in moving]
     parts = [f"{s} {texts[k]}" for s, k in zip(signs, moving, strict=True)] if len(moving) > 1 else []
@@ -246,7 +239,7 @@ def _zero_offsets(fit: Fit) -> list[Finding]:
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
-            if beside is not None and abs(beside) < _SMALL_OFFSET * abs(coefficient):
+            if beside is not None and abs(beside) < DIAGNOSIS.small_offset * abs(coefficient):
                 angle, offset = str(cosine.args[0]), beside / coefficient
                 notes.append(find("zero-offset", angle, term=str(expression), offset=offset))
     return notes
@@ -259,7 +252,7 @@ def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
             "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
         )
         for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
-        if value > _NOISE_RATIO**2
+        if value > DIAGNOSIS.noise_ratio**2
     ]
 
 
@@ -278,7 +271,7 @@ def _whiteness(fit: Fit) -> list[Finding]:
         strict=True,
     ):
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
-        visible = abs(lag) > _LAG_ONE + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
+        visible = abs(lag) > DIAGNOSIS.lag_one + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
         if visible and not (name in loose and quantity == "position"):
             notes.append(find("correlated-residuals", name, quantity=quantity, correlation=lag))
     return notes

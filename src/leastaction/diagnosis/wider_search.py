@@ -14,6 +14,7 @@ import sympy as sp
 
 from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms, missing_term
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.findings import Finding
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold
@@ -21,7 +22,6 @@ from leastaction.selection.strategies import feeding_friction, weak_start
 
 __all__ = ["search_afresh"]
 
-_CERTAIN = 20.0  # standard errors: laws have 170 and more, what imitates them has terms of 4 to 8
 _MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
@@ -40,7 +40,7 @@ def search_afresh(search: Search) -> list[Finding]:
     found = search.found
     if not (found.converged and equations_hold(found)):
         return []
-    if np.any(np.abs(found.estimates) < _CERTAIN * found.standard_errors):
+    if np.any(np.abs(found.estimates) < DIAGNOSIS.certain * found.standard_errors):
         return []
     new = [m for m in found.structure if m >= len(fit.problem.candidates)]
     terms = [found.problem.terms[m].text for m in new if found.problem.terms[m].kind == "lagrangian"]

@@ -20,11 +20,11 @@ import numpy as np
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Physics, Weights
-from leastaction.estimation.weights import SLACK_LEFT, evidence
+from leastaction.estimation.settings import ESTIMATION
+from leastaction.estimation.weights import evidence
 
 __all__ = ["towards_exact"]
 
-_INDISTINCT = 1.0  # log likelihood
 _STEP = 3.0  # of w
 _MOST_STEPS = 8
 _TOLERANCE = 1e-3  # of −2 log likelihood: a thirtieth of a standard error
@@ -38,14 +38,14 @@ def towards_exact(fit: Fit) -> Fit:
     ratio, too, is chance on the plateau. The fit itself comes back where every equation shows an error, or
     where no larger weight is as likely.
     """
-    hardly = fit.weights.slack < SLACK_LEFT
+    hardly = fit.weights.slack < ESTIMATION.slack_left
     hardly[list(fit.problem.prescribed)] = False
     if not fit.converged or not hardly.any() or not np.isfinite(fit.evidence):
         return fit
     physics, index = fit.grid.physics(fit.structure)
     trial = _Trial(fit, physics)
     here = fit.weights, fit.control_points, fit.coefficients[index], fit.evidence
-    best, share = fit.evidence, _INDISTINCT / np.count_nonzero(hardly)
+    best, share = fit.evidence, ESTIMATION.as_likely / np.count_nonzero(hardly)
     for count, equation in enumerate(np.flatnonzero(hardly), start=1):
         here, best = _raise(trial, here, int(equation), best, count * share)
     weights, points, values, _ = here

@@ -10,14 +10,12 @@ import numpy as np
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_splines import slow_forces
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, find
 
 __all__ = ["ForceBias", "no_bias"]
 
-_SETTLED = 0.02
-_STALLED = 0.5
 _MOST_ROUNDS = 4
-_NONE = 1.5  # standard errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +69,8 @@ class ForceBias:
         more = slow_forces(fit, self.seconds)
         change = _rms(more)
         # a change that is hardly smaller than the one before follows the noise
-        done = (change <= _SETTLED * _rms(self.added)) | (change > _STALLED * self.last)
+        small = change <= ESTIMATION.bias_settled * _rms(self.added)
+        done = small | (change > ESTIMATION.bias_stalled * self.last)
         if self.rounds and np.all(done):
             return None
         return replace(self.adding(more, self.errors), rounds=self.rounds + 1, last=change)
@@ -83,7 +82,7 @@ class ForceBias:
 
     def settled(self, more: Sequence[np.ndarray]) -> bool:
         """Whether forces just added are small beside all of them."""
-        return bool(np.all(_rms(more) <= _SETTLED * _rms(self.added)))
+        return bool(np.all(_rms(more) <= ESTIMATION.bias_settled * _rms(self.added)))
 
     def found(self) -> dict[str, tuple[np.ndarray, ...]]:
         """Coordinate → slow force at the samples of each trajectory."""
@@ -96,7 +95,7 @@ class ForceBias:
         for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
             low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self.errors[i]
             figures = {"seconds": self.seconds[i], "lowest": low, "highest": high, "standard_error": error}
-            none = bool(_rms(list(parts)) < _NONE * error)
+            none = bool(_rms(list(parts)) < ESTIMATION.no_bias * error)
             out.append(find("slow-force", name, hardly_any=none, **figures))
         return out
 

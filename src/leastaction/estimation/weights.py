@@ -24,15 +24,14 @@ import numpy as np
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Measurements, linearise
+from leastaction.estimation.settings import ESTIMATION
 
-__all__ = ["SLACK_LEFT", "Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
+__all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
-SLACK_LEFT = 30.0  # of thousands of directions: hardly any equation error is left
 # equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
 _SMALL, _EXACT = 1e-3, 1e-5
 # below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
 _NOTHING = 1e-150
-_REGULAR = 0.9
 _HALVINGS = 4
 _MOST_STEPS = 100  # a structure that needs more is not worth it
 
@@ -67,7 +66,7 @@ def evidence(observations: Measurements, fit: JointFit) -> float:
     determine q̈, and the likelihood of the curve has no meaning.
     """
     at = fit.linearisation
-    if at.regular < _REGULAR:
+    if at.regular < ESTIMATION.mostly_regular:
         return -np.inf
     weights = fit.weights
     value = -0.5 * at.misfit(weights) - float(observations.counts @ np.log(weights.noise_std))
@@ -123,11 +122,12 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
         slack[i] = max(rank - used[i], 1e-3)
         ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
-        lowest = 1 / 30 if slack[i] > SLACK_LEFT else 1 / 3
+        lowest = 1 / 30 if slack[i] > ESTIMATION.slack_left else 1 / 3
         new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
         if at.terms[i] > 0.0:
             # an error that small makes no difference, and steps towards none at all would end on the way
-            hardly = slack[i] < SLACK_LEFT and fit.covariance.size > 0  # not while coefficients are held
+            # not while coefficients are held
+            hardly = slack[i] < ESTIMATION.slack_left and fit.covariance.size > 0
             least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
             new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
     for c in range(new_noise.size):

@@ -16,16 +16,16 @@ from leastaction.errors import StopSearch
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import Quadratic
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_search import Choice, QuadraticModel, search_subsets, term_penalty
 from leastaction.selection.progress import Progress, law_so_far, silent
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["Neighbourhood", "best_structure", "penalty", "refine", "value"]
 
-_LOST = 5.0
 _PROPOSED = 2  # structures fitted a round, at most
-_MOSTLY_REGULAR = 0.9
 
 
 def penalty(grid: Grid) -> float:
@@ -42,7 +42,7 @@ def value(fit: Fit) -> float:
     if not fit.usable or not np.isfinite(fit.evidence):
         return -np.inf
     # candidates that imitate the known term let the scale of L run away from it
-    if np.all(np.abs(fit.estimates) < _LOST * fit.standard_errors):
+    if np.all(np.abs(fit.estimates) < SELECTION.scale_lost * fit.standard_errors):
         return -np.inf
     return fit.evidence - 0.5 * penalty(fit.grid) * len(fit.structure)
 
@@ -99,7 +99,7 @@ class Neighbourhood:
 
     def regular(self, positions: tuple[int, ...]) -> bool:
         """Whether the equations of a structure can be solved for q̈ along most of the motion."""
-        return self.fit.regular(self.coefficients(positions)) > _MOSTLY_REGULAR
+        return self.fit.regular(self.coefficients(positions)) > ESTIMATION.mostly_regular
 
     def better(self, price: float) -> Iterator[tuple[Structure, Start]]:
         """Better structures, with their starts: the best, one near by, the second best.

@@ -33,12 +33,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leastaction.selection.settings import SELECTION
+
 __all__ = ["Choice", "QuadraticModel", "relevant", "search_subsets", "term_penalty", "trade_off"]
 
 _RIDGE = 1e-11
 _NO_BETTER = 1e-3  # in units of χ²
 _VAGUE = 1e-6  # prior precision at the start; 1 is that of the data, the other coefficients held
-_IRRELEVANT = 10.0
 _ROUNDS = 300
 _SETTLED = 1e-2
 _LARGEST = 1e150  # whose square is still a number
@@ -205,7 +206,7 @@ def relevant(model: QuadraticModel, penalty: float) -> tuple[int, ...]:
         determined = np.maximum(1.0 - precision * np.diag(covariance), 1e-12)
         updated = determined / np.maximum(mean**2, 1e-300)
         settled = np.all(np.abs(np.log(updated) - np.log(precision)) < _SETTLED)
-        stays = updated < _IRRELEVANT
+        stays = updated < SELECTION.irrelevant
         kept, precision = kept[stays], updated[stays]
         if settled or not kept.size:
             break

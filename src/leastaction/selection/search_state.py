@@ -16,11 +16,9 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding
 from leastaction.selection.progress import Progress, silent
+from leastaction.selection.settings import SELECTION
 
-__all__ = ["EXPLAINED", "Search", "begin_search", "equations_hold", "explains", "restarted"]
-
-EXPLAINED = 0.01  # equation error relative to the forces: exact libraries leave 0.0002 at most
-_REGULAR = 0.999
+__all__ = ["Search", "begin_search", "equations_hold", "explains", "restarted"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +130,11 @@ def restarted(search: Search, problem: Problem) -> Search:
 
 def equations_hold(fit: Fit) -> bool:
     """Whether every equation holds to one per cent of its terms."""
-    return bool(np.all(fit.equation_error()[0] <= EXPLAINED))
+    return bool(np.all(fit.equation_error()[0] <= SELECTION.holds))
 
 
 def explains(fit: Fit, value: float) -> bool:
     """Whether the equations hold to one per cent and can be solved; if not, look for a better structure."""
     if not fit.converged or not np.isfinite(value):
         return False
-    return equations_hold(fit) and fit.linearisation.regular > _REGULAR
+    return equations_hold(fit) and fit.linearisation.regular > SELECTION.solvable

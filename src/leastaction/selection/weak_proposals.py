@@ -8,11 +8,13 @@ import numpy as np
 
 from leastaction.curve.smoothing import Smooth
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakForm, WeakGram
 from leastaction.selection.weak_search import (
@@ -29,11 +31,7 @@ __all__ = ["Proposal", "propose_structures", "weak_grams"]
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
-_EXPLAINED = 3.0
-_ROWS_EACH = 1.6  # independent rows a candidate, at least, for a search backward: 1.7 sufficed, 1.4 did not
 _TRIED = 60  # structures whose mass matrix is looked at
-_MOSTLY_REGULAR = 0.9
-_OVERLAP = 3.0  # neighbouring test functions share data: rows count for less than one sample each
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,18 +88,18 @@ def _best_support(
     """Best structure of one width whose mass matrix is positive definite, and all coefficients."""
     problem = grid.problem
     free = problem.free
-    n_rows = max(gram.n_rows / _OVERLAP, 4.0)
+    n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
     price = term_penalty(int(n_rows), free.size)
     first = None
     for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
         ranked = _ranked(gram, error, price, n_rows, bases)
-        if ranked[0].ratio < _EXPLAINED:
+        if ranked[0].ratio < SELECTION.rows_explained:
             break
     for support in ranked[:_TRIED]:
         coefficients = problem.completed(np.zeros(len(problem.candidates)))
         coefficients[free] = solve_support(gram, error, support.members)
         answer = Structure(free[list(support.members)]), coefficients
-        if grid.regular(coefficients, curve.control_points) > _MOSTLY_REGULAR:
+        if grid.regular(coefficients, curve.control_points) > ESTIMATION.mostly_regular:
             return answer
         first = first or answer
     assert first is not None
@@ -119,7 +117,7 @@ def _ranked(
     size, noise = gram.residual.shape[0] - 1, 1.0
     if bases is not None:
         levels = grow_bases(gram, error, price, n_rows, size, bases)
-    elif n_rows < _ROWS_EACH * size:
+    elif n_rows < SELECTION.rows_each * size:
         levels = beam_search(gram, error, price, n_rows, size)
     else:
         levels = backward_search(gram, error, price, n_rows)

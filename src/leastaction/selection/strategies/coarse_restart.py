@@ -15,16 +15,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from leastaction.curve.knots import KNOTS_PER_RADIAN
+from leastaction.curve.settings import CURVE
 from leastaction.errors import StopSearch
 from leastaction.estimation.grid import Grid
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["horizon", "run"]
-
-_HORIZON = 0.5  # of the simulations that judge, in periods of the motion
-_CLEARLY = 0.95  # the coarse grid has to be better by 5 %
 
 
 def run(search: Search, again: Callable[[Search], Search]) -> Search:
@@ -54,10 +52,10 @@ def run(search: Search, again: Callable[[Search], Search]) -> Search:
     first, second = (forecast_error(fit, horizon(knots)) for fit in (fine, coarse))
     search.report("coarse", {"forecast_error": second, "before": first})
     # where its equations hold the first search went astray, and no machine need vibrate
-    better = second < (first if equations_hold(coarse) else _CLEARLY * first)
+    better = second < (first if equations_hold(coarse) else SELECTION.clearly * first)
     return replace(other, curve=search.curve, thorough=search.thorough) if better else search
 
 
 def horizon(knots_per_second: float) -> float:
     """Seconds of the simulations that judge."""
-    return _HORIZON * 2.0 * np.pi * KNOTS_PER_RADIAN / knots_per_second
+    return SELECTION.horizon * 2.0 * np.pi * CURVE.knots_per_radian / knots_per_second

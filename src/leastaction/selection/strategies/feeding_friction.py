@@ -10,10 +10,10 @@ from __future__ import annotations
 from leastaction.estimation.fit import Fit
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["negative_friction", "run"]
 
-_NEGATIVE = -3.0  # standard errors
 _ROUNDS = 4
 
 
@@ -24,7 +24,7 @@ def run(search: Search) -> Search:
         negative = negative_friction(fit)
         if not negative:
             break
-        feeding += tuple(m for m, z in negative.items() if z < _NEGATIVE)
+        feeding += tuple(m for m, z in negative.items() if z < SELECTION.feeds)
         grid = fit.grid.posed(fit.problem.excluding(list(negative)))
         fit = refine(grid.fit(fit.structure.without(negative), fit.start), search.report, _ROUNDS)
     return search.now(fit, feeding=feeding)

@@ -9,20 +9,16 @@ import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.weights import SLACK_LEFT
-from leastaction.selection.search_state import EXPLAINED, Search
+from leastaction.estimation.settings import ESTIMATION
+from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["run"]
 
-_FINER = 1.4  # between one grid and the next
 _CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured: docs/method.md)
-_MOST_MOVED = 0.1  # standard errors
-_MOST_SHRUNK = 0.03
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
-_GROWN = 1.1
 _MOST_ROUNDS = 6
-_MOST_KNOTS = 3.0  # a sample
 
 
 def run(search: Search) -> Search:
@@ -34,10 +30,10 @@ def run(search: Search) -> Search:
     """
     fit = search.found
     rate = max(t.size / (t[-1] - t[0]) for t in fit.grid.times)
-    growth, factor = np.ones(fit.grid.observations.n_dof), _FINER
+    growth, factor = np.ones(fit.grid.observations.n_dof), SELECTION.finer
     for done in range(_MOST_ROUNDS):
         before = fit.grid.knots_per_second
-        if not fit.converged or before > _MOST_KNOTS * rate:
+        if not fit.converged or before > SELECTION.most_knots * rate:
             return search.now(fit, knots_settled=False, vibrates=False)
         left = fit.equation_error()[0]
         grid = Grid.lay(fit.problem, before * factor)
@@ -46,20 +42,21 @@ def run(search: Search) -> Search:
         if not finer.converged or not np.isfinite(finer.evidence):
             return search.now(fit, knots_settled=False, vibrates=False)
         off = finer.equation_error()[0]
-        if np.any((off > EXPLAINED) & (off > _GROWN * left)):
+        if np.any((off > SELECTION.holds) & (off > SELECTION.grown * left)):
             return search.now(fit, knots_settled=True, vibrates=True)
-        if done and np.any(off > EXPLAINED):  # not for want of knots
+        if done and np.any(off > SELECTION.holds):  # not for want of knots
             return search.now(finer, knots_settled=False, vibrates=False)
         # finer splines leave a smaller equation error, by nearly the same factor in every round, until
         # hardly any of it is left and its weight no longer matters
         growth = np.clip(finer.weights.physics / fit.weights.physics, 1.0, _FASTEST_GROWTH)
-        growth[finer.weights.slack < SLACK_LEFT] = 1.0
+        growth[finer.weights.slack < ESTIMATION.slack_left] = 1.0
         ahead = _change_ahead(fit, finer, 1.0 / (factor**_CONVERGENCE - 1.0))
         fit = finer
         if ahead < 1.0:
             return search.now(fit, knots_settled=True, vibrates=False)
-        skip = ahead > _FINER**_CONVERGENCE and np.all(off <= EXPLAINED)  # the next round would not do
-        factor = _FINER**2 if skip else _FINER
+        # the next round would not do
+        skip = ahead > SELECTION.finer**_CONVERGENCE and np.all(off <= SELECTION.holds)
+        factor = SELECTION.finer**2 if skip else SELECTION.finer
     return search.now(fit, knots_settled=False, vibrates=False)
 
 
@@ -73,4 +70,4 @@ def _change_ahead(coarser: Fit, finer: Fit, share: float) -> float:
     before, now = (np.maximum(fit.standard_errors, least) for fit in (coarser, finer))
     move = share * np.abs(finer.estimates - coarser.estimates) / now
     shrink = np.minimum(share * (before - now), now - least) / now
-    return float(max((move / _MOST_MOVED).max(), (shrink / _MOST_SHRUNK).max()))
+    return float(max((move / SELECTION.most_moved).max(), (shrink / SELECTION.most_shrunk).max()))

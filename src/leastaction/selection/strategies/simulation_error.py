@@ -18,13 +18,10 @@ from leastaction.estimation.simulation_error import SimulationFit, minimise_simu
 from leastaction.findings import find
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.strategies.coarse_restart import horizon
 
 __all__ = ["run"]
-
-_QUARTER = 0.25  # of a period: simulations that are minimised; where errors grow, long ones are biased
-_CHANCE = 1e-3  # simulations have to contradict the fit at this level to be believed
-_CLEARLY = 0.95
 
 
 def run(search: Search) -> Search:
@@ -33,7 +30,7 @@ def run(search: Search) -> Search:
     if not fit.converged or fit.grid.knots_per_second >= scales.per_second:
         return search
     where = Grid.lay(search.searched, scales.per_second)
-    short = _QUARTER * scales.period
+    short = SELECTION.simulated * scales.period
     found = minimise_simulation_error(where, scales.smooth, fit.structure, fit.coefficients, short)
     if found is None or not _differ(found, fit.estimates):
         return search
@@ -42,7 +39,7 @@ def run(search: Search) -> Search:
     better = fit.grid.held(fit, coefficients, found.covariance)
     before, after = (forecast_error(f, horizon(scales.coarse)) for f in (fit, better))
     search.report("coarse", {"forecast_error": after, "before": before})
-    if after > before / _CLEARLY or better.regular() < fit.regular():
+    if after > before / SELECTION.clearly or better.regular() < fit.regular():
         return search
     note = find("coefficients-of-free-runs", horizon=short)
     return replace(search.now(better), findings=(*search.findings, note))
@@ -57,4 +54,4 @@ def _differ(found: SimulationFit, before: np.ndarray) -> bool:
     moved = (found.estimates - before) / spread
     correlation = found.covariance / np.outer(spread, spread)
     square = float(moved @ np.linalg.pinv(correlation, hermitian=True) @ moved)
-    return bool(chdtrc(before.size, square) < _CHANCE)
+    return bool(chdtrc(before.size, square) < SELECTION.chance)

@@ -1,0 +1,76 @@
+"""What decides in the search for a structure.
+
+Each value says its unit and where it comes from. What half and twice of it do is measured by
+``benchmarks/thresholds.py``, on set-ups that no rule was made for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["SELECTION", "SelectionSettings"]
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Settings of `leastaction.selection`."""
+
+    holds: float = 0.01
+    """Equation error relative to the terms of the equation, above which an equation does not hold.
+
+    Exact libraries leave 0.0002 at most, libraries without a needed term 0.004 and more."""
+
+    solvable: float = 0.999
+    """Share of the motion along which the mass matrix has to be positive definite for a search to end."""
+
+    rows_explained: float = 3.0
+    """ρ of the weak form (`weak_search`), 1 for the law: with less, the equation error is taken as large
+    enough."""
+
+    rows_each: float = 1.6
+    """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
+    with 16 to 31 candidates."""
+
+    overlap: float = 3.0
+    """Rows of the weak form that count as one independent row: neighbouring test functions share data."""
+
+    irrelevant: float = 10.0
+    """Prior precision at which relevance determination drops a candidate; 1 is the precision that the data
+    give it, the other coefficients held."""
+
+    scale_lost: float = 5.0
+    """Standard errors. With no coefficient further from zero, candidates have cancelled the known term and
+    the scale of L is lost."""
+
+    feeds: float = -3.0
+    """z below which negative friction is reported as energy fed in, not as chance."""
+
+    simulated: float = 0.25
+    """Periods of the simulations that are minimised. Where errors grow, long ones are biased."""
+
+    chance: float = 1e-3
+    """Probability. Simulations have to contradict a fit at this level to be believed (Hausman's test)."""
+
+    horizon: float = 0.5
+    """Periods of the simulations that judge between two fits."""
+
+    clearly: float = 0.95
+    """Ratio of simulation errors. What is less likely, or less precise, has to forecast better by 5 %."""
+
+    finer: float = 1.4
+    """Knots of one grid over those of the grid before."""
+
+    most_moved: float = 0.1
+    """Standard errors by which still finer knots may move a coefficient."""
+
+    most_shrunk: float = 0.03
+    """Share by which still finer knots may lower a standard error."""
+
+    grown: float = 1.1
+    """Ratio of equation errors from one grid to the next, above which finer knots follow vibrations."""
+
+    most_knots: float = 3.0
+    """Knots a sample, at most."""
+
+
+SELECTION = SelectionSettings()
