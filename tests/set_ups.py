@@ -124,6 +124,7 @@ SET_UPS: dict[str, Callable[[], tuple]] = {
     "pushed a little": lambda: _machine(_pendulum(9, viscous=0.2, pushed=0.3)),
     "pushed": lambda: _machine(_pendulum(10, viscous=0.2, pushed=2.0, noise=1e-4)),
     "pushed hard": lambda: _machine(_pendulum(11, viscous=0.2, pushed=5.0, noise=1e-4)),
+    "pushed very hard": lambda: _machine(_pendulum(21, viscous=0.3, pushed=20.0, noise=1e-4)),
     "pushed, no friction": lambda: _machine(_pendulum(12, pushed=2.0, noise=1e-4)),
     "double_well": lambda: _system("double_well"),
     "toda_chain": lambda: _system("toda_chain"),

@@ -1,6 +1,12 @@
 """Finer knots, until they no longer matter.
 
-Cost: one joint fit for each grid, two or three as a rule.
+On a grid coarser than the motion asks for, what the spline cannot follow counts as noise. A fit that is
+carried to finer knots may go on counting it as noise although the finer spline follows it: the likelihood has
+two maxima, exact equations with much noise, and little noise with an equation error. Both are fitted there,
+and the likelier one stays.
+
+Cost: one joint fit for each grid, two or three as a rule; two for each grid that is coarser than the motion
+asks for.
 """
 
 from __future__ import annotations
@@ -19,6 +25,7 @@ _CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured:
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _MOST_ROUNDS = 6
+_INDISTINCT = 1.0  # log likelihood: below it two fits of one structure are the same
 
 
 def run(search: Search) -> Search:
@@ -39,6 +46,8 @@ def run(search: Search) -> Search:
         grid = Grid.lay(fit.problem, before * factor)
         search.report("knots", {"knots_per_second": grid.knots_per_second})
         finer = grid.fit(fit.structure, grid.carried(fit, growth))
+        if before < search.scales.per_second:
+            finer = _likelier(finer, _from_samples(grid, fit))
         if not finer.converged or not np.isfinite(finer.evidence):
             return search.now(fit, knots_settled=False, vibrates=False)
         off = finer.equation_error()[0]
@@ -58,6 +67,20 @@ def run(search: Search) -> Search:
         skip = ahead > SELECTION.finer**_CONVERGENCE and np.all(off <= SELECTION.holds)
         factor = SELECTION.finer**2 if skip else SELECTION.finer
     return search.now(fit, knots_settled=False, vibrates=False)
+
+
+def _from_samples(grid: Grid, coarser: Fit) -> Fit:
+    """The structure of a coarser fit, begun from the smoothed samples and their noise on this grid."""
+    curve = grid.smooth()
+    start = grid.start(coarser.structure, curve.control_points, coarser.coefficients, curve.noise_std)
+    return grid.fit(coarser.structure, start)
+
+
+def _likelier(carried: Fit, other: Fit) -> Fit:
+    """The fit of higher evidence on one grid; the first where they are the same."""
+    if not other.converged or not np.isfinite(other.evidence):
+        return carried
+    return other if not carried.converged or other.evidence > carried.evidence + _INDISTINCT else carried
 
 
 def _change_ahead(coarser: Fit, finer: Fit, share: float) -> float:
