@@ -80,6 +80,8 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     assert "leastaction discover a.csv" in page.by_id("reproduce").one("pre").text
     assert model.provenance["data"] in page.by_id("reproduce").text
     assert "double_pendulum-0" in page.by_id("data").text
+    for section in ("curve", "residuals", "energy"):
+        assert "rial double_pendulum-0" in page.by_id(section).text
     facts = {d.one("dt").text: d.all("dd")[0].text for d in page.by_id("verdict").one("dl").all("div")}
     assert facts["Terms found"] == str(len(model.terms))
     assert facts["Forecast error"] == percent(float(validation.rms_over_std.max()))

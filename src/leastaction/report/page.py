@@ -132,7 +132,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     path = model.diagnostics.path if model.diagnostics else ()
     path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
     if not any(point.chosen for point in path):
-        return {"path": [], "runner_up": None, "shown": None}
+        return {"path": [], "runner_up": None, "by_hand": None}
     rivals = [point for point in path if not point.chosen]
     relevance = _options(model).get("relevance")
     by_hand = model.provenance.get("structure")
@@ -144,7 +144,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
         "n_hidden": len(path) - len(rows),
         "path_figure": figures.path_figure(path),
         "path_title": captions.path_title(path),
-        "shown": shown,
+        "by_hand": shown,
         "runner_up": None
         if best is None
         else {
