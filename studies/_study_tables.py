@@ -22,6 +22,7 @@ from studies._tables import (
     support_table,
     title_of,
 )
+from studies._unlisted_tables import tables as unlisted
 from studies.faults import FAULTS
 from studies.said import causes_in, codes_in, sentences_in
 
@@ -33,8 +34,8 @@ _RIGHT = 0.05
 
 def tables(study: str, records: Records) -> list[Table]:
     """Return all tables of a study."""
-    made = {"calibration": _calibration, "faults": _faults, "noise": _noise}.get(study, _structure)(records)
-    return list(made)
+    special = {"calibration": _calibration, "faults": _faults, "noise": _noise, "unlisted": unlisted}
+    return list(special.get(study, _structure)(records))
 
 
 def _structure(records: Records) -> Iterator[Table]:

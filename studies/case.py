@@ -17,12 +17,12 @@ class Case:
     study : str
         Decides what is done to the data and what is kept of the run.
     system : str
-        A name that ``leastaction.systems.get`` knows.
+        A name that ``leastaction.systems.get`` knows, or in the study ``unlisted`` one of ``laws.py``.
     noise : float
         Level, times the standard deviation of each coordinate.
     setup : str
         What is done to the data or the question ("plain": nothing): see ``noises.py`` and ``faults.py``.
-    library : {"compact", "large"}
+    library : {"compact", "large", "auto"}
     trial : int
         New initial conditions, forcing and noise each.
     trajectories : int

@@ -9,6 +9,7 @@ from itertools import product
 from leastaction import systems
 from studies.case import Case
 from studies.faults import SETUPS
+from studies.laws import LAWS
 from studies.noises import FORCE_KINDS, KINDS
 
 __all__ = ["PLANS", "Plan", "cases"]
@@ -44,6 +45,11 @@ def _noise() -> Iterator[Case]:
     yield from _grid("noise", driven, (0.01, 0.05), tuple(FORCE_KINDS))
 
 
+def _unlisted() -> Iterator[Case]:
+    for trajectories in (1, 5):
+        yield from _grid("unlisted", LAWS, (0.01, 0.05, 0.1), libraries=("auto",), trajectories=trajectories)
+
+
 PLANS = {
     "structure": Plan(10, 1800.0, tuple(_structure())),
     "single": Plan(10, 900.0, tuple(_grid("single", systems.names(), (0.01, 0.1), trajectories=1))),
@@ -55,6 +61,7 @@ PLANS = {
         1800.0,
         tuple(_grid("further", systems.further_names(), (0.01, 0.1), libraries=("compact", "large"))),
     ),
+    "unlisted": Plan(3, 300.0, tuple(_unlisted())),
 }
 
 

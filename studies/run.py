@@ -20,6 +20,7 @@ from runner.origin import ROOT
 from runner.store import Store
 from studies._pool import Options, solved
 from studies._record import record
+from studies._tables import number
 from studies.case import Case
 from studies.plans import PLANS, cases
 
@@ -37,6 +38,9 @@ def _line(case: Case, result: dict) -> str:
         return f"{case.key}: {result['status']}: {result['reason']}"
     if result["status"] == "no model":
         return f"{case.key}: no model: {result['reason']}"
+    if case.study == "unlisted":
+        error = number(result["acceleration_error"], ".2e")
+        return f"{case.key}: {result['status']}, accelerations off by {error}, {result['cpu_s']:.1f} CPU s"
     verdict = "exact" if result["exact"] else "wrong"
     return f"{case.key}: {verdict}, {result['status']}, l2 {result['l2']:.2e}, {result['wall_s']:.1f} s"
 
@@ -46,8 +50,9 @@ def _line(case: Case, result: dict) -> str:
 @click.option("--system", multiple=True, help="Only these; default: all of the study.")
 @click.option("--noise", multiple=True, type=float)
 @click.option("--setup", multiple=True)
-@click.option("--library", multiple=True, type=click.Choice(["compact", "large"]))
+@click.option("--library", multiple=True, type=click.Choice(["compact", "large", "auto"]))
 @click.option("--rate", multiple=True, type=float)
+@click.option("--trajectories", multiple=True, type=int)
 @click.option("--trials", type=click.IntRange(1), help="Data sets a case; default: those of the study.")
 @click.option("--jobs", type=click.IntRange(1), default=1, show_default=True, help="Runs at a time.")
 @click.option("--timeout", type=float, help="Seconds a run may take; default: that of the study.")

@@ -11,6 +11,7 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
+from studies import unlisted
 from studies.case import Case
 from studies.faults import FAULTS, Question
 from studies.noises import measured
@@ -59,6 +60,8 @@ def friction_candidates(system: systems.MechanicalSystem) -> list[str]:
 
 def solve(case: Case) -> dict:
     """Return everything that is kept of one discovery; an error of the user's kind is an answer too."""
+    if case.study == "unlisted":
+        return unlisted.solve(case)
     question, sigma = pose(case)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
