@@ -26,6 +26,7 @@ from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Library
 from leastaction.model.model import LagrangianModel
+from leastaction.selection.significance import chi_square_cutoff
 from leastaction.threads import single_threaded
 
 __all__ = ["DelayEstimate", "estimate", "shift_forces"]
@@ -36,8 +37,6 @@ _STEPS_PER_PERIOD = 12  # of the forces
 _FEWEST, _MOST = 9, 61  # delays on the first grid
 _ROUNDS = 3
 _HELD = 3
-_FLAT = 4.0  # log likelihood; chance reaches half of it in one of twenty cases
-_RIVAL = 3.0
 _SETTLED = 2.0
 _MOST_SECTIONS = 30
 _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
@@ -343,7 +342,8 @@ class _Profile:
         if not np.isfinite(values).any():
             return "no delay lets the equations be solved: check the library and the signs of the forces"
         best = float(tried[np.argmax(values)])
-        if np.nanmin(values) > values.max() - _FLAT:
+        chance = 0.5 * chi_square_cutoff()  # of log likelihood
+        if np.nanmin(values) > values.max() - chance:
             return (
                 "the likelihood hardly depends on it: forces that change faster, or larger ones "
                 "against the noise, would show it"
@@ -356,7 +356,7 @@ class _Profile:
         rivals = [
             float(tried[k])
             for k in range(1, tried.size - 1)
-            if values[k] >= max(values[k - 1], values[k + 1], values.max() - _RIVAL)
+            if values[k] >= max(values[k - 1], values[k + 1], values.max() - chance)
             and abs(tried[k] - best) > max(2.0 * self.step, 5.0 * error)
         ]
         if rivals:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import numpy as np
 
-from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
+from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
+from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["rival_warnings"]
 
@@ -24,17 +26,22 @@ _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
     """One finding for each rival, the most likely first.
 
-    Rivals have as many terms as the chosen structure, or one more: where the motion shows little, the law
-    itself may lose by the price of a term.  It is then likelier than the chosen terms with any further one,
-    which follow the noise only.  Not where the library is inexact: there a further term always helps.
+    A rival R is a structure that the data do not exclude as the law.  Were it the law, the chosen structure S
+    would be the likelier by chance only: by no more than S ∪ R is, whose further |S ∖ R| terms were taken
+    from the candidates outside of R.  So R stays in play as long as it loses less than that test allows.
+
+    Rivals have as many terms as S, or one more: where the motion shows little, the law itself may lose by the
+    price of a term.  It is then likelier than S with any further term, which follows the noise only.  Not
+    where the library is inexact: there a further term always helps.
     """
     chosen = fit.structure
     same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
-    rivals = [a for a in same if a.cost < DIAGNOSIS.as_likely]
+    outside = fit.problem.free.size - len(chosen)
+    rivals = [a for a in same if a.cost < _excluded(chosen, a.structure, outside)]
     if np.all(fit.weights.slack < ESTIMATION.slack_left):
         larger = [a for a in alternatives if len(a.structure) == len(chosen) + 1]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
-        rivals += [a for a in larger if a.cost < min(0.0, extended) - DIAGNOSIS.one_more]
+        rivals += [a for a in larger if a.cost < min(0.0, extended)]
     texts = [term.text for term in fit.problem.terms]
     out = []
     for rival in rivals[:_MOST]:
@@ -44,6 +51,12 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
         where = {"at_names": list(state), "at_values": list(state.values())}
         out.append(find("competing-structures", mine, others=theirs, **where))
     return out
+
+
+def _excluded(chosen: Structure, rival: Structure, outside: int) -> float:
+    """−2 log likelihood by which a rival has to lose to be excluded."""
+    more = len(chosen.without(rival))
+    return chi_square_cutoff(more, comb(outside, more))
 
 
 def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:

@@ -2,7 +2,9 @@
 
 All are likelihood-ratio tests on the final fit, by the means of the selection: friction that is not among
 the candidates is scored beside the chosen terms, and so is what a delay of the forces would leave; a known
-coefficient is set free to see whether fewer terms then say the same.
+coefficient is set free to see whether fewer terms then say the same.  Each has to explain more than chance
+does (:mod:`leastaction.selection.significance`); to that comes the relevant share of the equation error's
+variance, as in the selection.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.search_state import equations_hold
+from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
@@ -35,9 +38,9 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     if not tested:
         return []
     candidates = columns.of([*(columns.terms[m] for m in fit.structure), *tested])
-    model, base, threshold = _beside(fit, candidates, relevance)
-    found = _most_likely(model, base, dict(enumerate(tested, len(base))))
-    if _gain(model, base, *found) < threshold:
+    model, base = _beside(fit, candidates)
+    found, gain = _most_likely(model, base, dict(enumerate(tested, len(base))))
+    if gain <= _relevant(fit, relevance):
         return []
     out, values = [], model.solution((*base, *found))
     for k in found:
@@ -52,16 +55,20 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     return out
 
 
-def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int, Term]) -> tuple[int, ...]:
-    """The friction that explains most, each at its price; it may be negative where it is viscous.
+def _most_likely(
+    model: QuadraticModel, base: tuple[int, ...], tested: dict[int, Term]
+) -> tuple[tuple[int, ...], float]:
+    """The friction that explains most, and how much beyond chance; it may be negative where it is viscous.
 
     Terms are added and dropped one at a time: a damper between two joints does for friction in both, until
     both are there.
     """
+    # the power of the velocity is one more parameter of friction that is not viscous
+    count = len(tested)
+    prices = {k: chi_square_cutoff(1 if _viscous(term) else 2, count) for k, term in tested.items()}
 
     def value(chosen: tuple[int, ...]) -> float:
-        price = sum(DIAGNOSIS.better if _viscous(tested[k]) else DIAGNOSIS.unusual for k in chosen)
-        return _gain(model, base, *chosen) - price
+        return _gain(model, base, *chosen) - sum(prices[k] for k in chosen)
 
     chosen: tuple[int, ...] = ()
     while True:
@@ -74,7 +81,7 @@ def _most_likely(model: QuadraticModel, base: tuple[int, ...], tested: dict[int,
         solution = model.solution((*base, *chosen))
         wrong = [k for k in chosen if solution[k] < 0.0 and not _viscous(tested[k])]
         if not wrong:
-            return chosen
+            return chosen, value(chosen)
         tested = {k: term for k, term in tested.items() if k not in wrong}
         chosen = tuple(k for k in chosen if k not in wrong)
 
@@ -132,24 +139,26 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
         return []
     chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(fit.grid.forces.rates))
-    model, base, threshold = _beside(fit, late, relevance)
+    model, base = _beside(fit, late)
     gain = _gain(model, base, len(base))
-    if gain < threshold:
+    if gain <= chi_square_cutoff() + _relevant(fit, relevance):
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < DIAGNOSIS.half_a_sample
     return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
 
 
-def _beside(
-    fit: Fit, candidates: EulerLagrange, relevance: float
-) -> tuple[QuadraticModel, tuple[int, ...], float]:
-    """Quadratic model of the chosen terms and those behind them, places of the chosen, a decisive gain."""
+def _beside(fit: Fit, candidates: EulerLagrange) -> tuple[QuadraticModel, tuple[int, ...]]:
+    """Quadratic model of the chosen terms and those behind them, and places of the chosen."""
     quadratic, chosen = fit.score(candidates), len(fit.structure)
     here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
     model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-    threshold = DIAGNOSIS.decisive + relevance * float(fit.weights.slack.sum())
-    return model, tuple(range(chosen)), threshold
+    return model, tuple(range(chosen))
+
+
+def _relevant(fit: Fit, relevance: float) -> float:
+    """What a cause has to explain of the equation error."""
+    return relevance * float(fit.weights.slack.sum())
 
 
 def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
@@ -165,12 +174,12 @@ def wrong_known(fit: Fit) -> list[Cause]:
     known = np.flatnonzero(fit.problem.is_known)
     if not known.size or (fit.grid.forces is None and known.size < 2):
         return []
-    out = []
-    for k in known[:_MOST_RELEASED]:
+    out, tested = [], known[:_MOST_RELEASED]
+    for k in tested:
         released = fit.grid.posed(fit.problem.releasing(int(k)))
         found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))
         gain = 2.0 * (value(found) - value(fit))
-        if not gain > DIAGNOSIS.better:
+        if not gain > chi_square_cutoff(1, len(tested)):
             continue
         estimate, text = found.coefficients[k], fit.problem.terms[int(k)].text
         fewer = len(fit.structure) + 1 - len(found.structure)

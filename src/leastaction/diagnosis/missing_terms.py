@@ -7,17 +7,18 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import comb
 
 import numpy as np
 
 from leastaction.diagnosis.cause import Cause
-from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.search_state import equations_hold
+from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["common_terms", "lacking_terms", "missing_term"]
 
@@ -46,11 +47,15 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     found = refine(here, rounds=_ROUNDS, most=1)
     gain = 2.0 * (value(found) - value(here))
     new = [found.problem.terms[m].text for m in found.structure if m >= len(columns)]
-    threshold = DIAGNOSIS.better + relevance * float(fit.weights.slack.sum())
+    if not new:
+        return []
+    # the price of the terms is in the gain; an exchange for one of many others pays none
+    chance = chi_square_cutoff(len(new), comb(len(common), len(new)))
+    threshold = chance + relevance * float(fit.weights.slack.sum())
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.structure) <= len(fit.structure)
     holds = equations_hold(found)
-    if not (new and (fewer or (holds and not hold)) and found.converged and gain > threshold):
+    if not ((fewer or (holds and not hold)) and found.converged and gain > threshold):
         return []
     figures = {
         "free_terms": len(found.structure),

@@ -16,23 +16,6 @@ __all__ = ["DIAGNOSIS", "DiagnosisSettings"]
 class DiagnosisSettings:
     """Settings of `leastaction.diagnosis`."""
 
-    as_likely: float = 5.0
-    """−2 log likelihood. A structure of the same size is a rival if it loses by less."""
-
-    one_more: float = 2.0
-    """−2 log likelihood by which a rival with one term more has to be likelier than the chosen terms with any
-    further one."""
-
-    better: float = 10.0
-    """−2 log likelihood, beyond the price of every term, by which a named cause has to explain the motion
-    better. To it comes the relevant share of the equation error's variance, as in the selection."""
-
-    decisive: float = 30.0
-    """−2 log likelihood of all unmodelled friction, or of a delay: one in ten million by chance."""
-
-    unusual: float = 20.0
-    """Instead of ``better``, where friction is not viscous."""
-
     half_a_sample: float = 0.15
     """Sampling intervals by which a delay may differ from half of one, to be called forces that are held."""
 

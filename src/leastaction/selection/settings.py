@@ -15,6 +15,13 @@ __all__ = ["SELECTION", "SelectionSettings"]
 class SelectionSettings:
     """Settings of `leastaction.selection`."""
 
+    false_alarm: float = 1e-3
+    """Probability that a check answers wrongly by chance. Every cut-off of a likelihood ratio follows from it
+    (`significance`).
+
+    Preference: a discovery makes about five checks, so one correct recording in 200 is called doubtful by
+    chance."""
+
     holds: float = 0.01
     """Equation error relative to the terms of the equation, above which an equation does not hold.
 
@@ -42,14 +49,8 @@ class SelectionSettings:
     """Standard errors. With no coefficient further from zero, candidates have cancelled the known term and
     the scale of L is lost."""
 
-    feeds: float = -3.0
-    """z below which negative friction is reported as energy fed in, not as chance."""
-
     simulated: float = 0.25
     """Periods of the simulations that are minimised. Where errors grow, long ones are biased."""
-
-    chance: float = 1e-3
-    """Probability. Simulations have to contradict a fit at this level to be believed (Hausman's test)."""
 
     horizon: float = 0.5
     """Periods of the simulations that judge between two fits."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from leastaction.estimation.fit import Fit
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
-from leastaction.selection.settings import SELECTION
+from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["negative_friction", "run"]
 
@@ -24,7 +24,8 @@ def run(search: Search) -> Search:
         negative = negative_friction(fit)
         if not negative:
             break
-        feeding += tuple(m for m, z in negative.items() if z < SELECTION.feeds)
+        certain = normal_cutoff(len(negative))
+        feeding += tuple(m for m, z in negative.items() if -z > certain)
         grid = fit.grid.posed(fit.problem.excluding(list(negative)))
         fit = refine(grid.fit(fit.structure.without(negative), fit.start), search.report, _ROUNDS)
     return search.now(fit, feeding=feeding)

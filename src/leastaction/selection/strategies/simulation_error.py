@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.simulation_error import SimulationFit, minimise_simulation_error
@@ -19,6 +18,7 @@ from leastaction.findings import find
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
+from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies.coarse_restart import horizon
 
 __all__ = ["run"]
@@ -54,4 +54,4 @@ def _differ(found: SimulationFit, before: np.ndarray) -> bool:
     moved = (found.estimates - before) / spread
     correlation = found.covariance / np.outer(spread, spread)
     square = float(moved @ np.linalg.pinv(correlation, hermitian=True) @ moved)
-    return bool(chdtrc(before.size, square) < SELECTION.chance)
+    return square > chi_square_cutoff(before.size)
