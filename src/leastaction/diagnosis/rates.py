@@ -19,6 +19,7 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import Rate
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.findings import Finding, find
+from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["doubts_about_rates"]
 
@@ -45,6 +46,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
     states = smooth.grid.at_quadrature(smooth.control_points)
     _, qdot, qddot = (np.sqrt((s**2).mean(axis=(0, 1))) for s in states)
     widths = _WIDTH * 2.0 * np.pi * qdot / np.maximum(qddot, 1e-300)
+    sure = normal_cutoff(3 * len(trajectories.rates))  # too small a factor, too large a one, an offset
     doubts = []
     for rate in trajectories.rates:
         pairs, gains = _pairs(trajectories, rate, float(widths[rate.coordinate]))
@@ -55,7 +57,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
         spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
         clear = np.all(pairs.std(axis=0) > DIAGNOSIS.rate_clear * gains * spread)
         constant = np.nanmax(y) == np.nanmin(y)
-        wrong = ("rate-constant", {}) if constant else _about(rate.derivative, pairs, bool(clear))
+        wrong = ("rate-constant", {}) if constant else _about(rate.derivative, pairs, bool(clear), sure)
         if wrong:
             code, figures = wrong
             name = trajectories.coordinates[rate.coordinate]
@@ -109,10 +111,10 @@ class _Samples:
         return float(weights @ self.values[a:b]), float(np.sqrt(weights @ weights))
 
 
-def _about(derivative: int, pairs: np.ndarray, clear: bool) -> tuple[str, dict] | None:
+def _about(derivative: int, pairs: np.ndarray, clear: bool, sure: float) -> tuple[str, dict] | None:
     """Code and figures of what is wrong with a channel, from its pairs (derived, measured).
 
-    ``clear`` if noise is small in both.
+    ``clear`` if noise is small in both; ``sure`` are the standard errors that chance does not pass.
     """
     derived, measured = pairs.T
     flat, offset, error = _line(derived, measured)
@@ -121,7 +123,7 @@ def _about(derivative: int, pairs: np.ndarray, clear: bool) -> tuple[str, dict] 
         return ("rate-unrelated", {}) if clear else None
     steep = 1.0 / back
     low, high = sorted([flat, steep])
-    sure, allowed = DIAGNOSIS.rate_sure, DIAGNOSIS.rate_factor
+    allowed = DIAGNOSIS.rate_factor
     low, high = low - sure * error[0], high + sure * back_error[0] * steep**2
     if low > 1.0 + allowed or high < 1.0 - allowed:
         factor = 0.5 * (flat + steep)

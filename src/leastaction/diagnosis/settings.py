@@ -29,9 +29,6 @@ class DiagnosisSettings:
     swapped: float = 0.5
     """Amount of the difference of two forces; an exchange makes it 1."""
 
-    rate_sure: float = 5.0
-    """Standard errors by which a measured rate has to differ from the derivative of its coordinate."""
-
     rate_factor: float = 0.05
     """Share by which the calibration of a sensor may be off."""
 
@@ -65,10 +62,6 @@ class DiagnosisSettings:
 
     band: float = 12.0
     """Frequencies of the fastest coordinate, up to which the spectral density of an equation error counts."""
-
-    evident: float = 20.0
-    """Directions in which an equation error shows (see `EstimationSettings.slack_left`), from which on the
-    curve may hide some of it."""
 
     of_forces: float = 4.0
     """Spectral density of an equation error over that of the scatter of the forces. Noise of forces gives 0.2

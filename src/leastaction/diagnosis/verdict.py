@@ -15,6 +15,7 @@ from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.wider_search import search_afresh
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
@@ -126,7 +127,7 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
     weights = fit.weights
     rms = np.sqrt(2.0 * DIAGNOSIS.band / period / weights.physics)
     # an equation without terms has no size to compare with
-    visible = (weights.slack > DIAGNOSIS.evident) & (size > 0.0)
+    visible = (weights.slack > ESTIMATION.slack_left) & (size > 0.0)
     return np.divide(rms, size, out=np.zeros(size.size), where=visible)
 
 

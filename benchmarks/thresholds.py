@@ -1,0 +1,268 @@
+"""What half and twice of every setting does, on set-ups that no rule was made for.
+
+    python -m benchmarks.thresholds [--package diagnosis] [--field noise_ratio] [--every-setup]
+
+Set-ups: the further systems, and wrong ones of the study of faults with seeds that no record has; 3 × 8 s at
+50 Hz, one data set each.  A row says how many structures are exact, how many results are ok, how many are ok
+and wrong, and which changed: structure, status or the codes of the findings; for settings of measured
+velocities, which of 32 channels are doubted.  Ratios (a value near one) are taken at half and twice their
+distance from one.  Settings of the diagnosis need no new search and are tried on all set-ups, those of the
+causes on the wrong ones; settings of the search on the quicker set-ups.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import cache
+from time import process_time
+
+import click
+import numpy as np
+
+import leastaction as la
+from leastaction import systems
+from leastaction.assembly import assemble_model
+from leastaction.curve.knots import lay_knots
+from leastaction.curve.settings import CURVE
+from leastaction.curve.smoothing import Smooth
+from leastaction.diagnosis import verdict
+from leastaction.diagnosis.rates import doubts_about_rates
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.settings import ESTIMATION
+from leastaction.selection import significance
+from leastaction.selection.alternatives import find_alternatives
+from leastaction.selection.search import run_search
+from leastaction.selection.search_state import begin_search
+from leastaction.selection.settings import SELECTION
+from leastaction.threads import single_threaded
+from studies.case import Case
+from studies.solve import pose, score
+
+_PACKAGES = {"curve": CURVE, "estimation": ESTIMATION, "selection": SELECTION, "diagnosis": DIAGNOSIS}
+_RATIOS = ("mostly_regular", "solvable", "clearly", "finer", "grown", "noise_ratio")
+_SHAPE = {"trial": 500, "trajectories": 3, "duration": 8.0, "rate": 50.0}
+_FURTHER = ("rotary_pendulum", "double_well", "henon_heiles", "kepler_orbit", "morse_molecule")
+_SLOWER = ("robot_arm", "elastic_pendulum_cart", "toda_chain")
+_FAULTS = (
+    ("term-missing", "single_pendulum", 0.1),
+    ("friction-1", "double_pendulum", 0.01),
+    ("known-1.2", "single_pendulum", 0.01),
+    ("force-delay", "single_pendulum", 0.01),
+    ("friction-5", "cart_spring_pendulum", 0.1),
+    ("friction-0.2", "chaotic_pendulum", 0.01),
+    ("known-1.2", "double_pendulum", 0.1),
+    ("known-2", "cart_spring_pendulum", 0.1),
+    ("force-delay", "double_pendulum", 0.1),
+    ("force-scale-known", "single_pendulum", 0.01),
+    ("force-sign-one", "double_pendulum", 0.1),
+    ("sampling", "double_pendulum", 0.01),
+    ("degrees", "single_pendulum", 0.1),
+    ("excitation", "single_pendulum", 0.01),
+    ("excitation", "chaotic_pendulum", 0.1),
+)
+_QUICK = 4  # of them
+# what a cause is looked for with; all others leave the causes of a search as they are
+_OF_CAUSES = ("certain", "force_share", "swapped", "half_a_sample")
+
+
+def _cases(faults) -> list[Case]:
+    return [Case("faults", name, noise, setup, **_SHAPE) for setup, name, noise in faults]
+
+
+def _further(names, levels) -> list[Case]:
+    return [Case("faults", name, noise, **_SHAPE) for name in names for noise in levels]
+
+
+_NOISE = [Case("noise", "single_pendulum", 0.03, kind, **_SHAPE) for kind in ("coloured", "forces 100 %")]
+QUICK = [*_further(_FURTHER[1:], (0.1,)), *_cases(_FAULTS[:_QUICK])]
+WRONG = _cases(_FAULTS[_QUICK:-3])
+ALL = [*_further(_FURTHER, (0.01, 0.1)), *_further(_SLOWER, (0.1,)), *_NOISE, *_cases(_FAULTS)]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a discovery said."""
+
+    exact: bool
+    status: str
+    said: tuple[str, ...]
+
+
+@contextmanager
+def changed(settings, **values: float) -> Iterator[None]:
+    """Other values in every module that holds these settings."""
+    other = replace(settings, **values)
+    held = [
+        (module, name)
+        for key, module in list(sys.modules.items())
+        if key.startswith("leastaction") or key == __name__
+        for name, value in vars(module).items()
+        if value is settings and name.isupper()
+    ]
+    for module, name in held:
+        setattr(module, name, other)
+    try:
+        yield
+    finally:
+        for module, name in held:
+            setattr(module, name, settings)
+
+
+@cache
+def _question(case: Case):
+    return pose(case)[0]
+
+
+def _searched(case: Case):
+    question = _question(case)
+    setup = build_problem(la.Trajectories.coerce(question.data), Request(question.library, question.known))
+    search = run_search(begin_search(setup))
+    return setup, search, find_alternatives(search.found, search.relevance)
+
+
+_kept = cache(_searched)
+
+
+def outcome(case: Case, searched) -> Outcome:
+    """Judge what a search has found."""
+    setup, search, alternatives = searched
+    findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
+    setup = replace(setup, findings=(*setup.findings, *findings))
+    model = assemble_model(setup, search, verdict.verify(search, alternatives), alternatives, {}, {})
+    codes = sorted(f"{finding.code} {' '.join(finding.subject)}" for finding in model.fit.findings)
+    terms = sorted(term.expression for term in (*model.terms, *model.dissipation))
+    return Outcome(score(case, _question(case), model)["exact"], model.fit.status, (*terms, *codes))
+
+
+# what is done to the measured velocity of a coordinate: factor, offset in rms, noise in rms; is it wrong?
+_CHANNELS = {
+    "as it is": (1.0, 0.0, 0.02, False),
+    "noisy": (1.0, 0.0, 1.0, False),
+    "3 % off": (1.03, 0.0, 0.02, False),
+    "10 % off": (1.1, 0.0, 0.02, True),
+    "10 % off, noisy": (1.1, 0.0, 0.5, True),
+    "reversed": (-1.0, 0.0, 0.1, True),
+    "with an offset": (1.0, 0.2, 0.1, True),
+    "something else": (0.0, 0.0, 1.0, True),
+}
+
+
+@cache
+def _channels(system: str, noise: float) -> list[tuple[bool, la.Trajectories, Smooth]]:
+    """Recordings with velocities, and whether these are wrong."""
+    truth = systems.simulate_truth(system, 2, 30.0, 50.0, seed=1500)
+    data = systems.measure(system, truth, systems.noise_std(system, truth, noise), seed=1500)
+    rms, rng = np.sqrt(np.mean([np.mean(m.qdot**2, axis=0) for m in truth], axis=0)), np.random.default_rng(0)
+    out = []
+    for factor, offset, spread, wrong in _CHANNELS.values():
+        pairs = zip(data, truth, strict=True)
+        scatter = (spread * rng.standard_normal(m.qdot.shape) for m in truth)
+        runs = [
+            t.changed(velocities=factor * m.qdot + rms * (offset + s))
+            for (t, m), s in zip(pairs, scatter, strict=True)
+        ]
+        recorded = la.Trajectories(runs)
+        out.append((wrong, recorded, lay_knots(la.Trajectories(list(data)), 5).smooth))
+    return out
+
+
+def _rates_judged() -> str:
+    """How many channels that are wrong are named, and how many that are right."""
+    found = [
+        (wrong, bool(doubts_about_rates(recorded, smooth)))
+        for system in ("single_pendulum", "henon_heiles")
+        for noise in (0.01, 0.1)
+        for wrong, recorded, smooth in _channels(system, noise)
+    ]
+    wrong = sum(wrong for wrong, _ in found)
+    named = sum(wrong and doubted for wrong, doubted in found)
+    right = sum(doubted and not wrong for wrong, doubted in found)
+    return f"{named} of {wrong} wrong channels named, {right} of {len(found) - wrong} right ones"
+
+
+@contextmanager
+def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
+    """Keep the causes of a search while what they depend on stays the same: they take most of the time."""
+    find, kept = verdict._likely_causes, {}
+
+    def once(search, share, off):
+        values = tuple(getattr(verdict.DIAGNOSIS, name) for name in used)
+        any_error = bool((share > verdict.DIAGNOSIS.worth_knowing).any())
+        key = (id(search), off, any_error, significance.SELECTION.false_alarm, values)
+        if key not in kept:
+            kept[key] = (search, find(search, share, off))  # held, so that no other one gets its id
+        return kept[key][1]
+
+    verdict._likely_causes = once
+    try:
+        yield
+    finally:
+        verdict._likely_causes = find
+
+
+def _sides(name: str, value: float) -> Mapping[str, float]:
+    """The setting at half and twice its value."""
+    if name in _RATIOS:
+        return {"half": 1.0 + 0.5 * (value - 1.0), "twice": 1.0 + 2.0 * (value - 1.0)}
+    return {"half": 0.5 * value, "twice": 2.0 * value}
+
+
+def _row(label: str, found: list[Outcome], before: list[Outcome], seconds: float) -> str:
+    ok = [one for one in found if one.status == "ok"]
+    wrong = sum(not one.exact for one in ok)
+    moved = [(a, b) for a, b in zip(before, found, strict=True) if a != b]
+    judged = sum((a.exact, a.status) != (b.exact, b.status) for a, b in moved)
+    return (
+        f"{label}: {sum(one.exact for one in found)} exact, {len(ok)} ok, {wrong} ok and wrong "
+        f"of {len(found)}; "
+        f"{len(moved)} changed, {judged} of them in structure or status; {seconds:.0f} s"
+    )
+
+
+@click.command()
+@click.option(
+    "--package", "packages", multiple=True, type=click.Choice(list(_PACKAGES)), help="Default: all."
+)
+@click.option("--field", "names", multiple=True, help="Default: all.")
+@click.option("--every-setup", is_flag=True, help="Try the settings of the search on all set-ups, too.")
+@click.option("--show", is_flag=True, help="Print which set-ups changed.")
+@single_threaded()
+def main(packages, names, every_setup: bool, show: bool) -> None:
+    """Print a row for each value of each setting."""
+    for package in packages or _PACKAGES:
+        settings = _PACKAGES[package]
+        wanted = [field.name for field in fields(settings) if not names or field.name in names]
+        with _causes_looked_for_once(_OF_CAUSES):
+            for name in wanted:
+                if name.startswith("rate_"):
+                    click.echo(f"{name} ({getattr(settings, name):g}): {_rates_judged()}")
+                    for side, value in _sides(name, getattr(settings, name)).items():
+                        with changed(settings, **{name: value}):
+                            click.echo(f"    {side} ({value:g}): {_rates_judged()}")
+                    continue
+                judged = package == "diagnosis" or name == "false_alarm"
+                find = _kept if judged else _searched
+                cases = ALL if every_setup or judged else QUICK
+                cases = WRONG if name in _OF_CAUSES and not every_setup else cases
+                before = [outcome(case, _kept(case)) for case in cases]
+                click.echo(_row(f"{name} ({getattr(settings, name):g})", before, before, 0.0))
+                for side, value in _sides(name, getattr(settings, name)).items():
+                    begun = process_time()
+                    with changed(settings, **{name: value}):
+                        found = [outcome(case, find(case)) for case in cases]
+                    click.echo(_row(f"    {side} ({value:g})", found, before, process_time() - begun))
+                    for case, a, b in zip(cases, before, found, strict=True):
+                        if show and a != b:
+                            gone, new = set(a.said) - set(b.said), set(b.said) - set(a.said)
+                            click.echo(
+                                f"        {case.key}: {a.exact} {a.status} → {b.exact} {b.status}, "
+                                f"without {sorted(gone)}, with {sorted(new)}"
+                            )
+
+
+if __name__ == "__main__":
+    main()
