@@ -201,6 +201,9 @@ def test_mass_matrix_is_what_multiplies_the_accelerations(space):
     np.testing.assert_allclose(np.einsum("pij,pj->ip", mass, qddot), with_ - without, rtol=1e-9, atol=1e-9)
     each = np.stack([columns.mass_of(k, Points(q, qdot)) for k in range(len(columns))])
     np.testing.assert_allclose(np.tensordot(coefficients, each, 1), mass, rtol=1e-12, atol=1e-12)
+    moving, some = columns.masses(Points(q, qdot))
+    assert moving == [k for k in range(len(columns)) if each[k].any()]
+    np.testing.assert_array_equal(some, each[moving].transpose(1, 0, 2, 3))
 
 
 @pytest.mark.parametrize("space", LAGRANGIAN)

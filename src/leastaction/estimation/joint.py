@@ -22,6 +22,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.elimination import NormalEquations
+from leastaction.estimation.intervals import by_interval, local_jacobian
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -33,13 +34,11 @@ __all__ = [
     "NormalEquations",
     "Physics",
     "Weights",
-    "by_interval",
     "linearise",
     "points_at",
 ]
 
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
-_TRANSPOSED = 128
 _MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
@@ -335,15 +334,6 @@ def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Poi
     return Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states), intervals=chunk)
 
 
-def by_interval(values: np.ndarray, out: np.ndarray) -> None:
-    """Copy (n_columns, n_dof, n_points) values to (n_intervals, n_dof, n_quadrature, n_columns)."""
-    n_columns, n, _ = values.shape
-    m, n_quad = out.shape[0], out.shape[2]
-    values = values.reshape(n_columns, n, n_quad, m)
-    for a in range(0, m, _TRANSPOSED):  # in pieces that fit the processor's cache: five times faster
-        out[a : a + _TRANSPOSED] = values[..., a : a + _TRANSPOSED].transpose(3, 1, 2, 0)
-
-
 def _equations(
     observations: Observations,
     physics: Physics,
@@ -374,16 +364,5 @@ def _equations(
     if differentiate:
         jacobian = physics.columns.jacobian(points, coefficients)
         jacobian.update({(2, i, i): np.ones(points.n_points) for i in physics.columns.prescribed})
-        local = _local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
+        local = local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
     return Equations(chunk, local, right), terms
-
-
-def _local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:
-    """∂(scaled residual)/∂(local control points): (n_intervals, n_dof, n_quadrature, (degree + 1) n_dof)."""
-    basis = [grid.quadrature_basis(chunk, nu) for nu in range(3)]
-    m, n_quad, n_basis = basis[0].shape
-    local = np.zeros((m, n, n_quad, n_basis, n))
-    for (nu, i, j), value in jacobian.items():
-        scaled = (root * value).reshape(n_quad, m).T
-        local[:, i, :, :, j] += scaled[:, :, None] * basis[nu]
-    return local.reshape(m, n, n_quad, n_basis * n)

@@ -61,13 +61,15 @@ def volume_term(
         if not usable.any():
             continue
         log_mean += share * float(np.linalg.slogdet(mass[usable])[1].sum())
-        if not k:
+        moving, each = border.masses(points)
+        if not moving:
             continue
-        inverse = np.linalg.inv(mass[usable])
-        parts = np.stack([border.mass_of(j, points)[usable] @ inverse for j in range(k)])
-        slope += share * np.einsum("kpii->ik", parts)
-        turned = parts.transpose(0, 1, 3, 2).reshape(k, -1)
-        corner += share * (parts.reshape(k, -1) @ turned.T)
+        each = each[usable]
+        parts = each.reshape(len(each), -1, n) @ np.linalg.inv(mass[usable])
+        parts = parts.reshape(each.shape).transpose(1, 0, 2, 3)
+        slope[:, moving] += share * np.einsum("kpii->ik", parts)
+        turned = parts.transpose(0, 1, 3, 2).reshape(len(moving), -1)
+        corner[np.ix_(moving, moving)] += share * (parts.reshape(len(moving), -1) @ turned.T)
     return Volume(log_mean, regular, slope, corner)
 
 

