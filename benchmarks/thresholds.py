@@ -66,7 +66,7 @@ _FAULTS = (
 )
 _QUICK = 4  # of them
 # what a cause is looked for with; all others leave the causes of a search as they are
-_OF_CAUSES = ("certain", "force_share", "swapped", "half_a_sample")
+_OF_CAUSES = ("certain", "force_share", "half_a_sample")
 
 
 def _cases(faults) -> list[Case]:

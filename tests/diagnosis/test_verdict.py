@@ -10,6 +10,7 @@ import pytest
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, pendulum, record
 from leastaction import systems
+from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
@@ -69,10 +70,17 @@ def test_scaled_forces():
 
 
 def test_exchanged_forces():
-    # not named as such: with all terms open, other coefficients take up most of an exchange
-    off = Doubts(*driven(swap=True)).all("equations-off")
-    assert [finding.subject for finding in off] == [("theta1",), ("theta2",)]
-    assert all("columns may be swapped" in finding.remedy for finding in off)
+    doubts = Doubts(*driven(swap=True))
+    assert [finding.subject for finding in doubts.all("equations-off")] == [("theta1",), ("theta2",)]
+    assert doubts.one("swapped-forces").subject == ("theta1", "theta2")
+
+
+def test_a_force_recorded_as_zero_is_no_exchange():
+    data, library = driven()
+    data = [t.changed(forces=t.forces * [1.0, 0.0]) for t in data[:2]]
+    search = find_structure(begin_search(build_problem(la.Trajectories(data), Request(library))))
+    assert search.found.equation_error()[0][1] > 0.01
+    assert exchanged_forces(search) == []
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.1])

@@ -1,29 +1,69 @@
-"""What the residual of the equations says about the forces: scaled, or on the wrong coordinate.
+"""Do the forces act as the data say: on these coordinates, and as large as that?
 
-The residual r of a fit is regressed on the signature of every cause, after both have been freed of what the
-terms of the model could take up.  A signature that takes a large share of Σ w_i ∫ r_i² names the cause.
+An exchange is tried: with the forces of two coordinates exchanged the search begins anew, and the exchange is
+named if the same candidates then lead to equations that hold and explain the motion better.  What the
+exchange leaves in the equations of the fit is no evidence, because terms of a wrong structure imitate it, and
+a force that was recorded as zero looks like one.
+
+A scale is read from what is left of the equations of the fit: that residual is regressed on the forces, after
+both have been freed of what the terms of the model could take up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.diagnosis.wider_search import begun_anew
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
+from leastaction.selection.likelihood_refinement import value
+from leastaction.selection.search_state import Search
+from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["doubts_about_forces"]
+__all__ = ["exchanged_forces", "scaled_forces"]
 
 _NULL = 1e-6
+_MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
 
 
-def doubts_about_forces(fit: Fit) -> list[Finding]:
-    """The cause that explains most of the residual; nothing if none explains much of it."""
-    if fit.grid.forces is None:
+def exchanged_forces(search: Search) -> list[Finding]:
+    """The two coordinates whose forces, exchanged, explain the motion best; nothing if none do.
+
+    Cost: a search on the knots of the fit, without refinement, for each pair of coordinates.
+    """
+    fit = search.found
+    data = fit.problem.trajectories
+    own = [i for i in range(data.n_dof) if i not in fit.problem.prescribed]
+    pairs = list(combinations(own, 2))
+    if not data.driven or len(pairs) > _MOST_TRIED:
         return []
+    best, most = None, 0.5 * chi_square_cutoff(1, len(pairs))
+    curve = fit.grid.smooth()
+    for i, j in pairs:
+        order = np.arange(data.n_dof)
+        order[[i, j]] = j, i
+        given = [t.forces for t in data]
+        exchanged = [None if f is None else f[:, order] for f in given]
+        if all(f is None or np.array_equal(f, f[:, order]) for f in given):
+            continue
+        found = begun_anew(replace(search, grid=fit.grid.pushed(exchanged), curve=curve))
+        if found is not None and value(found) - value(fit) > most:
+            best, most = (i, j), value(found) - value(fit)
+    if best is None:
+        return []
+    gain = 2.0 * most if np.isfinite(most) else None  # None: the equations of the fit cannot be solved
+    return [find("swapped-forces", [data.coordinates[i] for i in best], gain=gain)]
+
+
+def scaled_forces(fit: Fit) -> list[Finding]:
+    """Forces that are larger or smaller than given by a factor, where it explains much of the residual."""
+    if fit.grid.forces is None or np.isnan(fit.problem.known).all():
+        return []  # without a known coefficient the scale of L follows that of the forces
     q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points))
     forces = fit.grid.forces.values[:, 0].T
     strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
@@ -31,33 +71,14 @@ def doubts_about_forces(fit: Fit) -> list[Finding]:
     residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
     members = (strong[list(fit.structure)] * root).reshape(len(fit.structure), -1)
     basis, _ = np.linalg.qr(members.T)
-    best, most = None, DIAGNOSIS.force_share
-    for swapped, signature in _signatures(fit, forces):
-        column = (root * signature).ravel()
-        size = float(column @ column)
-        column = column - basis @ (basis.T @ column)
-        left = float(column @ column)
-        if left <= _NULL * size:  # the model's own terms can imitate it
-            continue
-        amount = float(column @ residual) / left
-        share = amount**2 * left / float(residual @ residual)
-        if share > most and (not swapped or amount > DIAGNOSIS.swapped):
-            best, most = (swapped, amount, share), share
-    if best is None:
+    column = (root * forces).ravel()
+    size = float(column @ column)
+    column = column - basis @ (basis.T @ column)
+    left = float(column @ column)
+    if left <= _NULL * size:  # the model's own terms can imitate it
         return []
-    swapped, amount, share = best
-    if swapped:
-        return [find("swapped-forces", swapped, share=share)]
+    amount = float(column @ residual) / left
+    share = amount**2 * left / float(residual @ residual)
+    if share <= DIAGNOSIS.force_share:
+        return []
     return [find("scaled-forces", factor=1.0 + amount, share=share)]
-
-
-def _signatures(fit: Fit, forces: np.ndarray) -> Iterator[tuple[tuple[str, ...], np.ndarray]]:
-    """(coordinates whose forces are exchanged; none: all are scaled, residual that one unit leaves)."""
-    names = fit.problem.trajectories.coordinates
-    if not np.isnan(fit.problem.known).all():  # otherwise the scale of L follows that of the forces
-        yield (), forces
-    for i in range(len(forces)):
-        for j in range(i):
-            swap = np.zeros_like(forces)
-            swap[i], swap[j] = forces[j] - forces[i], forces[i] - forces[j]
-            yield (names[j], names[i]), swap

@@ -179,20 +179,23 @@ def wrong_known(fit: Fit) -> list[Cause]:
         released = fit.grid.posed(fit.problem.releasing(int(k)))
         found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))
         gain = 2.0 * (value(found) - value(fit))
-        if not gain > chi_square_cutoff(1, len(tested)):
+        fewer = len(fit.structure) + 1 - len(found.structure)
+        # a term that is dropped when it is set free makes way for others that imitate what lacks
+        holds = k in found.structure and equations_hold(found)
+        # as with a missing term: the right law needs no more terms, or holds where this one does not
+        likely = fewer >= 0 or (holds and not equations_hold(fit))
+        if not (likely and gain > chi_square_cutoff(1, len(tested))):
             continue
         estimate, text = found.coefficients[k], fit.problem.terms[int(k)].text
-        fewer = len(fit.structure) + 1 - len(found.structure)
         ratio = estimate / fit.problem.known[k]
         wrong = find(
             "wrong-known-coefficient",
             text,
             given=fit.problem.known[k],
             estimate=estimate,
-            fewer_terms=fewer,
+            fewer_terms=max(fewer, 0),
             gain=gain,
             force_factor=ratio if fit.grid.forces is not None and ratio > 0.0 else None,
         )
-        # a term that is dropped when it is set free makes way for others that imitate what lacks
-        out.append(Cause(wrong, gain, k in found.structure and equations_hold(found)))
+        out.append(Cause(wrong, gain, holds))
     return out

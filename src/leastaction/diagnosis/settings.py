@@ -24,10 +24,7 @@ class DiagnosisSettings:
     of 4 to 8."""
 
     force_share: float = 0.3
-    """Share of the residual's sum of squares that wrong forces have to explain."""
-
-    swapped: float = 0.5
-    """Amount of the difference of two forces; an exchange makes it 1."""
+    """Share of the residual's sum of squares that forces of another scale have to explain."""
 
     rate_factor: float = 0.05
     """Share by which the calibration of a sensor may be off."""

@@ -9,11 +9,11 @@ import numpy as np
 import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
-from leastaction.diagnosis.forces import doubts_about_forces
+from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
-from leastaction.diagnosis.wider_search import search_afresh
+from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, find
@@ -99,7 +99,11 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
     fit, relevance = search.found, search.relevance
     usable = fit.converged and np.isfinite(fit.evidence)
     known = wrong_known(fit) if usable else []
-    found = search_afresh(search) if off and not any(cause.holds for cause in known) else []
+    found: list[Finding] = []
+    short = fit.problem.trajectories.n_samples <= MOST_SAMPLES
+    if off and short and not any(cause.holds for cause in known):
+        # what needs no further term comes first
+        found = exchanged_forces(search) or search_afresh(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
@@ -110,7 +114,7 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
         found += check(fit, relevance)
     # what is left of another cause may look like forces
     if not found and np.any(share > DIAGNOSIS.worth_knowing):
-        found = doubts_about_forces(fit)
+        found = scaled_forces(fit)
     return found
 
 

@@ -15,14 +15,27 @@ import sympy as sp
 from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, weak_start
 
-__all__ = ["search_afresh"]
+__all__ = ["MOST_SAMPLES", "begun_anew", "search_afresh"]
 
-_MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
+MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
+
+
+def begun_anew(search: Search) -> Fit | None:
+    """What is found on the grid of the search, if its equations hold and every term is certain."""
+    search = replace(search, fit=None, feeding=(), report=silent)
+    for strategy in (weak_start, feeding_friction):
+        search = strategy.run(search)
+    found = search.found
+    if not (found.converged and equations_hold(found)):
+        return None
+    certain = np.abs(found.estimates) >= DIAGNOSIS.certain * found.standard_errors
+    return found if np.all(certain) else None
 
 
 def search_afresh(search: Search) -> list[Finding]:
@@ -31,16 +44,11 @@ def search_afresh(search: Search) -> list[Finding]:
     # dry friction has a kink, which a curve meets only where it is smoothed
     friction = [term for term in usual_friction(fit.problem.candidates) if not isinstance(term.expr, sp.Abs)]
     more = [*common_terms(fit.problem.candidates, "standard"), *friction]
-    if not more or fit.problem.trajectories.n_samples > _MOST_SAMPLES:
+    if not more:
         return []
     grid = fit.grid.posed(fit.problem.wider(more))
-    search = replace(search, grid=grid, curve=grid.smooth(), fit=None, feeding=(), report=silent)
-    for strategy in (weak_start, feeding_friction):
-        search = strategy.run(search)
-    found = search.found
-    if not (found.converged and equations_hold(found)):
-        return []
-    if np.any(np.abs(found.estimates) < DIAGNOSIS.certain * found.standard_errors):
+    found = begun_anew(replace(search, grid=grid, curve=grid.smooth()))
+    if found is None:
         return []
     new = [m for m in found.structure if m >= len(fit.problem.candidates)]
     terms = [found.problem.terms[m].text for m in new if found.problem.terms[m].kind == "lagrangian"]

@@ -217,7 +217,7 @@ CODES: dict[str, Message] = {
     ),
     "swapped-forces": Message(
         "warning",
-        "the forces on {subject} seem to be swapped ({share:.0f%} of the equation error)",
+        "the forces on {subject} seem to be swapped: exchanged, they lead to equations that hold",
         "check the sequence of the columns",
     ),
     # the data
