@@ -40,6 +40,18 @@ def test_the_outliers_are_found(seed):
     assert [note.values["count"] for note in notes] == out.sum(axis=0).tolist()
 
 
+def test_the_outliers_of_a_long_recording_are_those_of_its_trials():
+    """Smoothness and noise from pieces; where outliers are is seen trial by trial."""
+    data, _, _ = spoiled(1)
+    whole, _ = leave_out_outliers(data, 5)
+    found, notes = leave_out_outliers(data, 5, data.n_samples // 2)
+    one, other = (np.concatenate([np.isnan(t.q) for t in kept]) for kept in (whole, found))
+    assert (one != other).sum() <= 2
+    assert [note.values["count"] for note in notes] == other.sum(axis=0).tolist()
+    clean = systems.generate("double_pendulum", noise=0.01, trials=2, duration=20.0, seed=7)
+    assert leave_out_outliers(clean, 5, clean.n_samples // 2)[0] is clean
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 0.01, 0.3])
 @pytest.mark.parametrize("name", ["double_pendulum", "magnetic_pendulum", "spherical_spring_pendulum"])
 def test_good_samples_stay(name, noise):

@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import CancelledError, Future
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import euler_lagrange, interpolate, uniform_grid
+from block_helpers import DURATIONS, MORE, VALUES, WEIGHTS, Cluster, close, problem
+from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
-from leastaction.data.trajectories import Rate
 from leastaction.estimation import joint, volume
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, ThreadCrew, employ
-from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
-
-DURATIONS = (2.0, 1.5, 3.0, 0.8, 2.2)
-TERMS = ["x_dot**2", "y_dot**2", "x_dot*y_dot*cos(y)", "cos(y)", "x**2"]
-MORE = [*TERMS, "x*y", "x**4"]
-VALUES = np.array([1.5, 0.6, 1.1, 9.81, -5.0])
-WEIGHTS = Weights(np.array([0.02, 0.03, 0.1]), np.array([4.0, 9.0]), np.array([7.0, 3.0]), 0.01)
 
 
 @pytest.fixture
@@ -35,30 +27,6 @@ def crew(monkeypatch):
     crew.least = 1
     yield crew
     crew.close()
-
-
-def motion(t):
-    return np.column_stack([0.5 * np.sin(2.3 * t) + 0.2, 0.7 * np.cos(3.1 * t)])
-
-
-def problem():
-    """Five trials of different lengths, with missing samples, a velocity, and forces."""
-    grid = uniform_grid(DURATIONS, 6.0, 5, 2)
-    rng = np.random.default_rng(5)
-    times = [np.sort(rng.uniform(0.0, d, 60)) for d in DURATIONS]
-    values = [motion(t) + 0.02 * rng.standard_normal((t.size, 2)) for t in times]
-    values[1][5:9, 0] = np.nan
-    values[3][:, 1] = np.nan  # not measured at all in this trial
-    rates = (Rate(1, 1, tuple(-0.7 * 3.1 * np.sin(3.1 * t) for t in times)),)
-    forces = rng.standard_normal((*grid.points.shape, 2))
-    physics = Physics(euler_lagrange(TERMS, ["x", "y"]), np.array([True, True, True, False, True]), forces)
-    control = interpolate(grid, [motion] * len(DURATIONS)) + 0.01 * rng.standard_normal((grid.n_ctrl, 2))
-    return grid, (times, values, rates), physics, control
-
-
-def close(found, expected, tolerance=1e-9):
-    scale = np.abs(expected).max()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * max(float(scale), 1e-300))
 
 
 @pytest.mark.parametrize("n_blocks", [2, 3, 5, 9])
@@ -153,29 +121,6 @@ def test_a_crew_that_has_gone_home_leaves_results_that_can_be_used():
 
 
 # ------------------------------------------------------------------------------ a cluster that fails
-class Cluster:
-    """The methods of Dask's client that are used, computing at once; every so often a result is lost."""
-
-    def __init__(self, lost_every: int, gone_after: int = 10**9) -> None:
-        self.lost_every, self.gone_after, self.submitted = lost_every, gone_after, 0
-
-    def scheduler_info(self, n_workers: int = 5) -> dict:
-        return {"workers": {"a": {}, "b": {}}}
-
-    def submit(self, function, *given, pure=True) -> Future:
-        self.submitted += 1
-        if self.submitted > self.gone_after:
-            raise OSError("the scheduler is gone")
-        out: Future = Future()
-        try:
-            if self.submitted % self.lost_every == 0:
-                raise CancelledError
-            out.set_result(function(*(x.result() if isinstance(x, Future) else x for x in given)))
-        except BaseException as error:
-            out.set_exception(error)
-        return out
-
-
 @pytest.mark.parametrize("cluster", [Cluster(1), Cluster(2), Cluster(5), Cluster(99, gone_after=17)])
 def test_what_a_lost_worker_held_is_computed_here(cluster):
     grid, data, physics, control = problem()

@@ -153,12 +153,8 @@ class SplineGrid:
     ----------
     n_ctrl, n_intervals : int
         Totals over the trajectories.
-    first : (n_intervals,) int array
-        Number of the first control point of each interval.
-    points : (n_intervals, n_quadrature) array
-        Quadrature times; ``weights`` has the same shape and sums to the total duration.
-    owner : (n_intervals,) int array
-        Trajectory of each interval.
+    offsets : (n_trajectories + 1,) int array
+        Number of the first control point of each trajectory, and ``n_ctrl``.
     """
 
     def __init__(
@@ -170,25 +166,53 @@ class SplineGrid:
         total: int | None = None,
     ) -> None:
         self.spaces = tuple(spaces)
-        self.degree = self.spaces[0].degree
+        self.degree, self.n_quadrature = self.spaces[0].degree, n_quadrature
         counts = np.array([s.n_ctrl for s in self.spaces])
         self.offsets = np.concatenate([[0], np.cumsum(counts)])
         self.n_ctrl = int(self.offsets[-1])
-        self.first = np.concatenate(
-            [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
-        )
-        self.n_intervals = self.first.size
+        self.n_intervals = self.n_ctrl - self.degree * len(self.spaces)
         self.before, self.total = before, self.n_intervals if total is None else total
-        self.owner = np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
         nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
         if n_quadrature == 1 and self.degree % 2:  # at midpoints the fastest spline vanishes
             nodes = nodes - 1.0
-        widths = np.concatenate([np.diff(s.breakpoints) for s in self.spaces])
-        lefts = np.concatenate([s.breakpoints[:-1] for s in self.spaces])
-        self.points = lefts[:, None] + 0.5 * widths[:, None] * (nodes + 1.0)
-        self.weights = 0.5 * widths[:, None] * weights
-        self._patterns, self._tables = self._quadrature_tables()
+        self._rule = nodes, weights
 
+    # What takes memory for every knot interval is made when it is asked for: of a long motion whose parts
+    # are looked at one by one it never is.
+    @cached_property
+    def first(self) -> np.ndarray:
+        """(n_intervals,) number of the first control point of each interval."""
+        return np.concatenate(
+            [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
+        )
+
+    @cached_property
+    def owner(self) -> np.ndarray:
+        """(n_intervals,) trajectory of each interval."""
+        return np.repeat(np.arange(len(self.spaces)), [s.n_intervals for s in self.spaces])
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """(n_intervals, n_quadrature) quadrature times."""
+        return np.concatenate([self.points_of(k) for k in range(len(self.spaces))])
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """(n_intervals, n_quadrature) quadrature weights, which sum to the total duration."""
+        widths = np.concatenate([np.diff(s.breakpoints) for s in self.spaces])
+        return 0.5 * widths[:, None] * self._rule[1]
+
+    @property
+    def duration(self) -> float:
+        """Sum of the durations of all trajectories, in seconds."""
+        return float(sum(s.breakpoints[-1] - s.breakpoints[0] for s in self.spaces))
+
+    def points_of(self, trajectory: int) -> np.ndarray:
+        """(n_intervals of one trajectory, n_quadrature) quadrature times."""
+        breakpoints = self.spaces[trajectory].breakpoints
+        return breakpoints[:-1, None] + 0.5 * np.diff(breakpoints)[:, None] * (self._rule[0] + 1.0)
+
+    @cached_property
     def _quadrature_tables(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Basis values at the quadrature points: equal intervals share one pattern.
 
@@ -200,7 +224,7 @@ class SplineGrid:
         total = 0
         for k, space in enumerate(self.spaces):
             m, p = space.n_intervals, self.degree
-            points = self.points[self.owner == k]
+            points = self.points_of(k)
             keep = np.arange(m) if m <= 2 * p else np.r_[0 : p + 1, m - p : m]
             if m > 2 * p and not np.allclose(
                 np.diff(space.breakpoints), space.breakpoints[1] - space.breakpoints[0]
@@ -216,7 +240,8 @@ class SplineGrid:
 
     def quadrature_basis(self, chunk: slice, nu: int) -> np.ndarray:
         """(n_intervals in chunk, n_quadrature, degree + 1) basis values at the quadrature points."""
-        return self._tables[nu][self._patterns[chunk]]
+        patterns, tables = self._quadrature_tables
+        return tables[nu][patterns[chunk]]
 
     def local_control_points(self, control_points: np.ndarray, chunk: slice) -> np.ndarray:
         """(n_intervals in chunk, degree + 1, n_dof) control points that matter in each interval."""

@@ -85,12 +85,14 @@ def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:
     if share >= 1.0:
         return trajectories
     most = max(FEWEST_SAMPLES, n_samples // (trajectories.n_dof * _PIECES))
-    pieces: list[Trajectory] = []
+    pieces: list[tuple[Trajectory, slice]] = []
     for whole in trajectories:
         for rows in np.array_split(np.arange(whole.n_times), max(1, whole.n_times // most)):
-            if np.isfinite(whole.q[rows]).sum(axis=0).min() >= FEWEST_SAMPLES:
-                pieces.append(whole.rows(rows).changed(name=""))
+            part = slice(int(rows[0]), int(rows[-1]) + 1)
+            if np.isfinite(whole.q[part]).sum(axis=0).min() >= FEWEST_SAMPLES:
+                pieces.append((whole, part))
     if not pieces:
         return trajectories
     count = min(len(pieces), max(1, round(share * len(pieces))))
-    return Trajectories([pieces[int(k)] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)])
+    chosen = [pieces[int(k)] for k in np.linspace(0, len(pieces) - 1, count).round().astype(int)]
+    return Trajectories([whole.rows(part).changed(name="") for whole, part in chosen])

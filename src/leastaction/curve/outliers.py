@@ -6,12 +6,15 @@ noise that is estimated from all of them hides the law behind it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from leastaction.curve.bspline import uniform_grid
+from leastaction.curve.knots import FEWEST_SAMPLES, excerpt
 from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import smooth
-from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.findings import Finding, find
 
 __all__ = ["leave_out_outliers"]
@@ -22,7 +25,30 @@ _ROUNDS = 10
 _DIGITS = 1e-5  # of the spread: what a curve through noiseless samples is off by
 
 
-def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Trajectories, list[Finding]]:
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """How smooth a motion is, and how noisy its samples are.
+
+    Attributes
+    ----------
+    knots_per_second : float
+    penalty : (n_dof,) array or None
+        Of the smoothing; None as long as nothing was found.
+    scale : (n_dof,) array
+        Standard deviation of its residuals.
+    heavy : (n_dof,) bool array
+        Coordinates whose noise has heavy tails.
+    """
+
+    knots_per_second: float
+    penalty: np.ndarray | None
+    scale: np.ndarray
+    heavy: np.ndarray
+
+
+def leave_out_outliers(
+    trajectories: Trajectories, degree: int, most_samples: int | None = None
+) -> tuple[Trajectories, list[Finding]]:
     """Replace outliers by NaN, and say how many.
 
     Smooths all samples, leaves out those that are far off and alone there, and smooths again without them
@@ -34,6 +60,9 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     trajectories : Trajectories
     degree : int
         Of the splines.
+    most_samples : int, optional
+        From how many samples of longer recordings smoothness and noise are found; each trajectory is then
+        looked at by itself.
 
     Returns
     -------
@@ -42,30 +71,17 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
     list of Finding
         One note for each coordinate with outliers.
     """
-    times, values = [t.t for t in trajectories], [t.q for t in trajectories]
-    rate = 1.0 / trajectories.sampling_interval
-    grid = uniform_grid(times, rate / _SAMPLES_PER_KNOT, degree)
-    least = _DIGITS * np.nanstd(np.concatenate(values), axis=0)
-    measured = np.isfinite(np.concatenate(values)).sum(axis=0)
-    out = [np.zeros(q.shape, dtype=bool) for q in values]
-    share = np.zeros(trajectories.n_dof)
-    for _ in range(_ROUNDS):
-        kept = [np.where(o, np.nan, q) for q, o in zip(values, out, strict=True)]
-        curve = smooth(grid, times, kept)
-        residuals = [
-            q - c for q, c in zip(values, grid.evaluate(curve.control_points, times, 0), strict=True)
-        ]
-        used = [np.where(o, np.nan, r) for r, o in zip(residuals, out, strict=True)]
-        scale = np.maximum(np.nanstd(np.concatenate(used), axis=0), least)
-        found = [_far_and_alone(np.abs(r) / scale) for r in residuals]
-        share = np.sum([f.sum(axis=0) for f in found], axis=0) / measured
-        for f in found:
-            f[:, share > CURVE.most_outliers] = False
-        unchanged = all(np.array_equal(f, o) for f, o in zip(found, out, strict=True))
-        out = found
-        if unchanged:
-            break
+    rate = 1.0 / trajectories.sampling_interval / _SAMPLES_PER_KNOT
+    first = _Motion(rate, None, np.ones(trajectories.n_dof), np.zeros(trajectories.n_dof, dtype=bool))
+    part = trajectories if most_samples is None else excerpt(trajectories, most_samples)
+    out, motion = _outliers(part, degree, first)
+    if part is not trajectories:
+        out = [_outliers_of(one, degree, motion) for one in trajectories]
     counts = np.sum([o.sum(axis=0) for o in out], axis=0)
+    share = counts / np.sum([np.isfinite(t.q).sum(axis=0) for t in trajectories], axis=0)
+    if np.any(share > CURVE.most_outliers):  # more than the pieces had
+        out = [o & (share <= CURVE.most_outliers) for o in out]
+        counts = np.where(share > CURVE.most_outliers, 0, counts)
     if not np.any(counts):
         return trajectories, []
     notes = [
@@ -74,6 +90,43 @@ def leave_out_outliers(trajectories: Trajectories, degree: int) -> tuple[Traject
         if count
     ]
     return trajectories.without(out), notes
+
+
+def _outliers(trajectories: Trajectories, degree: int, motion: _Motion) -> tuple[list[np.ndarray], _Motion]:
+    """(n_times, n_dof) mask for each trajectory, and what was found of the motion on the way."""
+    times, values = [t.t for t in trajectories], [t.q for t in trajectories]
+    grid = uniform_grid(times, motion.knots_per_second, degree)
+    learnt, out = motion, [np.zeros(q.shape, dtype=bool) for q in values]
+    for _ in range(_ROUNDS):
+        kept = [np.where(o, np.nan, q) for q, o in zip(values, out, strict=True)]
+        curve = smooth(grid, times, kept, motion.penalty)
+        residuals = [
+            q - c for q, c in zip(values, grid.evaluate(curve.control_points, times, 0), strict=True)
+        ]
+        if motion.penalty is None:
+            used = [np.where(o, np.nan, r) for r, o in zip(residuals, out, strict=True)]
+            least = _DIGITS * np.nanstd(np.concatenate(values), axis=0)
+            scale = np.maximum(np.nanstd(np.concatenate(used), axis=0), least)
+            learnt = replace(motion, penalty=curve.penalty, scale=scale)
+        found = [_far_and_alone(np.abs(r) / learnt.scale) for r in residuals]
+        if motion.penalty is None:
+            measured = np.isfinite(np.concatenate(values)).sum(axis=0)
+            share = np.sum([f.sum(axis=0) for f in found], axis=0) / measured
+            learnt = replace(learnt, heavy=share > CURVE.most_outliers)
+        for f in found:
+            f[:, learnt.heavy] = False
+        unchanged = all(np.array_equal(f, o) for f, o in zip(found, out, strict=True))
+        out = found
+        if unchanged:
+            break
+    return out, learnt
+
+
+def _outliers_of(one: Trajectory, degree: int, motion: _Motion) -> np.ndarray:
+    """(n_times, n_dof) mask for a trajectory of a motion that is known; none where samples are few."""
+    if np.isfinite(one.q).sum(axis=0).min() < FEWEST_SAMPLES:
+        return np.zeros(one.q.shape, dtype=bool)
+    return _outliers(Trajectories([one]), degree, motion)[0][0]
 
 
 def _far_and_alone(sizes: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ the number of samples.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -55,9 +55,9 @@ class Smooth:
     control_points: np.ndarray
     noise_std: np.ndarray
     penalty: np.ndarray
-    _designs: list[sp.csr_array]
-    _factors: list[np.ndarray]
     rate_std: np.ndarray
+    _times: Sequence[np.ndarray]
+    _seen: tuple[tuple[_Rows, ...], ...]
 
     def replicates(self, count: int, rng: np.random.Generator, floor: np.ndarray) -> list[np.ndarray]:
         """Curves that the same smoothing gives for the smoothed curve measured again, with new noise.
@@ -65,15 +65,74 @@ class Smooth:
         The noise is at least ``floor``, (n_dof,).
         """
         noise_std = np.maximum(self.noise_std, floor)
+        roughness = _penalty_matrix(self.grid)
+        systems: list[_Block] = []
+        for rows, kappa in zip(self._seen, self.penalty, strict=True):
+            design = _design(self.grid, self._times, rows)
+            gram = banded_gram(design, self.grid.degree)
+            systems.append((design, _factor(gram, float(kappa), roughness)))
         out: list[np.ndarray] = []
         for _ in range(count):
             points = np.empty_like(self.control_points)
-            for i, (design, factor) in enumerate(zip(self._designs, self._factors, strict=True)):
+            for i, (design, factor) in enumerate(systems):
                 clean = design @ np.ascontiguousarray(self.control_points[:, i])
                 again = clean + noise_std[i] * rng.standard_normal(clean.size)
                 points[:, i] = cho_solve_banded((factor, True), design.T @ again, check_finite=False)
             out.append(points)
         return out
+
+    @classmethod
+    def joined(cls, grid: SplineGrid, parts: Sequence[Smooth]) -> Smooth:
+        """The result for a grid from those for runs of its trajectories, smoothed with one penalty."""
+        sizes = np.array([[part._freedom(i) for i in range(part.noise_std.size)] for part in parts])
+        noise = np.sqrt(np.sum(sizes * [part.noise_std**2 for part in parts], axis=0) / sizes.sum(axis=0))
+        rates = np.sqrt(np.mean([part.rate_std**2 for part in parts], axis=0))
+        seen = tuple(
+            tuple(_Rows.joined(rows) for rows in zip(*channels, strict=True))
+            for channels in zip(*(part._seen for part in parts), strict=True)
+        )
+        times = [t for part in parts for t in part._times]
+        points = np.concatenate([part.control_points for part in parts])
+        return cls(grid, points, noise, parts[0].penalty, rates, times, seen)
+
+    def _freedom(self, coordinate: int) -> int:
+        """Samples of a coordinate less the directions that the penalty does not touch."""
+        return max(self._seen[coordinate][0].count - _PENALTY_DERIVATIVE * len(self.grid.spaces), 1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of a design: which derivative, by how much they are scaled, and which samples there are."""
+
+    derivative: int
+    scale: float
+    seen: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence[_Rows]) -> _Rows:
+        """The rows of successive trajectories."""
+        return cls(parts[0].derivative, parts[0].scale, np.concatenate([part.seen for part in parts]))
+
+    @property
+    def count(self) -> int:
+        return int(self.seen.sum())
+
+
+def _design(grid: SplineGrid, times: Sequence[np.ndarray], rows: Sequence[_Rows]) -> sp.csr_array:
+    """The design of some kinds of samples of one coordinate, one below the other."""
+    parts: list[sp.csr_array] = []
+    for kind in rows:
+        whole = grid.design(times, kind.derivative)
+        parts.append(kind.scale * (whole if kind.seen.all() else whole[kind.seen]))
+    return parts[0] if len(parts) == 1 else sp.csr_array(sp.vstack(parts, "csr"))
+
+
+def _factor(gram: np.ndarray, kappa: float, penalty: np.ndarray) -> np.ndarray:
+    """Banded Cholesky factor of NᵀN + κD."""
+    banded = gram + kappa * penalty
+    # a gap longer than a knot interval leaves tiny pivots at small kappa
+    banded[0] *= 1.0 + 1e-13
+    return cholesky_banded(banded, lower=True, check_finite=False)
 
 
 def banded_gram(design: sp.csr_array, bandwidth: int) -> np.ndarray:
@@ -143,7 +202,7 @@ def smooth(
     stacked = np.concatenate(values)
     n_dof = stacked.shape[1]
     results: list[_One] = []
-    designs: list[sp.csr_array] = []
+    kinds: list[tuple[_Rows, ...]] = []
     rate_std = np.zeros(len(rates))
     derivatives = {nu: grid.design(times, nu) for nu in {rate.derivative for rate in rates}}
     for i in range(n_dof):
@@ -153,28 +212,33 @@ def smooth(
         kappa = None if penalty is None else float(penalty[i])
         result = _smooth_one(rows, y, roughness, grid, kappa)
         own = [k for k, rate in enumerate(rates) if rate.coordinate == i]
+        seen = [_Rows(0, 1.0, valid)]
         if own:
             blocks: list[_Block] = [(rows, y)]
             for k in own:
                 values_k = np.concatenate(rates[k].values)
-                seen = np.isfinite(values_k)
-                blocks.append((sp.csr_array(derivatives[rates[k].derivative][seen]), values_k[seen]))
-            result, rows, rate_std[own] = _smooth_together(blocks, roughness, grid, kappa, result)
-        designs.append(rows)
+                there = np.isfinite(values_k)
+                blocks.append((sp.csr_array(derivatives[rates[k].derivative][there]), values_k[there]))
+                seen.append(_Rows(rates[k].derivative, 1.0, there))
+            result, ratios = _smooth_together(blocks, roughness, grid, kappa, result)
+            rate_std[own] = result[1] / ratios
+            seen[1:] = [replace(kind, scale=float(c)) for kind, c in zip(seen[1:], ratios, strict=True)]
+        kinds.append(tuple(seen))
         results.append(result)
-    control, noise, chosen, factors = zip(*results, strict=True)
-    points = np.stack(control, axis=1)
-    return Smooth(grid, points, np.array(noise), np.array(chosen), designs, list(factors), rate_std)
+    points = np.stack([one[0] for one in results], axis=1)
+    noise, chosen = [one[1] for one in results], [one[2] for one in results]
+    return Smooth(grid, points, np.array(noise), np.array(chosen), rate_std, times, tuple(kinds))
 
 
 def _smooth_together(
     blocks: Sequence[_Block], penalty: np.ndarray, grid: SplineGrid, kappa: float | None, result: _One
-) -> tuple[_One, sp.csr_array, np.ndarray]:
+) -> tuple[_One, np.ndarray]:
     """Smooth positions and rates of one coordinate, (design, samples) each, positions first.
 
-    ``result`` is that of the positions alone. Returns what ``_smooth_one`` does, the scaled design, and the
-    noise of the rates: the more likely of what is found from noise as the positions alone have it, and from
-    rates that are nearly exact. Few positions can be interpolated, which the first would never give up.
+    ``result`` is that of the positions alone. Returns what ``_smooth_one`` does, and the noise of the
+    positions over that of each rate: the more likely of what is found from noise as the positions alone have
+    it, and from rates that are nearly exact. Few positions can be interpolated, which the first would never
+    give up.
     """
     alone = np.array([np.std(y - design @ result[0]) for design, y in blocks])
     spread = np.maximum([np.std(y) for _, y in blocks], alone) + 1e-300  # a dead sensor shows nothing
@@ -196,7 +260,7 @@ def _settle_noise(
     kappa: float | None,
     start: np.ndarray,
     floors: np.ndarray,
-) -> tuple[float, _One, sp.csr_array, np.ndarray]:
+) -> tuple[float, _One, np.ndarray]:
     """The fixed point from given noise; the criterion comes first, then as ``_smooth_together``."""
     noise, sizes = np.maximum(start, floors), np.array([y.size for _, y in blocks])
     rounds = 0
@@ -218,7 +282,7 @@ def _settle_noise(
     n_null = _PENALTY_DERIVATIVE * len(grid.spaces)
     score = 2.0 * (max(y.size - n_null, 1) * np.log(sigma + 1e-300) - sizes @ np.log(ratios))
     score += 2.0 * np.log(factor[0]).sum() - (grid.n_ctrl - n_null) * np.log(chosen)
-    return score, result, rows, sigma / ratios[1:]
+    return score, result, ratios[1:]
 
 
 def _slope(whole: np.ndarray, part: np.ndarray) -> float:
@@ -242,10 +306,7 @@ def _smooth_one(
 
     def solve(log_kappa: float) -> tuple[float, np.ndarray, float, float, np.ndarray]:
         kappa = unit * 10.0**log_kappa
-        banded: FloatArray = gram + kappa * penalty
-        # a gap longer than a knot interval leaves tiny pivots at small kappa
-        banded[0] *= 1.0 + 1e-13
-        factor = cholesky_banded(banded, lower=True, check_finite=False)
+        factor = _factor(gram, kappa, penalty)
         coefficients = cho_solve_banded((factor, True), moment, check_finite=False)
         misfit = np.sum((y - design @ coefficients) ** 2)
         rough = penalty[0] @ coefficients**2

@@ -196,7 +196,7 @@ class Trajectories(Sequence[Trajectory]):
             q, count = item.q.copy(), list(counted)
             for column in columns:
                 count[column] += unwrap_in_place(q[:, column])
-            items.append(item.changed(q=q))
+            items.append(item if tuple(count) == counted else item.changed(q=q))
             wraps.append(tuple(count))
         return self._with(items, wraps, self._names)
 
@@ -306,7 +306,10 @@ class Trajectories(Sequence[Trajectory]):
         >>> data.without([np.array([[False], [True], [False]])]).n_samples
         2
         """
-        items = [t.changed(q=np.where(mask, np.nan, t.q)) for t, mask in zip(self._items, masks, strict=True)]
+        items = [
+            t.changed(q=np.where(mask, np.nan, t.q)) if mask.any() else t
+            for t, mask in zip(self._items, masks, strict=True)
+        ]
         return self._with(items, self._wraps, self._names)
 
     @classmethod

@@ -191,7 +191,10 @@ class Trajectory:
         'b'
         """
         names = ("t", "q", "forces", "coordinates", "name", *RATES)
-        return Trajectory(**{name: getattr(self, name) for name in names} | fields)
+        new = Trajectory(**{name: getattr(self, name) for name in names} | fields)
+        for name in {"t", "q", "forces", *RATES} - set(fields):  # read-only: shared, not copied
+            object.__setattr__(new, name, getattr(self, name))
+        return new
 
     def rows(self, chosen: Any) -> Trajectory:
         """Return some of the samples: a slice, an array of increasing numbers, or one of truth values.

@@ -64,13 +64,14 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
 
     Empty if they differ nowhere.
     """
-    curve = fit.grid.spline.at_quadrature(fit.control_points)
-    q, qdot = (s[:: max(1, len(s) // _STATES), 0] for s in curve[:2])
+    stride = max(1, fit.grid.spline.n_intervals // _STATES)
+    states_along = fit.grid.spline.at_quadrature(fit.control_points, slice(None, None, stride))
+    q, qdot, qddot = (s[:, 0] for s in states_along)
     middle = q.mean(axis=0)
     states = np.concatenate([np.stack([middle + reach * (q - middle), reach * qdot]) for reach in _REACH], 1)
     with np.errstate(all="ignore"):
         apart = _acceleration(fit, states, fit.coefficients) - _acceleration(fit, states, second)
-    size = np.sqrt((curve[2][:, 0] ** 2).mean(axis=0))
+    size = np.sqrt((qddot**2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
         return {}

@@ -27,6 +27,7 @@ from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["exchanged_forces", "scaled_forces"]
 
+_MOST_POINTS = 200_000  # along the motion: shares need no more
 _NULL = 1e-6
 _MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
 
@@ -64,8 +65,9 @@ def scaled_forces(fit: Fit) -> list[Finding]:
     """Forces that are larger or smaller than given by a factor, where it explains much of the residual."""
     if fit.grid.forces is None or np.isnan(fit.problem.known).all():
         return []  # without a known coefficient the scale of L follows that of the forces
-    q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points))
-    forces = fit.grid.forces.values[:, 0].T
+    some = slice(None, None, 1 + fit.grid.spline.n_intervals // _MOST_POINTS)
+    q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points, some))
+    forces = fit.grid.forces.values[some, 0].T
     strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
     root = np.sqrt(fit.weights.physics)[:, None]
     residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()

@@ -17,7 +17,7 @@ import sympy as sp
 from leastaction.diagnosis.cause import Cause
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.forces import WithPushes
+from leastaction.estimation.forces import WithPushes, force_rates
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -137,8 +137,10 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""
     if fit.grid.forces is None:
         return []
+    given = [trajectory.forces for trajectory in fit.problem.trajectories]
+    rates = force_rates(fit.grid.spline, fit.grid.times, given)
     chosen = fit.problem.candidates.subset(list(fit.structure))
-    late = WithPushes(chosen, _Late(fit.grid.forces.rates))
+    late = WithPushes(chosen, _Late(rates))
     model, base = _beside(fit, late)
     gain = _gain(model, base, len(base))
     if gain <= chi_square_cutoff() + _relevant(fit, relevance):

@@ -17,7 +17,6 @@ from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, find
-from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
@@ -170,8 +169,7 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
 
 def _perhaps_degrees(fit: Fit) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees."""
-    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
-    spans = np.max([np.ptp(curve, axis=0) for curve in curves], axis=0)
+    spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
     return [
         find("angle-in-degrees", name, span=span)
         for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
@@ -181,8 +179,7 @@ def _perhaps_degrees(fit: Fit) -> list[Finding]:
 
 def _signal(fit: Fit) -> list[Finding]:
     """A curve that hardly moves fits any noise, and any equations hold along it."""
-    curves = fit.grid.spline.evaluate(fit.control_points, fit.grid.times)
-    spread = np.sqrt(np.mean([np.var(c, axis=0) for c in curves], axis=0))
+    spread = np.sqrt(np.mean([np.var(curve, axis=0) for curve in fit.curves()], axis=0))
     return [
         find("motion-in-noise", name, motion=size, noise=noise)
         for name, size, noise in zip(
@@ -217,16 +214,17 @@ def _identifiability(fit: Fit) -> list[Finding]:
 
 
 def _mass_matrix(fit: Fit) -> list[Finding]:
-    states = fit.grid.spline.at_quadrature(fit.control_points)
-    points = Points(*(s[:, 0] for s in states))
-    physics, index = fit.grid.physics(fit.structure)
-    mass = physics.columns.mass_matrix(points, fit.coefficients[index])
-    if not np.isfinite(mass).all():
+    n = fit.grid.spline.n_intervals
+    diagonal = np.sqrt(
+        sum(np.abs(np.diagonal(mass, axis1=1, axis2=2)).sum(axis=0) for mass in fit.mass_matrices()) / n
+    )
+    if not np.isfinite(diagonal).all() or not all(np.isfinite(mass).all() for mass in fit.mass_matrices()):
         return [find("mass-matrix-not-finite")]
-    diagonal = np.sqrt(np.abs(np.diagonal(mass, axis1=1, axis2=2)).mean(axis=0))
     scale = np.where(diagonal > 0, diagonal, 1.0)
-    lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
-    bad = float(np.mean(lowest <= 1e-9))
+    bad = 0.0
+    for mass in fit.mass_matrices():
+        lowest = np.linalg.eigvalsh(mass / np.outer(scale, scale))[:, 0]
+        bad += np.count_nonzero(lowest <= 1e-9) / n
     if bad == 0.0:
         return []
     return [find("mass-matrix-not-positive", share=bad)]

@@ -88,6 +88,10 @@ class BandedFactor:
         half = self._triangular(self.band, right[:, None], "N")
         return self._triangular(self.band, half, "T")[:, 0]
 
+    def backward(self, right: np.ndarray) -> np.ndarray:
+        """L⁻ᵀB for (size, n_columns) right-hand sides."""
+        return self._triangular(self.band, right, "T")
+
     @staticmethod
     def _triangular(band: np.ndarray, right: np.ndarray, transposed: str) -> np.ndarray:
         found, info = lapack.dtbtrs(band.T, right, uplo="L", trans=transposed)

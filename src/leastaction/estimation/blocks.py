@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -24,11 +23,12 @@ import numpy as np
 
 from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.data.trajectories import Rate
-from leastaction.estimation.crew import Crew, Task
+from leastaction.estimation.crew import Alone, Crew, Task
 from leastaction.estimation.elimination import Quadratic
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations, noise_floors
-from leastaction.estimation.volume import Volume
+from leastaction.estimation.streamed import StreamedObservations, is_long
+from leastaction.estimation.volume import Volume, add_volumes
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["BlockedObservations", "observe"]
@@ -40,8 +40,10 @@ def observe(
     values: Sequence[np.ndarray],
     rates: Sequence[Rate] = (),
     crew: Crew | None = None,
-) -> Observations | BlockedObservations:
-    """Observations in one piece, or in blocks of trials where a crew has something to share."""
+) -> Observations | BlockedObservations | StreamedObservations:
+    """Observations in one piece, in blocks of trials where a crew has something to share, or streamed."""
+    if is_long(times, values[0].shape[1]) and (crew is None or not crew.keeps):
+        return StreamedObservations(grid, times, values, rates, crew or Alone())
     cuts = [] if crew is None else _cuts(grid, crew)
     if crew is None or len(cuts) < 3:
         return Observations(grid, times, values, rates)
@@ -88,7 +90,7 @@ class BlockedObservations:
         self.blocks = tuple(
             crew.task(
                 _observe_block,
-                (grid.spaces[p], grid.points.shape[1], int(ends[p.start]), grid.n_intervals),
+                (grid.spaces[p], grid.n_quadrature, int(ends[p.start]), grid.n_intervals),
                 (times[p], values[p], [replace(rate, values=rate.values[p]) for rate in rates]),
                 self.floors,
             )
@@ -99,7 +101,11 @@ class BlockedObservations:
         self.counts = np.array([*positions, *others])
 
     def linearise(
-        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+        self,
+        physics: Physics,
+        control_points: np.ndarray,
+        coefficients: np.ndarray,
+        weights: Weights | None = None,
     ) -> BlockedLinearisation:
         """The joint problem linearised, block by block."""
         blocks = tuple(
@@ -115,7 +121,7 @@ class BlockedObservations:
         )
         costs = self.crew.results([self.crew.task(_costs, block) for block in blocks])
         squares, equation, terms = (_sum(c[k] for c in costs) for k in range(3))
-        volume = reduce(_add_volumes, (c[3] for c in costs))
+        volume = add_volumes(c[3] for c in costs)
         return BlockedLinearisation(
             self, blocks, squares, equation, terms, volume, physics.columns.prescribed
         )
@@ -141,6 +147,10 @@ class BlockedLinearisation(Costs):
     at_mass: Volume
     prescribed: tuple[int, ...]
 
+    def lean(self) -> BlockedLinearisation:
+        """Itself: nothing was computed ahead."""
+        return self
+
     def normal(self, weights: Weights) -> BlockedNormal:
         """The Gauss–Newton system, which is formed where it is eliminated."""
         return BlockedNormal(self, weights)
@@ -158,8 +168,16 @@ class BlockedLinearisation(Costs):
         weights, curve, columns, candidates = given
         crew, seen = self.observations.crew, self.observations
         tasks = [
-            crew.task(_score, score, block, weights, (curve[0][points], curve[1]), columns, candidates)
-            for block, points in zip(self.blocks, seen.points, strict=True)
+            crew.task(
+                _score,
+                score,
+                block,
+                weights,
+                (curve[0][points], curve[1]),
+                columns,
+                candidates.from_interval(intervals.start),
+            )
+            for block, points, intervals in zip(self.blocks, seen.points, seen.intervals, strict=True)
         ]
         small = crew.results([crew.task(_small_scores, task) for task in tasks])
         steps = BlockedFactor(seen, tuple(tasks), _sum(s[2] for s in small))
@@ -167,7 +185,7 @@ class BlockedLinearisation(Costs):
         return replace(
             found,
             schur=_sum(s[0].schur for s in small),
-            volume=reduce(_add_volumes, (s[0].volume for s in small)),
+            volume=add_volumes(s[0].volume for s in small),
             factor=steps,
             curve_gradient=np.concatenate([s[1] for s in small]),
             border=steps.border,
@@ -180,6 +198,10 @@ class BlockedNormal:
 
     at: BlockedLinearisation
     weights: Weights
+
+    def lean(self) -> BlockedNormal:
+        """Itself: nothing was computed ahead."""
+        return self
 
     def eliminate(self, damping: float = 0.0) -> Quadratic:
         """See :meth:`NormalEquations.eliminate`."""
@@ -265,10 +287,6 @@ def _solve(part: Any, right: np.ndarray) -> np.ndarray:
 
 def _border(part: Any, step: np.ndarray) -> np.ndarray:
     return part.border(step)
-
-
-def _add_volumes(a: Volume, b: Volume) -> Volume:
-    return Volume(a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner)
 
 
 def _sum(parts: Iterable[Any]) -> Any:

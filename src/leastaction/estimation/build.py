@@ -109,7 +109,7 @@ def build_problem(trajectories, request: Request, most_samples: int | None = Non
     findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
     if request.robust:
-        trajectories, left_out = leave_out_outliers(trajectories, request.degree)
+        trajectories, left_out = leave_out_outliers(trajectories, request.degree, most_samples)
         findings += left_out
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     scales = lay_knots(searched, request.degree)

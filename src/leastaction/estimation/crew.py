@@ -22,7 +22,7 @@ import numpy as np
 from leastaction.errors import InputError
 from leastaction.threads import single_threaded
 
-__all__ = ["Crew", "DaskCrew", "Task", "ThreadCrew", "employ"]
+__all__ = ["Alone", "Crew", "DaskCrew", "Task", "ThreadCrew", "employ"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
 _LOOK = 1.0  # seconds between two looks at the cluster
@@ -64,6 +64,7 @@ class Crew(Protocol):
 
     n_blocks: int
     least: int
+    keeps: bool
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         """Begin to compute a function of arguments that may be other tasks of this crew."""
@@ -72,6 +73,18 @@ class Crew(Protocol):
     def results(self, tasks: Sequence[Task]) -> list[Any]:
         """Wait for results. What a function raised is raised here."""
         ...
+
+
+class Alone:
+    """The thread that asks: a task is computed when its result is asked for."""
+
+    n_blocks, least, keeps = 1, 1, False
+
+    def task(self, function: Callable[..., Any], *given: Any) -> Task:
+        return Task(function, given)
+
+    def results(self, tasks: Sequence[Task]) -> list[Any]:
+        return [task.here() for task in tasks]
 
 
 class ThreadCrew:
@@ -83,7 +96,11 @@ class ThreadCrew:
         Into how many blocks long data are cut, at most: more than workers, so that none waits for long.
     least : int
         Knot intervals below which a block is not worth its overhead.
+    keeps : bool
+        Whether blocks of long recordings are kept, because the memory that holds them is not this machine's.
     """
+
+    keeps = False
 
     def __init__(self, workers: int) -> None:
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="leastaction")
@@ -109,6 +126,8 @@ class DaskCrew:
     Dask itself repeats the tasks of a worker that is gone. If no worker is left, or the scheduler is gone,
     the results are computed here.
     """
+
+    keeps = True
 
     def __init__(self, client: Any) -> None:
         self._client, self._alone = client, False

@@ -16,7 +16,7 @@ import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
 
-__all__ = ["CurveFactor", "NormalEquations", "Quadratic"]
+__all__ = ["Condensed", "CurveFactor", "Eliminated", "NormalEquations", "Quadratic"]
 
 
 class CurveFactor(Protocol):
@@ -30,6 +30,19 @@ class CurveFactor(Protocol):
     def solve(self, right: np.ndarray) -> np.ndarray:
         """H⁻¹b for one right-hand side."""
         ...
+
+
+class Eliminated(Protocol):
+    """A system without its curve, wherever it was made; see `Quadratic`."""
+
+    @property
+    def gradient(self) -> np.ndarray: ...
+    @property
+    def matrix(self) -> np.ndarray: ...
+    @property
+    def factor(self) -> CurveFactor: ...
+    def curve_step(self, step: np.ndarray) -> np.ndarray: ...
+    def predicted(self, shift: np.ndarray, step: np.ndarray) -> float: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +79,34 @@ class Quadratic:
         """H⁻¹(g_P + C · step), flat: subtract it from the control points as λ moves by the step."""
         return self.factor.solve(self.curve_gradient + self.border(step))
 
+    def predicted(self, shift: np.ndarray, step: np.ndarray) -> float:
+        """By how much steps of curve and coefficients should lower the cost."""
+        assert self.held is not None
+        return -float(self.curve_gradient @ shift + self.held @ step)
+
+
+class Condensed(NamedTuple):
+    """What a part of a motion leaves of its system when its curve is eliminated.
+
+    Attributes
+    ----------
+    gradient, matrix, held
+        As of `Quadratic`.
+    reach : (1 + n_border,) array
+        gᵀH⁻¹[g, C], g the half gradient in the control points.
+    solution : (n_ctrl · n_dof, 1 + n_border) array
+        H⁻¹[g, C].
+    logdet : float
+        log |H|
+    """
+
+    gradient: np.ndarray
+    matrix: np.ndarray
+    held: np.ndarray
+    reach: np.ndarray
+    solution: np.ndarray
+    logdet: float
+
 
 class NormalEquations(NamedTuple):
     """The Gauss–Newton system at given weights.
@@ -95,10 +136,7 @@ class NormalEquations(NamedTuple):
         numpy.linalg.LinAlgError
             When H is not positive definite, or not finite.
         """
-        factor = BandedFactor.of(self.rows, damping)
-        if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
-            raise np.linalg.LinAlgError("the normal matrix is not finite")
-        half = factor.forward(self.border)
+        factor, half = self._half(damping)
         products = half.T @ half
         return Quadratic(
             self.gradient - products[1:, 0],
@@ -108,3 +146,33 @@ class NormalEquations(NamedTuple):
             self.border[:, 1:].dot,
             self.gradient,
         )
+
+    def condense(self, damping: float = 0.0) -> Condensed:
+        """The same, with all that is needed of H: no factor is kept.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When H is not positive definite, or not finite.
+        """
+        factor, half = self._half(damping)
+        products = half.T @ half
+        return Condensed(
+            self.gradient - products[1:, 0],
+            self.corner - products[1:, 1:],
+            self.gradient,
+            products[0],
+            factor.backward(half),
+            factor.logdet,
+        )
+
+    def lean(self) -> NormalEquations:
+        """Itself: nothing was computed ahead."""
+        return self
+
+    def _half(self, damping: float) -> tuple[BandedFactor, np.ndarray]:
+        """L and L⁻¹[g, C]."""
+        factor = BandedFactor.of(self.rows, damping)
+        if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
+            raise np.linalg.LinAlgError("the normal matrix is not finite")
+        return factor, factor.forward(self.border)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from leastaction.estimation.problem import Problem
 
 __all__ = ["Fit"]
+
+_RUN = 2**16  # knot intervals that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,15 +129,29 @@ class Fit:
         states = self.grid.spline.at_quadrature(self.control_points, slice(None, None, stride))
         return Points(*(s[:, 0] for s in states))
 
+    def along(self) -> Iterator[tuple[slice, Points]]:
+        """States in each knot interval, in runs of intervals that bound memory."""
+        for chunk in self.grid.spline.chunks(_RUN):
+            states = self.grid.spline.at_quadrature(self.control_points, chunk)
+            yield chunk, Points(*(s[:, 0] for s in states))
+
+    def curves(self) -> Iterator[np.ndarray]:
+        """(n_times, n_dof) the fitted curve at the samples, trajectory by trajectory."""
+        spline = self.grid.spline
+        parts = spline.split(self.control_points)
+        for space, part, times in zip(spline.spaces, parts, self.grid.times, strict=True):
+            yield space.evaluate(part, times)
+
     def regular(self, coefficients: np.ndarray | None = None) -> float:
         """Share of the motion along which the mass matrix is positive definite."""
         values = self.coefficients if coefficients is None else coefficients
         return self.grid.regular(values, self.control_points)
 
-    def mass_matrix(self) -> np.ndarray:
-        """(n_points, n_dof, n_dof) along the curve."""
+    def mass_matrices(self) -> Iterator[np.ndarray]:
+        """(n_points, n_dof, n_dof) along the curve, run by run."""
         physics, index = self.grid.physics(self.structure)
-        return physics.columns.mass_matrix(self.points(), self.coefficients[index])
+        for _, points in self.along():
+            yield physics.columns.mass_matrix(points, self.coefficients[index])
 
     def equation_error(self) -> tuple[np.ndarray, np.ndarray]:
         """Root mean square of the equation residual, relative to the terms of each equation, and absolute.
@@ -142,18 +159,18 @@ class Fit:
         Where a coordinate has no equation: zero, and NaN.
         """
         physics, index = self.grid.physics(self.structure)
-        spline = self.grid.spline
-        states = spline.at_quadrature(self.control_points)
-        points = Points(*(s[:, 0] for s in states))
-        coefficients = self.coefficients[index]
-        size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
-        # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
-        mass = physics.columns.mass_matrix(points, coefficients)
-        size += np.einsum("pij,pj->ip", mass**2, states[2][:, 0] ** 2)
-        if self.grid.forces is not None:
-            size += self.grid.forces.values[:, 0].T ** 2
-        rms = np.sqrt(self.linearisation.equation / spline.weights.sum())
-        share = rms / np.sqrt(np.maximum(size.mean(axis=1), 1e-300))
+        spline, coefficients = self.grid.spline, self.coefficients[index]
+        squares = np.zeros(self.control_points.shape[1])
+        for chunk, points in self.along():
+            size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
+            # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
+            mass = physics.columns.mass_matrix(points, coefficients)
+            size += np.einsum("pij,jp->ip", mass**2, np.square(points.columns[2 * squares.size :]))
+            if self.grid.forces is not None:
+                size += self.grid.forces.values[chunk, 0].T ** 2
+            squares += size.sum(axis=1)
+        rms = np.sqrt(self.linearisation.equation / spline.duration)
+        share = rms / np.sqrt(np.maximum(squares / spline.n_intervals, 1e-300))
         none = list(physics.columns.prescribed)
         share[none], rms[none] = 0.0, np.nan
         return share, rms

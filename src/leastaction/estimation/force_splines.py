@@ -48,7 +48,7 @@ class SlowForces:
             for i, every in seconds.items()
             for k, t in enumerate(self.times)
         }
-        self.n_quadrature = spline.points.shape[1]
+        self.n_quadrature = spline.n_quadrature
         self.equations = np.concatenate([np.full(s.n_ctrl, i) for (i, _), s in self.spaces.items()])
         rows = []
         for (_, k), space in self.spaces.items():
@@ -56,7 +56,7 @@ class SlowForces:
             values = space.basis(spline.points[own].ravel()).T.tocoo()
             functions, points = values.coords
             columns = own[0] * self.n_quadrature + points  # the intervals of a trajectory are successive
-            shape = (space.n_ctrl, spline.points.size)
+            shape = (space.n_ctrl, spline.n_intervals * spline.n_quadrature)
             rows.append(sp.csr_array((values.data, (functions, columns)), shape=shape))
         self.basis = sp.vstack(rows).tocsc()
 

@@ -14,7 +14,7 @@ from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.curve.smoothing import banded_gram
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["GridForces", "Pushes", "WithPushes", "forces_on"]
+__all__ = ["GridForces", "Pushes", "WithPushes", "force_rates", "forces_on"]
 
 _SAMPLES_PER_INTERVAL = 2.5  # at least: otherwise noise could not be told from the forces
 _FEWEST = 4  # intervals; shorter records are interpolated
@@ -28,15 +28,12 @@ class GridForces:
     ----------
     values : (n_intervals, n_quadrature, n_dof) array
         At the quadrature points.
-    rates : (n_intervals, n_quadrature, n_dof) array
-        Their derivatives in time.
     density : (n_dof,) array
         Spectral density of what is faster, in force² seconds: the error of the equations, 1/w, that forces
         with white noise would leave. Zero where it cannot be told.
     """
 
     values: np.ndarray
-    rates: np.ndarray
     density: np.ndarray
 
 
@@ -71,20 +68,31 @@ def forces_on(
     n_dof = next((f.shape[1] for f in forces if f is not None), 0)
     if not n_dof:
         return None
-    values, rates, squares, freedom = [], [], np.zeros(n_dof), 0.0
+    values = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof))
+    squares, freedom, stop = np.zeros(n_dof), 0.0, 0
     for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
-        points = grid.points[grid.owner == k]
+        own = slice(stop, stop := stop + space.n_intervals)
         if samples is None:
-            values.append(np.zeros((*points.shape, n_dof)))
-            rates.append(values[-1])
             continue
         slow, n_parameters = _slow_part(space, t, samples)
-        values.append(slow(points))
-        rates.append(slow(points, nu=1))
+        values[own] = slow(grid.points_of(k))
         if n_parameters < t.size:
             squares += ((samples - slow(t)) ** 2).sum(axis=0) * (t[-1] - t[0]) / t.size
             freedom += t.size - n_parameters
-    return GridForces(np.concatenate(values), np.concatenate(rates), squares / max(freedom, 1.0))
+    return GridForces(values, squares / max(freedom, 1.0))
+
+
+def force_rates(
+    grid: SplineGrid, times: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+) -> np.ndarray:
+    """(n_intervals, n_quadrature, n_dof) derivatives in time of what `forces_on` returns."""
+    n_dof = next((f.shape[1] for f in forces if f is not None), 0)
+    rates, stop = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof)), 0
+    for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
+        own = slice(stop, stop := stop + space.n_intervals)
+        if samples is not None:
+            rates[own] = _slow_part(space, t, samples)[0](grid.points_of(k), nu=1)
+    return rates
 
 
 def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[BSpline | CubicSpline, int]:

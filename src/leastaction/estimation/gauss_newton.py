@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction.estimation.candidates import score
-from leastaction.estimation.elimination import CurveFactor, Quadratic
+from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -74,7 +74,7 @@ class JointFit:
 
 def condense(
     observations: Measurements, linearisation: Linearised, weights: Weights, damping: float = 0.0
-) -> Quadratic:
+) -> Eliminated:
     """Eliminate the control points.
 
     Raises
@@ -127,18 +127,19 @@ def fit_joint(
     JointFit
         Never raises for numerical failure: see ``status``.
     """
-    here = linearisation or linearise(observations, physics, control_points, coefficients)
+    here = linearisation or linearise(observations, physics, control_points, coefficients, weights)
     size, damping, status = abs(here.cost(weights)), 0.0, "step limit"
     if not np.isfinite(size):
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
         return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
-    normal = here.normal(weights)
+    normal, here = here.normal(weights), here.lean()
     while step < max_steps:
         step += 1
         try:
             quadratic = normal.eliminate(damping)
             shift, delta, predicted = _step(quadratic, damping)
+            del quadratic  # as large as the motion is long
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -148,12 +149,14 @@ def fit_joint(
         new_points = control_points + shift.reshape(control_points.shape)
         new_coefficients = coefficients.copy()
         new_coefficients[physics.free] += delta
-        there = linearise(observations, physics, new_points, new_coefficients)
+        normal = normal.lean()
+        there = linearise(observations, physics, new_points, new_coefficients, weights)
         change = here.change(there, delta, weights)
         if np.isfinite(change) and change <= 1e-9 * size:
             idle = idle + 1 if -change < tolerance else 0
-            control_points, coefficients, here = new_points, new_coefficients, there
-            normal = here.normal(weights)
+            control_points, coefficients = new_points, new_coefficients
+            normal, here = there.normal(weights), there.lean()
+            del there
             damping = damping / 10.0 if damping > 1e-6 else 0.0
             if predicted < tolerance and damping < 1e-3:
                 status = "converged"
@@ -162,6 +165,7 @@ def fit_joint(
                 status = "stalled"
                 break
         else:
+            del there
             damping = max(10.0 * damping, 1e-4)
             # below the tolerance no measurable progress is left: rounding decides
             if predicted < tolerance or damping > _LARGEST_DAMPING:
@@ -173,7 +177,7 @@ def fit_joint(
     return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
 
 
-def _step(quadratic: Quadratic, damping: float):
+def _step(quadratic: Eliminated, damping: float):
     """Steps of curve and coefficients, and how much they should lower the cost.
 
     Raises LinAlgError when they are not finite.
@@ -181,7 +185,7 @@ def _step(quadratic: Quadratic, damping: float):
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = -quadratic.curve_step(delta)
-    predicted = -float(quadratic.curve_gradient @ shift + quadratic.held @ delta)
+    predicted = quadratic.predicted(shift, delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
     return shift, delta, predicted

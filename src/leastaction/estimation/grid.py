@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -15,12 +16,14 @@ from scipy.sparse.linalg import splu
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.estimation.blocks import observe
+from leastaction.estimation.crew import Alone
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import Measurements
+from leastaction.estimation.streamed import is_long
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
@@ -29,6 +32,7 @@ from leastaction.mechanics.euler_lagrange import Points
 __all__ = ["Grid", "greville_sites"]
 
 _POINTS = 200  # along the motion, at which the mass matrix is looked at
+_SMOOTHED = 50_000  # times in a run of short trajectories: bounds memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +89,16 @@ class Grid:
 
     def smooth(self, penalty: np.ndarray | None = None) -> Smooth:
         """The curve through the samples on this grid, before any law; ``penalty`` fixes its smoothness."""
-        data = self.problem.trajectories
-        return smooth(self.spline, self.times, [t.q for t in data], penalty, data.rates)
+        data, crew = self.problem.trajectories, self.problem.crew or Alone()
+        values, rates = [t.q for t in data], data.rates
+        if penalty is None or not is_long(self.times, data.n_dof):
+            return smooth(self.spline, self.times, values, penalty, rates)
+        tasks = []
+        for part in _runs(self.times):
+            own = [replace(rate, values=rate.values[part]) for rate in rates]
+            some = SplineGrid(self.spline.spaces[part], self.spline.n_quadrature)
+            tasks.append(crew.task(smooth, some, self.times[part], values[part], penalty, own))
+        return Smooth.joined(self.spline, crew.results(tasks))
 
     def force_at(self, trajectory: int, times: np.ndarray) -> np.ndarray:
         """(n_times, n_dof) known forces on one trajectory, between their samples; zero where none act."""
@@ -161,6 +173,13 @@ class Grid:
         points = Points(*(s[:, 0] for s in states))
         mass = self.problem.candidates.mass_matrix(points, coefficients)
         return float(np.mean(positive_definite(mass)))
+
+
+def _runs(times: Sequence[np.ndarray]) -> list[slice]:
+    """Runs of trajectories that are smoothed at once."""
+    ends = np.cumsum([t.size for t in times])
+    cuts = np.flatnonzero(np.diff(ends // _SMOOTHED)) + 1
+    return [slice(int(a), int(b)) for a, b in pairwise([0, *cuts, len(times)])]
 
 
 def _forces(spline: SplineGrid, data, samples: Sequence[np.ndarray | None]) -> GridForces | None:

@@ -209,6 +209,10 @@ class Linearisation(Costs):
     at_mass: Volume
     prescribed: tuple[int, ...] = ()
 
+    def lean(self) -> Linearisation:
+        """Itself: nothing was computed ahead."""
+        return self
+
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
         """Half gradients of the cost in the control points and in the border's coefficients."""
         normal = self.normal(weights)
@@ -315,7 +319,7 @@ def linearise(
     """
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    numbers = grid.total * grid.points.shape[1] * n * ((grid.degree + 1) * n + 1 + physics.n_free)
+    numbers = grid.total * grid.n_quadrature * n * ((grid.degree + 1) * n + 1 + physics.n_free)
     kept: list[Equations] | None = [] if numbers <= _MOST_KEPT else None
     equation, terms = np.zeros(n), np.zeros(n)
     for chunk in grid.chunks(_CHUNK):

@@ -12,9 +12,9 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
 
-__all__ = ["Observations", "noise_floors"]
+__all__ = ["RELATIVE_FLOOR", "Observations", "noise_floors"]
 
-_RELATIVE_FLOOR = 1e-6
+RELATIVE_FLOOR = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,4 +98,4 @@ def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np
     """(n_channels,) a millionth of the spread of each channel."""
     spread = [*np.nanstd(np.concatenate(values), axis=0)]
     spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
-    return _RELATIVE_FLOOR * np.array(spread)
+    return RELATIVE_FLOOR * np.array(spread)

@@ -9,7 +9,7 @@ import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation import joint
-from leastaction.estimation.elimination import Quadratic
+from leastaction.estimation.elimination import Eliminated
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume
@@ -20,7 +20,8 @@ __all__ = ["Linearised", "Measurements", "System", "linearise"]
 class System(Protocol):
     """A Gauss–Newton system; see :class:`leastaction.estimation.elimination.NormalEquations`."""
 
-    def eliminate(self, damping: float = 0.0) -> Quadratic: ...
+    def eliminate(self, damping: float = 0.0) -> Eliminated: ...
+    def lean(self) -> System: ...
 
 
 class Linearised(Protocol):
@@ -47,6 +48,7 @@ class Linearised(Protocol):
     def change(self, there: Any, step: np.ndarray, weights: Weights) -> float: ...
     def mean(self, values: np.ndarray) -> float: ...
     def normal(self, weights: Weights) -> System: ...
+    def lean(self) -> Linearised: ...
     def freedom(self, weights: Weights, factor: Any = None) -> tuple[np.ndarray, np.ndarray]: ...
     def scored(self, score: Callable[..., Any], *given: Any) -> Any: ...
 
@@ -66,14 +68,25 @@ class Measurements(Protocol):
 
 class _InBlocks(Measurements, Protocol):
     def linearise(
-        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+        self,
+        physics: Physics,
+        control_points: np.ndarray,
+        coefficients: np.ndarray,
+        weights: Weights | None = None,
     ) -> Linearised: ...
 
 
 def linearise(
-    observations: Measurements, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+    observations: Measurements,
+    physics: Physics,
+    control_points: np.ndarray,
+    coefficients: np.ndarray,
+    weights: Weights | None = None,
 ) -> Linearised:
-    """Linearise the joint problem at (P, λ), in one piece or in blocks of trials."""
+    """Linearise the joint problem at (P, λ), in one piece or in blocks of trials.
+
+    With ``weights`` the system at these weights will be wanted next: a stream makes it in the same pass.
+    """
     if isinstance(observations, Observations):
         return joint.linearise(observations, physics, control_points, coefficients)
-    return cast(_InBlocks, observations).linearise(physics, control_points, coefficients)
+    return cast(_InBlocks, observations).linearise(physics, control_points, coefficients, weights)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["Volume", "positive_definite", "volume_term"]
+__all__ = ["Volume", "add_volumes", "positive_definite", "volume_term"]
 
 _VOLUME_POINTS = 512
 _CHUNK = 4096  # knot intervals handled at once
@@ -88,6 +89,16 @@ def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
         sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
         if sample.start < sample.stop:
             yield sample, share
+
+
+def add_volumes(parts: Iterable[Volume]) -> Volume:
+    """The volume term of a motion from those of its parts."""
+    return reduce(
+        lambda a, b: Volume(
+            a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner
+        ),
+        parts,
+    )
 
 
 def positive_definite(matrices: np.ndarray) -> np.ndarray:

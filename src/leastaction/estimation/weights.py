@@ -55,7 +55,7 @@ def equation_rank(observations: Measurements) -> int:
     No more than there are points at which the equation is compared.
     """
     grid = observations.grid
-    return min(grid.n_ctrl - 2 * len(grid.spaces), grid.points.size)
+    return min(grid.n_ctrl - 2 * len(grid.spaces), grid.n_intervals * grid.n_quadrature)
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

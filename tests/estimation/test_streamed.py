@@ -1,0 +1,207 @@
+"""Long recordings in blocks that are made when they are needed: the same sums, whoever computes them."""
+
+from __future__ import annotations
+
+import tracemalloc
+from functools import partial
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from block_helpers import MORE, TERMS, VALUES, WEIGHTS, Cluster, close, motion, problem
+from helpers import euler_lagrange, uniform_grid
+from leastaction.estimation import streamed
+from leastaction.estimation.blocks import BlockedObservations, observe
+from leastaction.estimation.candidates import score
+from leastaction.estimation.crew import DaskCrew, ThreadCrew
+from leastaction.estimation.forces import WithPushes
+from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.joint import Physics
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.protocols import linearise
+from leastaction.estimation.streamed import StreamedObservations
+
+
+@pytest.fixture(params=["alone", "two threads"])
+def crew(request, monkeypatch):
+    """Whoever computes; every recording is long, and a block holds one trial or two."""
+    monkeypatch.setattr(streamed, "_LONG", 1)
+    monkeypatch.setattr(streamed, "_NUMBERS", 20 * 2 * 4 * 6)
+    crew = None if request.param == "alone" else ThreadCrew(2)
+    yield crew
+    if crew is not None:
+        crew.close()
+
+
+def both(crew):
+    """The same data in one piece and streamed, the physics, and a curve."""
+    grid, data, physics, control = problem()
+    parts = observe(grid, *data, crew)
+    assert isinstance(parts, StreamedObservations)
+    assert 2 <= len(parts.points) <= len(grid.spaces)
+    return Observations(grid, *data), parts, physics, control
+
+
+def test_a_stream_gives_the_sums_of_the_whole(crew):
+    whole, parts, physics, control = both(crew)
+    for name in ("counts", "coordinates"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    for name in ("floors", "noise_floor"):
+        close(getattr(parts, name), getattr(whole, name), 1e-12)
+    for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
+        np.testing.assert_allclose(mine, others, atol=1e-12)
+    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
+    for name in ("squares", "equation", "volume"):
+        close(getattr(there, name), getattr(here, name), 1e-12)
+    assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
+    assert there.regular == pytest.approx(here.regular, rel=1e-12)
+    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
+    for mine, others in zip(there.freedom(WEIGHTS), here.freedom(WEIGHTS), strict=True):
+        close(mine, others)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.01])
+@pytest.mark.parametrize("foreseen", [True, False])
+def test_a_stream_takes_the_step_of_the_whole(crew, damping, foreseen):
+    whole, parts, physics, control = both(crew)
+    expected = linearise(whole, physics, control, VALUES).normal(WEIGHTS).eliminate(damping)
+    at = linearise(parts, physics, control, VALUES, WEIGHTS if foreseen else None)
+    found = at.normal(WEIGHTS).eliminate(damping)
+    for name in ("gradient", "matrix", "held"):
+        close(getattr(found, name), getattr(expected, name))
+    assert found.factor.logdet == pytest.approx(expected.factor.logdet, abs=1e-9)
+    step = np.array([0.1, -0.2, 0.3, 0.4])
+    shift = expected.curve_step(step)
+    close(found.curve_step(step), shift, 1e-8)
+    assert found.predicted(-shift, step) == pytest.approx(expected.predicted(-shift, step), rel=1e-8)
+    right = np.linspace(-1.0, 1.0, shift.size)
+    close(found.factor.solve(right), expected.factor.solve(right), 1e-8)
+
+
+class Ramp:
+    """A push that differs from interval to interval."""
+
+    def __len__(self):
+        return 1
+
+    def on(self, intervals, n_dof):
+        one = np.arange(intervals.start, intervals.stop, dtype=float)
+        return np.tile(one, (1, n_dof, 2))
+
+
+@pytest.mark.parametrize("pushed", [False, True])
+def test_a_stream_scores_candidates_as_the_whole(crew, pushed):
+    whole, parts, physics, control = both(crew)
+    more = euler_lagrange(MORE, ["x", "y"])
+    step = np.arange(7.0)
+    if pushed:
+        more, step = WithPushes(more, Ramp()), np.arange(8.0)
+    expected, found = (
+        linearise(seen, physics, control, VALUES).scored(
+            score, WEIGHTS, (control, VALUES), physics.columns, more
+        )
+        for seen in (whole, parts)
+    )
+    close(found.schur, expected.schur)
+    close(found.volume.slope, expected.volume.slope)
+    close(found.volume.corner, expected.volume.corner)
+    close(found.curve_gradient, expected.curve_gradient)
+    close(found.border(step), expected.border(step))
+    assert found.factor.logdet == pytest.approx(expected.factor.logdet, abs=1e-9)
+    right = expected.curve_gradient + expected.border(step)
+    close(found.factor.solve(right), expected.factor.solve(right), 1e-8)
+
+
+def test_a_fit_is_the_same_and_does_not_depend_on_who_computes(crew):
+    whole, parts, physics, control = both(crew)
+    coefficients = 1.05 * VALUES
+    expected, found = (fit_joint(seen, physics, WEIGHTS, control, coefficients) for seen in (whole, parts))
+    assert found.converged
+    close(found.coefficients, expected.coefficients, 1e-7)
+    close(found.covariance, expected.covariance, 1e-7)
+    alone = observe(parts.grid, *problem()[1])
+    again = fit_joint(alone, physics, WEIGHTS, control, coefficients)
+    np.testing.assert_array_equal(again.coefficients, found.coefficients)
+    np.testing.assert_array_equal(again.control_points, found.control_points)
+
+
+def test_a_stream_whose_curve_nothing_holds_fails_as_the_whole(crew):
+    _, parts, physics, control = both(crew)
+    broken = WEIGHTS.__class__(WEIGHTS.noise_std, np.array([np.nan, 1.0]), WEIGHTS.slack)
+    for foreseen in (None, broken):
+        at = linearise(parts, physics, control, VALUES, foreseen)
+        with pytest.raises(np.linalg.LinAlgError):
+            at.normal(broken).eliminate()
+    assert fit_joint(parts, physics, broken, control, VALUES).status == "not finite"
+
+
+def test_a_cluster_keeps_its_blocks(monkeypatch):
+    monkeypatch.setattr(streamed, "_LONG", 1)
+    crew = DaskCrew(Cluster(10**9))
+    crew.least = 1
+    grid, data, _, _ = problem()
+    assert isinstance(observe(grid, *data, crew), BlockedObservations)
+
+
+def test_a_step_is_one_pass(crew, monkeypatch):
+    """What a step needs of the weights that are foreseen comes from one look at every block."""
+    _, parts, physics, control = both(crew)
+    looked = []
+    observe_block = streamed._Block.observe
+
+    def counted(block):
+        looked.append(block.before)
+        return observe_block(block)
+
+    monkeypatch.setattr(streamed._Block, "observe", counted)
+    at = linearise(parts, physics, control, VALUES, WEIGHTS)
+    quadratic = at.normal(WEIGHTS).eliminate()
+    quadratic.predicted(quadratic.curve_step(np.ones(4)), np.ones(4))
+    assert np.isfinite(at.cost(WEIGHTS))
+    assert sorted(looked) == [intervals.start for intervals in parts.intervals]
+
+
+def peak_of(run) -> int:
+    """Most bytes that a call holds at once beyond what there was before."""
+    tracemalloc.start()
+    try:
+        run()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_memory_of_a_pass_does_not_grow_with_the_number_of_trials(monkeypatch):
+    monkeypatch.setattr(streamed, "_LONG", 1)
+    monkeypatch.setattr(streamed, "_NUMBERS", 2**14)
+    physics = Physics(euler_lagrange(MORE[:5], ["x", "y"]), np.ones(5, dtype=bool), None)
+    peaks = []
+    for count in (4, 32):  # the trials, and what a grid lays out for them, are there before
+        times = [np.linspace(0.0, 40.0, 801)] * count
+        grid = uniform_grid([40.0] * count, 10.0, 5, 2)
+        parts = observe(grid, times, [motion(t) for t in times])
+        control = np.ones((grid.n_ctrl, 2))
+        linearise(parts, physics, control, VALUES)
+        peaks.append(peak_of(partial(linearise, parts, physics, control, VALUES)))
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_a_long_recording_is_smoothed_in_runs_as_in_one_piece(monkeypatch):
+    rng = np.random.default_rng(3)
+    times = [np.sort(rng.uniform(0.0, 5.0, 120)) for _ in range(7)]
+    q = [motion(t) + 0.02 * rng.standard_normal((t.size, 2)) for t in times]
+    q[2][40:50, 1] = np.nan
+    items = [la.Trajectory(t, x, coordinates=["x", "y"]) for t, x in zip(times, q, strict=True)]
+    columns = euler_lagrange(TERMS, ["x", "y"])
+    grid = Grid.lay(Problem(la.Trajectories(items), columns, np.full(5, np.nan)), 6.0)
+    expected = grid.smooth()
+    monkeypatch.setattr(streamed, "_LONG", 1)
+    monkeypatch.setattr("leastaction.estimation.grid._SMOOTHED", 200)
+    found = grid.smooth(expected.penalty)
+    close(found.control_points, expected.control_points, 1e-7)
+    close(found.noise_std, expected.noise_std, 1e-7)
+    one, other = (s.replicates(2, np.random.default_rng(1), np.zeros(2)) for s in (expected, found))
+    close(np.array(other), np.array(one), 1e-6)
