@@ -5,7 +5,8 @@
 Set-ups: the further systems, and wrong ones of the study of faults with seeds that no record has; 3 × 8 s at
 50 Hz, one data set each.  A row says how many structures are exact, how many results are ok, how many are ok
 and wrong, and which changed: structure, status or the codes of the findings; for settings of measured
-velocities, which of 32 channels are doubted.  Ratios (a value near one) are taken at half and twice their
+velocities, which of 32 channels are doubted; of outliers, which samples are left out; of simulations, what
+becomes of three machines.  Ratios (a value near one) are taken at half and twice their
 distance from one.  Settings of the diagnosis need no new search and are tried on all set-ups, those of the
 causes on the wrong ones; settings of the search on the quicker set-ups.
 """
@@ -17,15 +18,18 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from itertools import product
 from time import process_time
 
 import click
 import numpy as np
 
 import leastaction as la
+from benchmarks import ablations
 from leastaction import systems
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import lay_knots
+from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import Smooth
 from leastaction.diagnosis import verdict
@@ -184,6 +188,41 @@ def _rates_judged() -> str:
     return f"{named} of {wrong} wrong channels named, {right} of {len(found) - wrong} right ones"
 
 
+def _outliers_judged() -> str:
+    """How many samples that are far off are left out, and how many good ones."""
+    far = found = good = 0
+    for system, (kind, share) in product(
+        ("single_pendulum", "henon_heiles"), (("gaussian", 0.0), ("gaussian", 0.02), ("student3", 0.0))
+    ):
+        case = Case("noise", system, 0.03, kind, trial=500, trajectories=2, duration=20.0, rate=50.0)
+        clean, rng = _question(case).data, np.random.default_rng(0)
+        hit = [rng.random(t.q.shape) < share for t in clean]
+        size = 10.0 * 0.03 * np.std(np.concatenate([t.q for t in clean]), axis=0)
+        data = la.Trajectories([t.changed(q=t.q + h * size) for t, h in zip(clean, hit, strict=True)])
+        left, _ = leave_out_outliers(data, 5)
+        out = np.concatenate([~np.isfinite(t.q) for t in left])
+        far += int(np.concatenate(hit).sum())
+        found += int((out & np.concatenate(hit)).sum())
+        good += int((out & ~np.concatenate(hit)).sum())
+    return f"{found} of {far} outliers left out, and {good} samples that are none"
+
+
+def _machines_judged() -> str:
+    """Structures and coefficients of machines that are pushed by what nobody measured."""
+    found = [
+        ablations.outcome("machines", name) for name in ("pushed", "pushed hard", "pushed, dry friction")
+    ]
+    errors = ", ".join(f"{100 * one.error:.2g}" for one in found)
+    return f"{sum(one.exact for one in found)} of {len(found)} exact, coefficients off by {errors} %"
+
+
+_OF_DATA = {
+    **dict.fromkeys(("rate_factor", "rate_follows", "rate_clear"), _rates_judged),
+    **dict.fromkeys(("outlier", "outlier_alone", "most_outliers"), _outliers_judged),
+    **dict.fromkeys(("simulated", "horizon", "clearly"), _machines_judged),
+}
+
+
 @contextmanager
 def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
     """Keep the causes of a search while what they depend on stays the same: they take most of the time."""
@@ -238,11 +277,11 @@ def main(packages, names, every_setup: bool, show: bool) -> None:
         wanted = [field.name for field in fields(settings) if not names or field.name in names]
         with _causes_looked_for_once(_OF_CAUSES):
             for name in wanted:
-                if name.startswith("rate_"):
-                    click.echo(f"{name} ({getattr(settings, name):g}): {_rates_judged()}")
+                if name in _OF_DATA:
+                    click.echo(f"{name} ({getattr(settings, name):g}): {_OF_DATA[name]()}")
                     for side, value in _sides(name, getattr(settings, name)).items():
                         with changed(settings, **{name: value}):
-                            click.echo(f"    {side} ({value:g}): {_rates_judged()}")
+                            click.echo(f"    {side} ({value:g}): {_OF_DATA[name]()}")
                     continue
                 judged = package == "diagnosis" or name == "false_alarm"
                 find = _kept if judged else _searched

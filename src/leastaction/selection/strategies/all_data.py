@@ -4,6 +4,8 @@ The knots stay: with a factor of 1.4 between grids and errors that fall with a h
 what still moves by a tenth of a standard error leaves a bias of some hundredths.
 
 Cost: some joint fits on all data. Skipped where the search saw all of them.
+Without it terms are lost that only the whole recording shows; none on two recordings whose pieces show all
+(`docs/ablations.md`).
 """
 
 from __future__ import annotations

@@ -6,6 +6,8 @@ one begins on the coarsest grid that shows the motion; simulation errors along t
 right.
 
 Cost: that of the first search, on fewer knots, and two rounds of simulation.
+Without it (`docs/ablations.md`) one of nine machines and one of nine further systems are wrong, and the
+coefficients of the other machines are off by 0.38 instead of 0.14 %.
 """
 
 from __future__ import annotations

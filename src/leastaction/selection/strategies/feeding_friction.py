@@ -3,6 +3,7 @@
 Such a candidate is ruled out in the problem itself, so that no later fit or search holds it.
 
 Cost: a fit, and a search on its quadratic model, for each round.
+Without it (`docs/ablations.md`) a machine that is fed energy is ok, with negative friction.
 """
 
 from __future__ import annotations

@@ -7,6 +7,8 @@ and the likelier one stays.
 
 Cost: one joint fit for each grid, two or three as a rule; two for each grid that is coarser than the motion
 asks for.
+Without it (`docs/ablations.md`) coefficients of machines are off by 1.4 instead of 0.13 %, and one of
+nine further systems is wrong.
 """
 
 from __future__ import annotations

@@ -4,6 +4,8 @@ Where equations hold only to some per cent, what they leave is not white, and th
 slow motion best are those whose simulations stay with it (:mod:`leastaction.estimation.simulation_error`).
 
 Cost: some least-squares steps on a few hundred short simulations, and two forecasts.
+Without it nothing fails on nine simulated machines (`docs/ablations.md`); the measured driven double pendulum
+is forecast within 0.067 instead of 0.061 rad.
 """
 
 from __future__ import annotations
