@@ -19,7 +19,6 @@ from leastaction.estimation.joint import Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
-from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 COORDINATES = ["x", "theta"]
@@ -231,52 +230,6 @@ def test_volume_term_and_its_derivatives_in_the_coefficients():
     curvature = with_.condense().matrix - without.condense().matrix
     expected = finite_difference(slope, point, 1e-2)
     np.testing.assert_allclose(curvature, expected, rtol=1e-4, atol=1e-4 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("slack", [0.0, 400.0])
-def test_a_small_step_changes_the_cost_by_what_the_gradient_says(slack):
-    """The volume term by the gradient that the solver follows; the rest is of second order in the step."""
-    problem = tiny(slack=slack)
-    at, weights = problem.linearise(), replace(problem.weights, slack=slack * np.array([1.0, 0.3]))
-    curve_gradient, gradient = at.gradients(weights)
-    rng = np.random.default_rng(1)
-    step, shift = rng.standard_normal(gradient.size), rng.standard_normal(problem.control.shape)
-    left = []
-    for size in (1e-4, 1e-5):
-        moved = replace(problem, control=problem.control + size * shift)
-        coefficients = problem.coefficients.copy()
-        coefficients[problem.physics.free] += size * step
-        change = at.change(moved.linearise(coefficients), size * step, weights)
-        left.append(abs(change - 2.0 * size * (curve_gradient @ shift.ravel() + gradient @ step)))
-    assert 1.9 < np.log10(left[0] / left[1]) < 2.1
-
-
-def test_a_fit_with_much_equation_error_ends_at_one_place():
-    """Where the gradient vanishes, from whichever start; the cost itself is lower beside it."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0.0, 10.0, 0.02)
-    grid = uniform_grid([10.0], 8.0, 5, 2)
-    columns = euler_lagrange(LAGRANGIAN, COORDINATES)
-    free, truth = np.array([term.text != KNOWN for term in columns.terms]), np.array([*LAGRANGIAN.values()])
-
-    def path(t):
-        return curve(t) + 0.1 * np.column_stack([np.sin(7.0 * t), np.cos(5.0 * t)])
-
-    exact = interpolate(grid, [path])
-    states = grid.at_quadrature(exact)
-    strong = columns.strong(Points(*(s.reshape(-1, 2) for s in states)))
-    forces = np.tensordot(truth, strong, 1).T.reshape(states[0].shape)
-    forces = forces + np.array([5.0, 1.0]) * rng.standard_normal(forces.shape)
-    seen = Observations(grid, [t], [path(t) + 0.01 * rng.standard_normal((t.size, 2))])
-    physics = Physics(columns, free, forces)
-    weights = start_weights(seen, physics, np.full(2, 0.01), exact, truth)
-    weights = fit_weights(seen, physics, Start(exact, truth, weights)).weights
-    one, other = (
-        fit_joint(seen, physics, weights, exact, np.where(free, scale * truth, truth)) for scale in (0.9, 1.1)
-    )
-    assert (one.status, other.status) == ("converged", "converged")
-    spread = np.sqrt(np.diag(one.covariance))
-    assert np.all(np.abs(one.coefficients - other.coefficients)[free] < 0.01 * spread)
 
 
 def test_long_recordings_are_assembled_in_chunks(monkeypatch):

@@ -128,8 +128,8 @@ def fit_joint(
         Never raises for numerical failure: see ``status``.
     """
     here = linearisation or linearise(observations, physics, control_points, coefficients, weights)
-    size, damping, status = abs(here.cost(weights)), 0.0, "step limit"
-    if not np.isfinite(size):
+    cost, damping, status = here.cost(weights), 0.0, "step limit"
+    if not np.isfinite(cost):
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
         return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
@@ -151,10 +151,10 @@ def fit_joint(
         new_coefficients[physics.free] += delta
         normal = normal.lean()
         there = linearise(observations, physics, new_points, new_coefficients, weights)
-        change = here.change(there, delta, weights)
-        if np.isfinite(change) and change <= 1e-9 * size:
-            idle = idle + 1 if -change < tolerance else 0
-            control_points, coefficients = new_points, new_coefficients
+        new_cost = there.cost(weights)
+        if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
+            idle = idle + 1 if cost - new_cost < tolerance else 0
+            control_points, coefficients, cost = new_points, new_coefficients, new_cost
             normal, here = there.normal(weights), there.lean()
             del there
             damping = damping / 10.0 if damping > 1e-6 else 0.0

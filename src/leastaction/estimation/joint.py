@@ -40,7 +40,6 @@ __all__ = [
 
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
 _MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
-_SMALL_CHANGE = 0.01  # of the mass matrix, squared: the volume term is then a quadratic to one per cent
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
@@ -154,19 +153,6 @@ class Costs:
     def cost(self, weights: Weights) -> float:
         """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
         return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
-
-    def change(self, there: Costs, step: np.ndarray, weights: Weights) -> float:
-        """By how much a step of the coefficients, and of the curve, changes the cost.
-
-        The gradient counts the volume term of each equation by its own weight, and not how it depends on the
-        curve: it is the gradient of no function, and near its zero the cost rises. Small steps are therefore
-        judged by the volume term that the gradient promised, larger ones by the cost itself.
-        """
-        curved = float(step @ self.at_mass.corner @ step)
-        if not curved < _SMALL_CHANGE:
-            return there.cost(weights) - self.cost(weights)
-        promised = self.mean(weights.volume) * curved - 2.0 * float(weights.volume @ self.volume @ step)
-        return there.misfit(weights) - self.misfit(weights) + promised
 
     def mean(self, values: np.ndarray) -> float:
         """Mean over the equations of motion of what is zero where a coordinate has none."""
