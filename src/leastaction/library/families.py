@@ -85,10 +85,8 @@ def mechanical_terms(
     size = "auto" if size is None else size
     if size not in ALL_SIZES:
         raise InputError(f"size {size!r} is unknown; expected one of {', '.join(map(repr, ALL_SIZES))}")
-    if degree is not None and (
-        isinstance(degree, bool) or not isinstance(degree, int) or not 1 <= degree <= _MAX_DEGREE
-    ):
-        raise InputError(f"degree {degree!r} is not possible; expected an integer from 1 to {_MAX_DEGREE}")
+    if degree is not None:
+        _check_degree(degree)
     if len(coordinates) > _MAX_COORDINATES:
         raise InputError(
             f"{len(coordinates)} coordinates are too many to generate a library for; expected at most "
@@ -111,6 +109,11 @@ def mechanical_terms(
     return [*kinetic, *_gyroscopic(turned, angles), *potentials]
 
 
+def _check_degree(degree: object) -> None:
+    if isinstance(degree, bool) or not isinstance(degree, int) or not 1 <= degree <= _MAX_DEGREE:
+        raise InputError(f"degree {degree!r} is not possible; expected an integer from 1 to {_MAX_DEGREE}")
+
+
 def choose_size(
     coordinates: Sequence[str],
     angles: Sequence[str] = (),
@@ -125,7 +128,7 @@ def choose_size(
     ('standard', 'standard', 'chain', 'compact')
     """
     others = ("chain", "compact") if len(angles) > 1 else ("compact", "chain")
-    counts = {}
+    counts: dict[str, int] = {}
     for size in ("standard", *others):
         counts[size] = len(mechanical_terms(coordinates, angles, size, degree, gyroscopic))
         if counts[size] <= _SEARCHABLE:
@@ -133,13 +136,14 @@ def choose_size(
     return min(counts, key=counts.__getitem__)
 
 
-def check_angles(angles: Iterable[str] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
+def check_angles(angles: Iterable[object] | str, coordinates: tuple[str, ...]) -> tuple[str, ...]:
     """Return the angles in the order of the coordinates; each must be one of them."""
     given = (angles,) if isinstance(angles, str) else tuple(angles)
+    wanted: set[str] = set()
     for name in given:
         if not isinstance(name, str) or normalise(name) not in coordinates:
             raise InputError(f"angle {name!r} is not a coordinate; expected names out of {list(coordinates)}")
-    wanted = {normalise(name) for name in given}
+        wanted.add(normalise(name))
     return tuple(name for name in coordinates if name in wanted)
 
 

@@ -35,7 +35,7 @@ def read_terms(
     """
     shown = os.fspath(path)
     names = list(names)
-    terms = []
+    terms: list[Term] = []
     for number, line in enumerate(_read_lines(path), start=1):
         text = line.split("#", 1)[0].strip()
         if text:

@@ -7,7 +7,7 @@ expression so gives E_i[φ] = d/dt ∂φ/∂q̇_i − ∂φ/∂q_i, in double or
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -21,7 +21,7 @@ __all__ = ["Jets", "Points"]
 
 
 @lru_cache(maxsize=8)
-def _context(digits: int) -> Any:
+def _context(digits: int) -> mpmath.MPContext:
     """Return mpmath arithmetic of so many digits, apart from everybody else's."""
     context = mpmath.mp.clone()
     context.dps = digits
@@ -29,7 +29,8 @@ def _context(digits: int) -> Any:
 
 
 def _lift(values: np.ndarray, digits: int) -> np.ndarray:
-    return np.frompyfunc(_context(digits).mpf, 1, 1)(values)
+    number: Callable[[Any], Any] = _context(digits).mpf
+    return np.frompyfunc(number, 1, 1)(values)
 
 
 class Points:
@@ -59,6 +60,10 @@ class Points:
         return Points(*(_lift(values, digits) for values in (self.q, self.qdot, self.qddot)), digits)  # type: ignore[call-arg]
 
 
+def _itself(function: Any) -> Any:
+    return function
+
+
 class _Arithmetic:
     """The functions of the grammar on arrays, in double or in high precision."""
 
@@ -66,7 +71,8 @@ class _Arithmetic:
         self.context = _context(digits) if digits else None
         self.dtype = object if digits else float
         source = self.context or np
-        lift = partial(np.frompyfunc, nin=1, nout=1) if digits else (lambda function: function)
+        lift: Callable[[Any], Callable[[np.ndarray], np.ndarray]]
+        lift = partial(np.frompyfunc, nin=1, nout=1) if digits else _itself
         self.sin, self.cos, self.tan = lift(source.sin), lift(source.cos), lift(source.tan)
         self.exp, self.log, self.sign = lift(source.exp), lift(source.log), lift(source.sign)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from typing import overload
+from typing import Any, overload
 
 import sympy
 
@@ -81,11 +81,17 @@ class Library(Sequence[Term]):
         if not self._terms:
             raise InputError("the library has no terms; give expressions such as 'theta_dot**2'")
 
-    def _collect(self, sources, names, parameters, kind: Kind) -> tuple[Term, ...]:
-        if isinstance(sources, Candidate) or not isinstance(sources, Iterable):
+    def _collect(
+        self,
+        sources: Iterable[Candidate] | Candidate,
+        names: list[str],
+        parameters: Mapping[str, float] | None,
+        kind: Kind,
+    ) -> tuple[Term, ...]:
+        if not isinstance(sources, Iterable) or isinstance(sources, Candidate):
             raise InputError(f"expected a list of {kind} terms, got {quoted(sources)}")
         found: dict[sympy.Expr, Term] = {}
-        repeated = []
+        repeated: list[Dropped] = []
         for source in sources:
             term = make_term(source, names, parameters, kind)
             if term.expr in found:
@@ -243,7 +249,7 @@ class Library(Sequence[Term]):
     def __getitem__(self, key: int) -> Term: ...
     @overload
     def __getitem__(self, key: slice) -> tuple[Term, ...]: ...
-    def __getitem__(self, key):
+    def __getitem__(self, key: int | slice) -> Term | tuple[Term, ...]:
         return self._terms[key]
 
     def __eq__(self, other: object) -> bool:
@@ -252,7 +258,7 @@ class Library(Sequence[Term]):
     def __hash__(self) -> int:
         return hash(self._key())
 
-    def _key(self) -> tuple:
+    def _key(self) -> tuple[Any, ...]:
         return self._terms, self._dissipation, self._coordinates, self._angles
 
     def __repr__(self) -> str:

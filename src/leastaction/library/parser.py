@@ -25,8 +25,8 @@ MAX_NUMBER = 10**12
 MIN_NUMBER = Fraction(1, 10**30)
 _MAX_EXP_ARGUMENT = 70  # |log| of the smallest and largest number that are allowed
 _OPERATORS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
-_ALLOWED_HEADS = (sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Number, sympy.Abs, sympy.log)
-_ALLOWED_HEADS += (sympy.sin, sympy.cos, sympy.tan, sympy.exp, type(sympy.pi), type(sympy.E))
+_PARTS = (sympy.Add, sympy.Mul, sympy.Pow, sympy.Symbol, sympy.Number, type(sympy.pi), type(sympy.E))
+_ALLOWED_HEADS = (*_PARTS, sympy.Abs, sympy.log, sympy.sin, sympy.cos, sympy.tan, sympy.exp)
 
 
 def parse_expression(
@@ -131,7 +131,7 @@ def _parameter(name: str, value: float) -> sympy.Number:
             exact = Fraction(repr(float(value)))  # NumPy and SymPy scalars
             sizes_ok = exact == 0 or MIN_NUMBER <= abs(exact) <= MAX_NUMBER
         except (TypeError, ValueError, OverflowError):
-            sizes_ok = False
+            exact, sizes_ok = Fraction(0), False
     if not sizes_ok:
         raise InputError(
             f"parameter {name!r} is {value!r}; expected a finite number, 0 or with 1e-30 <= |value| <= 1e12"
@@ -167,7 +167,7 @@ class _Converter:
             value = self._convert(node.operand, depth + 1)
             return -value if isinstance(node.op, ast.USub) else value
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and len(node.args) == 1:
-            return self._call(node, depth)
+            return self._call(node, node.func.id, depth)
         if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow):
             return self._power(node, depth)
         if isinstance(node, ast.BinOp) and type(node.op) in _OPERATORS:
@@ -187,7 +187,7 @@ class _Converter:
         """Convert a sum or a product with all its operands at once: long sums are wide, not deep."""
         additive = isinstance(node.op, (ast.Add, ast.Sub))
         family = (ast.Add, ast.Sub) if additive else (ast.Mult, ast.Div)
-        operands = []
+        operands: list[sympy.Expr] = []
         start: ast.expr = node
         while isinstance(start, ast.BinOp) and isinstance(start.op, family):
             value = self._convert(start.right, depth + 1)
@@ -219,9 +219,8 @@ class _Converter:
             raise self._error(node, "division by zero (zero to a negative power)")
         return self._checked(node, base**exponent)
 
-    def _call(self, node: ast.Call, depth: int) -> sympy.Expr:
+    def _call(self, node: ast.Call, name: str, depth: int) -> sympy.Expr:
         argument = self._convert(node.args[0], depth + 1)
-        name = node.func.id  # type: ignore[attr-defined]
         if name == "exp" and _explodes(argument):
             raise self._error(node.args[0], "the argument of exp is out of range; expected |number| < 70")
         if name == "abs":
@@ -281,7 +280,7 @@ def _absolute(argument: sympy.Expr) -> sympy.Expr:
 def _with_canonical_numbers(expr: sympy.Expr) -> sympy.Expr:
     """Replace long fractions by floats and short floats by fractions, so that equal text is equal."""
     for _ in range(4):
-        changes = {}
+        changes: dict[sympy.Expr, sympy.Expr] = {}
         for number in expr.atoms(sympy.Float, sympy.Rational):
             if isinstance(number, sympy.Float):
                 new = canonical_number(Fraction(repr(float(number))))
@@ -313,11 +312,11 @@ def _unsupported(expr: sympy.Expr) -> str:
 class _Printer(StrPrinter):
     """SymPy's own text, except where our grammar spells things in another way."""
 
-    def _print_Abs(self, expr):
+    def _print_Abs(self, expr: sympy.Expr) -> str:
         return f"abs({self._print(expr.args[0])})"
 
-    def _print_Exp1(self, expr):
+    def _print_Exp1(self, expr: sympy.Expr) -> str:
         return "exp(1)"
 
-    def _print_Float(self, expr):
+    def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))

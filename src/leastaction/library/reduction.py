@@ -88,7 +88,7 @@ def same_functions(wanted: sympy.Expr, others: Sequence[sympy.Expr], coordinates
     points = Points.draw(np.random.default_rng(7), len(coordinates), 24)
     jets = Jets(coordinates, points)
     value = jets.jet(wanted)[0]
-    close = []
+    close: list[int] = []
     for k, other in enumerate(others):
         candidate = jets.jet(other)[0]
         finite = np.isfinite(value)
@@ -119,7 +119,7 @@ class _Search:
         jets = Jets(coordinates, self.pool, prescribed)
         self.effects = np.empty((len(terms), *weights.shape))
         self.finite = np.empty((len(terms), n_points), dtype=bool)
-        self.scales = []
+        self.scales: list[float] = []
         for k, term in enumerate(terms):
             jet = jets.fresh(term.expr)  # kept for parts of terms only: whole ones do not come again
             self.effects[k] = jets.effect_of(jet, term)
@@ -133,7 +133,7 @@ class _Search:
         order = [*sorted(keep), *(k for k in range(len(self.terms)) if k not in keep)]
         order = [k for k in order if self.finite[k].any() and not self._is_null(k)]
         while order:
-            narrow = []
+            narrow: list[int] = []
             rows = np.flatnonzero(self.finite[order].all(axis=0))
             while len(rows) < len(order) + _MARGIN and len(order) > 1:
                 # Domains that hardly meet: the narrowest one waits, and is examined apart.
@@ -193,7 +193,9 @@ class _Search:
             triangle[:m, m], triangle[m, m] = weights, size or 1.0
             accepted.append(k)
 
-    def _confirm(self, k, accepted, triangle, weights, rows) -> dict[int, Any] | None:
+    def _confirm(
+        self, k: int, accepted: list[int], triangle: np.ndarray, weights: np.ndarray, rows: np.ndarray
+    ) -> dict[int, Any] | None:
         """Decide in high precision whether term k is a sum of accepted ones: its coefficients, or None.
 
         The double precision coefficients only say which terms to try first.
@@ -234,7 +236,14 @@ class _Search:
 class _ExactColumns:
     """Columns in 60-digit arithmetic: one number per state, a random mixture of its equations."""
 
-    def __init__(self, terms, coordinates, prescribed, pool: Points, weights: np.ndarray) -> None:
+    def __init__(
+        self,
+        terms: Sequence[Term],
+        coordinates: Sequence[str],
+        prescribed: Collection[int],
+        pool: Points,
+        weights: np.ndarray,
+    ) -> None:
         self.terms, self.coordinates, self.prescribed = terms, coordinates, prescribed
         self.pool, self.weights = pool, weights
         self._jets: dict[tuple[bytes, int], Jets] = {}
@@ -283,7 +292,9 @@ class _ExactColumns:
         """The same over all accepted terms; later calls go on from what is eliminated already."""
         return self._solve(self._all, k, accepted, rows[-(len(self.terms) + _MARGIN) :], _MANY_DIGITS)
 
-    def _solve(self, elimination, k, support, rows, digits) -> dict[int, Any] | None:
+    def _solve(
+        self, elimination: _Elimination, k: int, support: list[int], rows: np.ndarray, digits: int
+    ) -> dict[int, Any] | None:
         for a in support[elimination.n_taken :]:
             elimination.add(a, self._column(a, rows, digits))
         return elimination.solve(self._column(k, rows, digits))
@@ -301,7 +312,7 @@ class _Elimination:
         self._factors: list[list[Any]] = []
 
     def _reduce(self, column: np.ndarray) -> tuple[np.ndarray, list[Any]]:
-        factors = []
+        factors: list[Any] = []
         for pivot, eliminated in zip(self._pivots, self._columns, strict=True):
             factors.append(column[pivot])
             column = column - column[pivot] * eliminated

@@ -70,7 +70,7 @@ def _error(text: str, position: int, problem: str) -> InputError:
     return InputError(f"cannot read {shown!r} at column {position + 1}: {problem}")
 
 
-def scan(text: str, names: Collection[str], parameters: Collection[str] = ()) -> Source:
+def scan(text: object, names: Collection[str], parameters: Collection[str] = ()) -> Source:
     """Check the tokens of one expression and return its normalised text (Unicode NFKC).
 
     Parameters

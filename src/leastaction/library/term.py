@@ -102,10 +102,7 @@ def make_term(
         if not strangers:
             return source
         source = source.text
-    if isinstance(source, sympy.Expr):
-        source = _text_of(source)
-    if not isinstance(source, str):
-        raise InputError(f"expected an expression as text such as 'cos(x)', got {type(source).__name__}")
+    source = _text_of(source)
     expr = parse_expression(source, names, parameters)
     # Text with a parameter in it could not be read back by itself (from a saved model).
     by_itself = not parameters or not _mentions(source, parameters)
@@ -113,9 +110,13 @@ def make_term(
     return Term(text, expr, kind)
 
 
-def _text_of(expr: sympy.Expr) -> str:
+def _text_of(source: object) -> str:
+    if isinstance(source, str):
+        return source
+    if not isinstance(source, sympy.Expr):
+        raise InputError(f"expected an expression as text such as 'cos(x)', got {type(source).__name__}")
     try:
-        return format_expression(expr)
+        return format_expression(source)
     except InputError as error:
         raise InputError(f"{error}; expected the functions sin cos tan exp log sqrt abs") from None
 
@@ -129,7 +130,7 @@ def _mentions(text: str, parameters: Mapping[str, float]) -> bool:
 def smooth_abs(source: Term, scale: Mapping[str, float]) -> Term: ...
 @overload
 def smooth_abs(source: Library, scale: Mapping[str, float]) -> Library: ...
-def smooth_abs(source, scale):
+def smooth_abs(source: Term | Library, scale: Mapping[str, float]) -> Term | Library:
     """Replace |u| by √(u² + ε²) wherever u contains velocities, so that friction has no kink.
 
     Parameters
@@ -160,7 +161,7 @@ def smooth_abs(source, scale):
         dissipation = [smooth_abs(term, scale) for term in source.dissipation]
         unchanged = (*terms, *dissipation) == (*source.terms, *source.dissipation)
         return source if unchanged else source.replace(terms=terms, dissipation=dissipation)
-    changes = {}
+    changes: dict[sympy.Expr, sympy.Expr] = {}
     for part in source.expr.atoms(sympy.Abs):
         velocities = sorted(s.name for s in part.free_symbols if s.name.endswith("_dot"))
         if velocities:

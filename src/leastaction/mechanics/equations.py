@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -28,27 +29,27 @@ __all__ = ["Mechanics", "RealAbs", "RealSign", "state_symbols"]
 class RealSign(sp.Function):
     """Sign of a real number; its derivative is taken as zero."""
 
-    def fdiff(self, argindex=1):
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
         return sp.Integer(0)
 
 
 class RealAbs(sp.Function):
     """|u| of a real number u."""
 
-    def fdiff(self, argindex=1):
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
         return RealSign(self.args[0])
 
 
 class _Printer(NumPyPrinter):
     """NumPy code with all digits of the numbers: lambdify's own printer keeps 15."""
 
-    def _print_Float(self, expr):
+    def _print_Float(self, expr: sp.Float) -> str:
         return repr(float(expr))
 
-    def _print_RealAbs(self, expr):
+    def _print_RealAbs(self, expr: sp.Expr) -> str:
         return f"abs({self._print(expr.args[0])})"
 
-    def _print_RealSign(self, expr):
+    def _print_RealSign(self, expr: sp.Expr) -> str:
         return f"sign({self._print(expr.args[0])})"
 
 
@@ -179,14 +180,16 @@ class Mechanics:
         )
 
     @cached_property
-    def _equations_function(self) -> Callable[..., list]:
+    def _equations_function(self) -> Callable[..., list[Any]]:
         return self.compile([*(entry for row in self.mass for entry in row), *self.right], self.parameters)
 
     @cached_property
-    def _energy_function(self) -> Callable[..., list]:
+    def _energy_function(self) -> Callable[..., list[Any]]:
         return self.compile([self.energy_expression])
 
-    def compile(self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()) -> Callable[..., list]:
+    def compile(
+        self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()
+    ) -> Callable[..., list[Any]]:
         """Return a function of the entries of `q`, those of `qdot`, and `more`, to a list of values."""
         printer = _Printer(
             {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}

@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
 from leastaction.library import Library, Term
@@ -52,7 +53,7 @@ class Points:
         self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
         self._cache: dict[sp.Basic, np.ndarray] = {}
 
-    def value(self, atom: sp.Basic, function: Callable) -> np.ndarray:
+    def value(self, atom: sp.Basic, function: Callable[..., Any]) -> np.ndarray:
         """Value of sin(θ), √(…) and the like, computed once for all candidates."""
         if atom not in self._cache:
             # a candidate may be undefined at some points (log of a negative number): NaN is checked later
@@ -123,7 +124,7 @@ def _shared_atoms(expr: sp.Expr) -> set[sp.Basic]:
 
 
 @lru_cache(maxsize=4096)
-def _atom_function(atom: sp.Basic, symbols: tuple[sp.Symbol, ...]) -> Callable:
+def _atom_function(atom: sp.Basic, symbols: tuple[sp.Symbol, ...]) -> Callable[..., Any]:
     return sp.lambdify(symbols, atom, modules="numpy", dummify=True)
 
 
@@ -168,7 +169,8 @@ class _Column:
         momenta = _gradient(self.term.expr, self.qdot)
         if self.term.kind == "dissipation":
             return {(i,): momentum for i, momentum in enumerate(momenta)}
-        out, slopes = {}, _gradient(self.term.expr, self.q)
+        out: dict[tuple[int, ...], sp.Expr] = {}
+        slopes = _gradient(self.term.expr, self.q)
         state, rates = [*self.qdot, *self.q], [*self.qddot, *self.qdot]
         for i, (momentum, slope) in enumerate(zip(momenta, slopes, strict=True)):
             pieces = [d * rate for d, rate in zip(_gradient(momentum, state), rates, strict=True)]
@@ -304,7 +306,7 @@ class EulerLagrange:
         return EulerLagrange(terms, self.coordinates, self.prescribed)
 
 
-def euler_lagrange(library: Library, q, qdot, qddot) -> np.ndarray:
+def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: ArrayLike) -> np.ndarray:
     """Put every candidate of a library through the Euler–Lagrange operator at given states.
 
     Parameters
