@@ -43,7 +43,7 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
         rivals += [a for a in larger if a.cost < min(0.0, extended)]
     texts = [term.text for term in fit.problem.terms]
-    out = []
+    out: list[Finding] = []
     for rival in rivals[:_MOST]:
         mine = [texts[m] for m in chosen if m not in rival.structure]
         theirs = [texts[m] for m in rival.structure if m not in chosen]

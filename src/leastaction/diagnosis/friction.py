@@ -42,7 +42,8 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     found, gain = _most_likely(model, base, dict(enumerate(tested, len(base))))
     if gain <= _relevant(fit, relevance):
         return []
-    out, values = [], model.solution((*base, *found))
+    out: list[Finding] = []
+    values = model.solution((*base, *found))
     for k in found:
         term, value = candidates.terms[k], float(values[k])
         gain = _gain(model, (*base, *(other for other in found if other != k)), k)
@@ -176,7 +177,8 @@ def wrong_known(fit: Fit) -> list[Cause]:
     known = np.flatnonzero(fit.problem.is_known)
     if not known.size or (fit.grid.forces is None and known.size < 2):
         return []
-    out, tested = [], known[:_MOST_RELEASED]
+    out: list[Cause] = []
+    tested = known[:_MOST_RELEASED]
     for k in tested:
         released = fit.grid.posed(fit.problem.releasing(int(k)))
         found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))

@@ -12,6 +12,8 @@ Analysis). A channel is doubted only where both lines do.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from leastaction.curve.smoothing import Smooth
@@ -47,7 +49,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
     _, qdot, qddot = (np.sqrt((s**2).mean(axis=(0, 1))) for s in states)
     widths = _WIDTH * 2.0 * np.pi * qdot / np.maximum(qddot, 1e-300)
     sure = normal_cutoff(3 * len(trajectories.rates))  # too small a factor, too large a one, an offset
-    doubts = []
+    doubts: list[Finding] = []
     for rate in trajectories.rates:
         pairs, gains = _pairs(trajectories, rate, float(widths[rate.coordinate]))
         if len(pairs) < _FEWEST:
@@ -57,7 +59,8 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
         spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
         clear = np.all(pairs.std(axis=0) > DIAGNOSIS.rate_clear * gains * spread)
         constant = np.nanmax(y) == np.nanmin(y)
-        wrong = ("rate-constant", {}) if constant else _about(rate.derivative, pairs, bool(clear), sure)
+        dead: tuple[str, dict[str, Any]] = ("rate-constant", {})
+        wrong = dead if constant else _about(rate.derivative, pairs, bool(clear), sure)
         if wrong:
             code, figures = wrong
             name = trajectories.coordinates[rate.coordinate]
@@ -70,7 +73,9 @@ def _pairs(trajectories: Trajectories, rate: Rate, width: float) -> tuple[np.nda
 
     And, (2,), by how much white noise of the samples is reduced in them.
     """
-    out, gains, sign = [], [], (-1) ** rate.derivative
+    out: list[tuple[float, float]] = []
+    gains: list[tuple[float, float]] = []
+    sign = (-1) ** rate.derivative
     for item, values in zip(trajectories, rate.values, strict=True):
         positions = _Samples(item.t, item.q[:, rate.coordinate])
         channel = _Samples(item.t, values)
@@ -111,7 +116,7 @@ class _Samples:
         return float(weights @ self.values[a:b]), float(np.sqrt(weights @ weights))
 
 
-def _about(derivative: int, pairs: np.ndarray, clear: bool, sure: float) -> tuple[str, dict] | None:
+def _about(derivative: int, pairs: np.ndarray, clear: bool, sure: float) -> tuple[str, dict[str, Any]] | None:
     """Code and figures of what is wrong with a channel, from its pairs (derived, measured).
 
     ``clear`` if noise is small in both; ``sure`` are the standard errors that chance does not pass.
@@ -128,7 +133,7 @@ def _about(derivative: int, pairs: np.ndarray, clear: bool, sure: float) -> tupl
     if low > 1.0 + allowed or high < 1.0 - allowed:
         factor = 0.5 * (flat + steep)
         return "rate-scaled", {"factor": factor, "unit": _unit(derivative, factor)}
-    other = offset + (flat - steep) * float(np.mean(derived))
+    other = offset + (flat - steep) * float(derived.mean())
     least = max(sure * error[1], allowed * float(np.std(measured)))
     if min(abs(offset), abs(other)) > least and offset * other > 0.0:
         return "rate-offset", {"offset": offset}
@@ -144,7 +149,7 @@ def _unit(derivative: int, factor: float) -> str:
 def _line(x: np.ndarray, y: np.ndarray) -> tuple[float, float, np.ndarray]:
     """Slope and intercept of y = a x + b by Huber's weights, for spikes count little, and standard errors."""
     columns, weight = np.stack([x, np.ones_like(x)]), np.ones_like(x)
-    solution, scatter = np.zeros(2), 0.0
+    solution, scatter, left = np.zeros(2), 0.0, y
     for _ in range(_ROUNDS):
         weighted = columns * weight
         before = solution

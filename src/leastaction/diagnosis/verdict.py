@@ -143,10 +143,10 @@ def _as_forces_are(fit: Fit) -> np.ndarray:
 
 
 def _unexplained_little(
-    names, share: np.ndarray, excused: np.ndarray, unexplained: list[int]
+    names: Sequence[str], share: np.ndarray, excused: np.ndarray, unexplained: list[int]
 ) -> list[Finding]:
     """Equation errors that are no reason for doubt."""
-    notes = []
+    notes: list[Finding] = []
     for i in range(len(names)):
         if i in unexplained:
             continue
@@ -236,7 +236,7 @@ def _friction(search: Search) -> list[Finding]:
 
 def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
-    notes = []
+    notes: list[Finding] = []
     present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
     terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
     for expression, coefficient in terms.items():
@@ -260,7 +260,7 @@ def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
 
 
 def _whiteness(fit: Fit) -> list[Finding]:
-    notes = []
+    notes: list[Finding] = []
     observations, names = fit.grid.observations, fit.problem.trajectories.coordinates
     # a curve that nothing holds follows the noise
     loose = [names[i] for i in fit.problem.prescribed]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import real_array
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.kinds import is_list, is_mapping
 from leastaction.library import parse_expression
 from leastaction.model.term import FitSummary, ModelTerm
 
@@ -39,15 +40,13 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
         raise InputError("terms is empty; a Lagrangian needs at least one term")
     expressions = (_parsed(terms, "terms", coordinates), _parsed(dissipation, "dissipation", coordinates))
     n_free = sum(not term.known for term in (*terms, *dissipation))
-    if not isinstance(model.fit, FitSummary):
-        raise InputError(f"fit is of type {type(model.fit).__name__}; expected a FitSummary")
+    _check_fit(model.fit)
     n_weights = len(model.fit.physics_weight)
     if n_weights not in (0, len(coordinates)):
         raise InputError(
             f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
         )
-    if not isinstance(model.provenance, Mapping):
-        raise InputError(f"provenance is {quoted(model.provenance)}; expected a dictionary")
+    _check_provenance(model.provenance)
     return {
         "coordinates": coordinates,
         "terms": terms,
@@ -60,6 +59,16 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
     }
 
 
+def _check_fit(fit: object) -> None:
+    if not isinstance(fit, FitSummary):
+        raise InputError(f"fit is of type {type(fit).__name__}; expected a FitSummary")
+
+
+def _check_provenance(provenance: object) -> None:
+    if not is_mapping(provenance):
+        raise InputError(f"provenance is {quoted(provenance)}; expected a dictionary")
+
+
 def _with_findings(diagnostics: Diagnostics | None, fit: FitSummary) -> Diagnostics | None:
     """The diagnostics show the findings of the fit; nobody else has any."""
     if diagnostics is None or diagnostics.findings == fit.findings:
@@ -67,17 +76,19 @@ def _with_findings(diagnostics: Diagnostics | None, fit: FitSummary) -> Diagnost
     return replace(diagnostics, findings=fit.findings)
 
 
-def _terms(terms: Sequence[ModelTerm], label: str) -> tuple[ModelTerm, ...]:
+def _terms(terms: Iterable[object], label: str) -> tuple[ModelTerm, ...]:
     try:
         items = tuple(terms)
     except TypeError:
         raise InputError(f"{label} is {quoted(terms)}; expected a sequence of ModelTerm") from None
+    checked: list[ModelTerm] = []
     for i, term in enumerate(items):
         if not isinstance(term, ModelTerm):
             raise InputError(
                 f"{label}[{i}] is {quoted(term)}; expected a ModelTerm, e.g. ModelTerm('x_dot**2', 0.5)"
             )
-    return items
+        checked.append(term)
+    return tuple(checked)
 
 
 def _parsed(terms: Sequence[ModelTerm], label: str, coordinates: Sequence[str]) -> tuple[sp.Expr, ...]:
@@ -200,5 +211,5 @@ def prescribed_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> 
 def _listed(coordinates: Sequence[str], provenance: Mapping[str, Any], option: str) -> list[str]:
     """Coordinates that an option of the discovery names; files may hold anything there."""
     options = provenance.get("options")
-    names = options.get(option) if isinstance(options, Mapping) else None
-    return [c for c in coordinates if c in names] if isinstance(names, (list, tuple)) else []
+    names = options.get(option) if is_mapping(options) else None
+    return [c for c in coordinates if c in names] if is_list(names) else []

@@ -89,9 +89,9 @@ class Diagnostics:
     equation_error: np.ndarray
     path: tuple[PathPoint, ...] = ()
     dropped: tuple[Dropped, ...] = ()
-    timings: dict[str, float] = field(default_factory=dict)
-    rate_noise_std: dict[str, float] = field(default_factory=dict)
-    force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=dict[str, float])
+    rate_noise_std: dict[str, float] = field(default_factory=dict[str, float])
+    force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict[str, tuple[np.ndarray, ...]])
     findings: tuple[Finding, ...] = ()
     prepared: tuple[Finding, ...] = ()
 

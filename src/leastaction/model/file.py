@@ -37,6 +37,7 @@ from leastaction.data.formats.atomic import check_path, read_bytes
 from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import quoted
+from leastaction.kinds import is_array, is_collection, is_list, is_mapping, is_scalar
 from leastaction.model.term import FitSummary, ModelTerm, as_float
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def plain_json(value: Any, place: str, depth: int = 0) -> Any:
     """
     if depth > _MAX_DEPTH:
         raise InputError(f"{place} is nested more than {_MAX_DEPTH} levels deep; make it flatter")
-    if isinstance(value, np.generic):
+    if is_scalar(value):
         value = value.item()
     if value is None or isinstance(value, (bool, int)):
         return value
@@ -106,16 +107,16 @@ def plain_json(value: Any, place: str, depth: int = 0) -> Any:
     if isinstance(value, float):
         return _number_or_none(value)
     if isinstance(value, os.PathLike):
-        return str(value)
-    if isinstance(value, np.ndarray):
+        return f"{value}"
+    if is_array(value):
         return plain_json(value.tolist(), place, depth)
-    if isinstance(value, Mapping):
+    if is_mapping(value):
         for key in value:
             if not isinstance(key, str):
                 raise InputError(f"{place} has the key {quoted(key)}; expected text")
         return {str(k): plain_json(v, f"{place}.{k[:40]}", depth + 1) for k, v in value.items()}
-    if isinstance(value, (list, tuple, set, frozenset)):
-        items = value if isinstance(value, (list, tuple)) else sorted(value, key=str)
+    if is_collection(value):
+        items = value if is_list(value) else sorted(value, key=str)
         return [plain_json(item, f"{place}[{i}]", depth + 1) for i, item in enumerate(items)]
     raise InputError(
         f"{place} is of type {type(value).__name__}, which JSON cannot hold; use text, numbers, lists and "
@@ -172,16 +173,18 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _check_depth(document: Any) -> None:
     """Refuse what is nested so deeply that even quoting it in a message would fail."""
-    level = [document]
+    level: list[Any] = [document]
     for _ in range(_MAX_DEPTH + 10):
-        level = [x for item in level if isinstance(item, (dict, list)) for x in _inside(item)]
+        level = [x for item in level for x in _inside(item)]
         if not level:
             return
     raise RecursionError
 
 
-def _inside(item: dict | list) -> list:
-    return list(item.values()) if isinstance(item, dict) else item
+def _inside(item: Any) -> Sequence[Any]:
+    if is_mapping(item):
+        return list(item.values())
+    return item if is_list(item) else ()
 
 
 def _refuse_constant(name: str) -> None:
@@ -196,7 +199,7 @@ def fields(document: Any) -> dict[str, Any]:
     InputError
         With the place in the document, what was expected and the cure.
     """
-    if not isinstance(document, Mapping) or "schema" not in document:
+    if not is_mapping(document) or "schema" not in document:
         raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
     _check_entries(document, "the model", _REQUIRED, ("covariance",))
@@ -204,7 +207,7 @@ def fields(document: Any) -> dict[str, Any]:
     for i, name in enumerate(coordinates):
         _text(name, f"coordinates[{i}]")
     provenance = document["provenance"]
-    if not isinstance(provenance, Mapping):
+    if not is_mapping(provenance):
         raise InputError(f"provenance is {quoted(provenance)}; expected an object")
     return {
         "coordinates": tuple(coordinates),
@@ -228,7 +231,7 @@ def _check_schema(schema: Any) -> None:
 
 
 def _check_entries(value: Any, place: str, required: Sequence[str], optional: Sequence[str] = ()) -> None:
-    if not isinstance(value, Mapping):
+    if not is_mapping(value):
         raise InputError(f"{place} is {quoted(value)}; expected an object with {', '.join(required)}")
     for name in required:
         if name not in value:
@@ -238,8 +241,8 @@ def _check_entries(value: Any, place: str, required: Sequence[str], optional: Se
             raise InputError(f"{place} has the unknown entry {quoted(name)}; expected {', '.join(required)}")
 
 
-def _list(value: Any, place: str, limit: int) -> list:
-    if not isinstance(value, (list, tuple)):
+def _list(value: Any, place: str, limit: int) -> list[Any]:
+    if not is_list(value):
         raise InputError(f"{place} is {quoted(value)}; expected a list")
     if len(value) > limit:
         raise InputError(f"{place} has {len(value)} entries; expected at most {limit}")

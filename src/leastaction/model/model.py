@@ -87,7 +87,7 @@ class LagrangianModel:
     covariance: np.ndarray | None = None
     noise_std: np.ndarray = None  # type: ignore[assignment]
     fit: FitSummary = field(default_factory=FitSummary)
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     diagnostics: Diagnostics | None = None
 
     def __post_init__(self) -> None:

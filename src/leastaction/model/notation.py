@@ -85,7 +85,7 @@ def coefficient_text(term: ModelTerm, digits: int | None = None, uncertainty: bo
 
 def plain_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> str:
     """The sum of the terms with rounded coefficients, e.g. ``0.5*theta_dot**2 + 9.81*cos(theta)``."""
-    pieces = []
+    pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
         text = f"({term.expression})" if expr.is_Add or term.expression.startswith("-") else term.expression
         pieces.append(f"{coefficient_text(term)}*{text}")
@@ -109,7 +109,7 @@ def latex_symbols(coordinates: Sequence[str]) -> dict[sp.Symbol, str]:
     # q1 and q_1 would look alike.
     upright = [(rf"\mathrm{{{c}}}".replace("_", r"\_"), "") for c in coordinates]
     split = [other if split.count(one) > 1 else one for one, other in zip(split, upright, strict=True)]
-    out = {}
+    out: dict[sp.Symbol, str] = {}
     for accent, symbols in zip(("", r"\dot", r"\ddot"), state_symbols(coordinates), strict=True):
         for symbol, (head, subscript) in zip(symbols, split, strict=True):
             out[symbol] = (f"{accent}{{{head}}}" if accent else head) + subscript
@@ -145,7 +145,7 @@ def latex_sum(
     uncertainty: bool = False,
 ) -> list[str]:
     """LaTeX of the addends, each with its sign; the first without a leading plus."""
-    pieces = []
+    pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
         number = coefficient_text(term, digits, uncertainty)
         sign, number = ("-", number[1:]) if number.startswith("-") else ("+", number)

@@ -13,6 +13,7 @@ import sympy as sp
 from leastaction.errors import InputError
 from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
+from leastaction.kinds import is_number
 
 __all__ = ["FitSummary", "ModelTerm", "as_float", "weighted_sum"]
 
@@ -24,7 +25,7 @@ def as_float(value: object, label: str, *, missing: bool = False, least: float =
     """Return a real number as float; not finite is refused, or with `missing` NaN ("not available")."""
     if value is None and missing:
         return math.nan
-    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+    if not is_number(value):
         raise InputError(f"{label} is {quoted(value)}; expected a number")
     try:
         number = float(value)
@@ -71,13 +72,9 @@ class ModelTerm:
     known: bool = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.expression, str) or not self.expression.strip():
-            raise InputError(
-                f"the expression of a term is {quoted(self.expression)}; expected text such as 'cos(theta)'"
-            )
+        _check_expression(self.expression)
         where = f"term {quoted(self.expression)}: "
-        if not isinstance(self.known, (bool, np.bool_)):
-            raise InputError(f"{where}known is {quoted(self.known)}; expected True or False")
+        _check_known(self.known, where)
         error = as_float(self.standard_error, f"{where}the standard error", missing=True, least=0.0)
         if self.known and error != 0.0:
             raise InputError(f"{where}a known coefficient has the standard error {error:g}; expected 0")
@@ -99,6 +96,18 @@ class ModelTerm:
     def z(self) -> float:
         """Coefficient over standard error; NaN if it is known or has no standard error."""
         return self.coefficient / self.standard_error if self.standard_error > 0 else math.nan
+
+
+def _check_expression(expression: object) -> None:
+    if not isinstance(expression, str) or not expression.strip():
+        raise InputError(
+            f"the expression of a term is {quoted(expression)}; expected text such as 'cos(theta)'"
+        )
+
+
+def _check_known(known: object, where: str) -> None:
+    if not isinstance(known, (bool, np.bool_)):
+        raise InputError(f"{where}known is {quoted(known)}; expected True or False")
 
 
 @dataclass(frozen=True, init=False)
@@ -182,23 +191,25 @@ class FitSummary:
         return tuple(sentence(found, audience) for found in self.findings if found.severity == severity)
 
 
-def _findings(value: Iterable[Finding]) -> tuple[Finding, ...]:
-    found = _items(value, "fit: findings", "findings")
-    for item in found:
+def _findings(value: Iterable[object]) -> tuple[Finding, ...]:
+    found: list[Finding] = []
+    for item in _items(value, "fit: findings", "findings"):
         if not isinstance(item, Finding):
             raise InputError(f"fit: a finding is {quoted(item)}; expected a Finding")
+        found.append(item)
     return tuple(found)
 
 
-def _of_texts(value: Iterable[str]) -> tuple[Finding, ...]:
-    texts = _items(value, "fit: warnings", "texts")
-    for text in texts:
+def _of_texts(value: Iterable[object]) -> tuple[Finding, ...]:
+    texts: list[str] = []
+    for text in _items(value, "fit: warnings", "texts"):
         if not isinstance(text, str):
             raise InputError(f"fit: a warning is {quoted(text)}; expected text")
+        texts.append(text)
     return tuple(Finding.of_text(text) for text in texts)
 
 
-def _items(value: Iterable, label: str, expected: str) -> list:
+def _items(value: Iterable[object], label: str, expected: str) -> list[object]:
     if isinstance(value, (str, bytes)):
         raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}")
     try:

@@ -50,12 +50,16 @@ def summary(model: LagrangianModel) -> str:
     return f"<LagrangianModel of {', '.join(model.coordinates)}: L = {total}; fit {model.fit.status}>"
 
 
-def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
-    """L, and ψ if there is one, for math mode."""
+def _check_digits(digits: object) -> None:
     if digits is not None and (isinstance(digits, bool) or not isinstance(digits, int) or digits < 1):
         raise InputError(f"digits is {quoted(digits)}; expected a whole number of at least 1")
+
+
+def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
+    """L, and ψ if there is one, for math mode."""
+    _check_digits(digits)
     symbols = latex_symbols(model.coordinates)
-    lines = []
+    lines: list[str] = []
     groups = (
         ("L", model.terms, model.expressions),
         (r"\psi", model.dissipation, model.dissipation_expressions),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def run_descent(search: Search, options: AdamOptions) -> Search:
         points[descent.ends] = _through_samples(grid)[descent.ends]
     coefficients = _start(problem, descent, options, points)
 
-    def report(details: dict) -> None:
+    def report(details: dict[str, Any]) -> None:
         search.report("descent", {**details, "coefficients": problem.named(details["coefficients"])})
 
     found = descend(descent, points, coefficients, rng, report)

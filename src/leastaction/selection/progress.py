@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +13,14 @@ from leastaction.estimation.problem import Problem
 
 __all__ = ["Clock", "Progress", "law_so_far", "silent"]
 
-Progress = Callable[[str, dict], None]
+Progress = Callable[[str, dict[str, Any]], None]
 
 
-def silent(stage: str, details: dict) -> None:
+def silent(stage: str, details: dict[str, Any]) -> None:
     """For searches that nobody follows."""
 
 
-def law_so_far(problem: Problem, coefficients: np.ndarray, evidence: float) -> dict:
+def law_so_far(problem: Problem, coefficients: np.ndarray, evidence: float) -> dict[str, Any]:
     """What a user may see of a structure on the way; known terms are in the coefficients only."""
     free = np.count_nonzero(coefficients[problem.free])
     return {"terms": free, "evidence": evidence, "coefficients": problem.named(coefficients)}
@@ -33,7 +34,7 @@ class Clock:
         self._progress = progress
         self._stage, self._since = "", 0.0
 
-    def _tell(self, stage: str, details: dict) -> None:
+    def _tell(self, stage: str, details: dict[str, Any]) -> None:
         """Pass it on, until the user has stopped the search."""
         if self._progress is None:
             return
@@ -48,7 +49,7 @@ class Clock:
         self._stage, self._since = stage, time.perf_counter()
         self._tell(stage, {})
 
-    def report(self, stage: str, details: dict) -> None:
+    def report(self, stage: str, details: dict[str, Any]) -> None:
         if stage != self._stage:
             self.stop()
             self._stage, self._since = stage, time.perf_counter()

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
@@ -138,10 +140,10 @@ def _rk4_step(acceleration, q, v, h, f0, f1, f2):
 
 def simulate(
     acceleration: Acceleration,
-    q0,
-    qdot0,
-    t,
-    forces=None,
+    q0: ArrayLike,
+    qdot0: ArrayLike,
+    t: ArrayLike,
+    forces: ArrayLike | Callable[[float], Any] | None = None,
     *,
     mass_matrix: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     events: Event | Sequence[Event] | Mapping[str, Event] = (),
