@@ -15,8 +15,9 @@ Coefficients with |λ_k| < ε are set to zero for good at regular intervals.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -56,6 +57,9 @@ class AdamFit:
     converged: bool
 
 
+Force = Callable[[int, np.ndarray], np.ndarray]
+
+
 class AdamProblem:
     """The loss J and its gradients.
 
@@ -73,7 +77,16 @@ class AdamProblem:
         Draws the collocation times.
     """
 
-    def __init__(self, grid: SplineGrid, times, values, physics: Physics, force, options, rng) -> None:
+    def __init__(
+        self,
+        grid: SplineGrid,
+        times: Sequence[np.ndarray],
+        values: Sequence[np.ndarray],
+        physics: Physics,
+        force: Force | None,
+        options: AdamOptions,
+        rng: np.random.Generator,
+    ) -> None:
         self.grid, self.physics, self.options = grid, physics, options
         self.n_dof = values[0].shape[1]
         stacked = np.concatenate(values)
@@ -84,9 +97,11 @@ class AdamProblem:
         self.ends = np.concatenate([grid.offsets[:-1], grid.offsets[1:] - 1])
         self._collocate(times, force, rng)
 
-    def _collocate(self, times, force, rng) -> None:
+    def _collocate(self, times: Sequence[np.ndarray], force: Force | None, rng: np.random.Generator) -> None:
         """Collocation times, uniformly at random in each trajectory, with the basis there."""
-        firsts, bases, forces = [], [], []
+        firsts: list[np.ndarray] = []
+        bases: list[np.ndarray] = []
+        forces: list[np.ndarray] = []
         for k, (space, t) in enumerate(zip(self.grid.spaces, times, strict=True)):
             count = int(np.ceil(self.options.collocation * t.size))
             at = rng.uniform(t[0], t[-1], count)
@@ -106,7 +121,9 @@ class AdamProblem:
         residual = np.where(self.observed, self.design @ control_points - self.y, 0.0)
         return scale * float((residual**2).sum()), 2.0 * scale * (self.transposed @ residual)
 
-    def equation_part(self, control_points, coefficients, batch: np.ndarray | slice):
+    def equation_part(
+        self, control_points: np.ndarray, coefficients: np.ndarray, batch: np.ndarray | slice
+    ) -> tuple[float, np.ndarray, np.ndarray]:
         """Physics and curvature parts over some collocation times, with gradients in P and λ."""
         index, basis = self.index[batch], self.basis[:, batch]
         local = control_points[index]
@@ -173,7 +190,7 @@ def descend(
     control_points: np.ndarray,
     coefficients: np.ndarray,
     rng: np.random.Generator,
-    report: Callable[[dict], None],
+    report: Callable[[dict[str, Any]], None],
 ) -> AdamFit:
     """Run Adam from a start; ``report`` is called with the state at every check."""
     options, free = problem.options, problem.physics.free.copy()

@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
-from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.problem import Problem
@@ -35,7 +35,7 @@ class Request:
     """What a user says about a system, beside the data; see :func:`leastaction.discover`."""
 
     library: Library | Iterable[str]
-    known: Mapping[str, float] = field(default_factory=dict)
+    known: Mapping[str, float] = field(default_factory=dict[str, float])
     dissipation: Iterable[str] = ()
     angles: Iterable[str] | None = None
     degree: int = 5
@@ -74,7 +74,9 @@ class Setup:
         return replace(self, problem=problem, searched=searched)
 
 
-def build_problem(trajectories, request: Request, most_samples: int | None = None) -> Setup:
+def build_problem(
+    trajectories: Trajectory | Iterable[Trajectory], request: Request, most_samples: int | None = None
+) -> Setup:
     """Check and complete everything that a search needs.
 
     Parameters
@@ -274,14 +276,16 @@ def _round_to_one_digit(value: float) -> float:
     return float(f"{value:.0e}")
 
 
-def _about_angles(trajectories: Trajectories, angles) -> tuple[list[Finding], dict[str, int]]:
+def _about_angles(
+    trajectories: Trajectories, angles: tuple[str, ...]
+) -> tuple[list[Finding], dict[str, int]]:
     """What was unwrapped, and coordinates that seem to be wrapped angles with the number of their jumps."""
     notes = [
         find("angle-unwrapped", name, jumps=count)
         for name, count in trajectories.wraps_removed.items()
         if count and name in angles
     ]
-    turning = {}
+    turning: dict[str, int] = {}
     for i, name in enumerate(trajectories.coordinates):
         if name in angles:
             continue

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
@@ -48,7 +48,7 @@ class Task:
     given: tuple[Any, ...]
     future: Any = None
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
-    _done: list[Any] = field(default_factory=list, repr=False)
+    _done: list[Any] = field(default_factory=list[Any], repr=False)
 
     def here(self) -> Any:
         """Compute the result in this process, with everything that it rests on; kept for the next call."""
@@ -175,7 +175,7 @@ class DaskCrew:
 
 
 @contextmanager
-def employ(workers: Any) -> Iterator[Crew | None]:
+def employ(workers: Any) -> Generator[Crew | None, None, None]:
     """The crew that a user asks for: None for one worker, which is this thread.
 
     Parameters
@@ -218,7 +218,7 @@ def _value(given: Any) -> Any:
 def _large_arguments() -> AbstractContextManager[Any]:
     """Dask warns of arguments above 10 MB; data of a block are sent once, and are larger."""
     try:
-        import dask.config  # pyright: ignore[reportMissingImports]
+        import dask.config  # pyright: ignore[reportMissingModuleSource]
     except ImportError:  # something else with the methods of its client
         return nullcontext()
     return dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})

@@ -31,6 +31,10 @@ _TOLERANCE = 1e-3  # of −2 log likelihood: a thirtieth of a standard error
 _LAST_TOLERANCE = 1e-4
 
 
+_Here = tuple[Weights, np.ndarray, np.ndarray, float]
+"""Weights, control points, coefficients and log likelihood of a fit."""
+
+
 def towards_exact(fit: Fit) -> Fit:
     """The fit at the largest weights that are as likely as its own; those of visible errors stay.
 
@@ -64,13 +68,15 @@ class _Trial:
     fit: Fit
     physics: Physics
 
-    def at(self, weights: Weights, points, values, tolerance: float) -> tuple[JointFit, float]:
+    def at(
+        self, weights: Weights, points: np.ndarray, values: np.ndarray, tolerance: float
+    ) -> tuple[JointFit, float]:
         observations = self.fit.grid.observations
         found = fit_joint(observations, self.physics, weights, points, values, tolerance=tolerance)
         return found, evidence(observations, found) if found.converged else -np.inf
 
 
-def _raise(trial: _Trial, here, equation: int, best: float, allowed: float):
+def _raise(trial: _Trial, here: _Here, equation: int, best: float, allowed: float) -> tuple[_Here, float]:
     """Raise the weight of one equation until the log likelihood is ``allowed`` below the best one met."""
     for _ in range(_MOST_STEPS):
         weights, points, values, value = here

@@ -91,7 +91,7 @@ class ForceBias:
 
     def findings(self) -> list[Finding]:
         """What was found."""
-        out = []
+        out: list[Finding] = []
         for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
             low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self.errors[i]
             figures = {"seconds": self.seconds[i], "lowest": low, "highest": high, "standard_error": error}

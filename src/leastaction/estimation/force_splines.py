@@ -44,13 +44,15 @@ class SlowForces:
     def __init__(self, grid: Grid, seconds: Mapping[int, float]) -> None:
         self.times, spline = grid.times, grid.spline
         self.spaces = {
-            (i, k): SplineSpace(_DEGREE, np.linspace(t[0], t[-1], 1 + max(1, round((t[-1] - t[0]) / every))))
+            (i, k): SplineSpace(
+                _DEGREE, np.linspace(float(t[0]), float(t[-1]), 1 + max(1, round((t[-1] - t[0]) / every)))
+            )
             for i, every in seconds.items()
             for k, t in enumerate(self.times)
         }
         self.n_quadrature = spline.n_quadrature
         self.equations = np.concatenate([np.full(s.n_ctrl, i) for (i, _), s in self.spaces.items()])
-        rows = []
+        rows: list[sp.csr_array] = []
         for (_, k), space in self.spaces.items():
             own = np.flatnonzero(spline.owner == k)
             values = space.basis(spline.points[own].ravel()).T.tocoo()
@@ -58,7 +60,7 @@ class SlowForces:
             columns = own[0] * self.n_quadrature + points  # the intervals of a trajectory are successive
             shape = (space.n_ctrl, spline.n_intervals * spline.n_quadrature)
             rows.append(sp.csr_array((values.data, (functions, columns)), shape=shape))
-        self.basis = sp.vstack(rows).tocsc()
+        self.basis: sp.csc_array = sp.vstack(rows).tocsc()
 
     def __len__(self) -> int:
         return self.equations.size
@@ -112,11 +114,11 @@ def slow_forces(fit: Fit, seconds: Mapping[int, float]) -> list[np.ndarray]:
         residual += grid.forces.values[:, 0].T
     root = np.sqrt(fit.weights.physics)
     first = slow.basis[:, :: slow.n_quadrature].T
-    blocks = []
+    blocks: list[sp.csr_array] = []
     for i in range(n):
         columns = sp.csr_array(strong[members, i].T)
         blocks.append(root[i] * sp.hstack([columns, -first * (slow.equations == i)]))
-    design = sp.vstack(blocks).tocsr()
+    design: sp.csr_array = sp.vstack(blocks).tocsr()
     found = _least_squares(design, (root[:, None] * residual).ravel())
     return slow.at_samples(found[len(members) :], n)
 

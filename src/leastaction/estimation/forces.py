@@ -102,8 +102,10 @@ def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[
     if most < _FEWEST:
         return between, t.size
     if space.n_intervals > most:
-        space = SplineSpace(space.degree, np.linspace(t[0], t[-1], most + 1))
-    even = np.linspace(t[0], t[-1], t.size)  # gaps in the record must not leave an interval empty
+        space = SplineSpace(space.degree, np.linspace(float(t[0]), float(t[-1]), most + 1))
+    even = np.linspace(
+        float(t[0]), float(t[-1]), t.size
+    )  # gaps in the record must not leave an interval empty
     design = space.basis(even)
     gram = banded_gram(design, space.degree)
     control_points = solveh_banded(gram, design.T @ between(even), lower=True)

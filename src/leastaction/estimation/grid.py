@@ -15,8 +15,9 @@ from scipy.sparse.linalg import splu
 
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
+from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.blocks import observe
-from leastaction.estimation.crew import Alone
+from leastaction.estimation.crew import Alone, Task
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
@@ -93,7 +94,7 @@ class Grid:
         values, rates = [t.q for t in data], data.rates
         if penalty is None or not is_long(self.times, data.n_dof):
             return smooth(self.spline, self.times, values, penalty, rates)
-        tasks = []
+        tasks: list[Task] = []
         for part in _runs(self.times):
             own = [replace(rate, values=rate.values[part]) for rate in rates]
             some = SplineGrid(self.spline.spaces[part], self.spline.n_quadrature)
@@ -114,7 +115,13 @@ class Grid:
         values = None if self.forces is None else self.forces.values
         return Physics(self.problem.candidates.subset(index), is_free, values), index
 
-    def start(self, structure: Structure, control_points, coefficients: np.ndarray, noise_std) -> Start:
+    def start(
+        self,
+        structure: Structure,
+        control_points: np.ndarray,
+        coefficients: np.ndarray,
+        noise_std: np.ndarray,
+    ) -> Start:
         """Starting weights for a structure at given curve and coefficients of all candidates."""
         physics, index = self.physics(structure)
         values = self.problem.completed(coefficients)
@@ -182,7 +189,9 @@ def _runs(times: Sequence[np.ndarray]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise([0, *cuts, len(times)])]
 
 
-def _forces(spline: SplineGrid, data, samples: Sequence[np.ndarray | None]) -> GridForces | None:
+def _forces(
+    spline: SplineGrid, data: Trajectories, samples: Sequence[np.ndarray | None]
+) -> GridForces | None:
     return forces_on(spline, [t.t for t in data], samples) if data.driven else None
 
 

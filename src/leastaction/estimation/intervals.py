@@ -24,7 +24,9 @@ def by_interval(values: np.ndarray, out: np.ndarray) -> None:
         out[a : a + _TRANSPOSED] = values[..., a : a + _TRANSPOSED].transpose(3, 1, 2, 0)
 
 
-def local_jacobian(grid: SplineGrid, jacobian: dict, root: np.ndarray, chunk: slice, n: int) -> np.ndarray:
+def local_jacobian(
+    grid: SplineGrid, jacobian: dict[tuple[int, int, int], np.ndarray], root: np.ndarray, chunk: slice, n: int
+) -> np.ndarray:
     """∂(scaled residual)/∂(local control points): (n_intervals, n_dof, n_quadrature, (degree + 1) n_dof)."""
     basis = [grid.quadrature_basis(chunk, nu) for nu in range(3)]
     m, n_quad, n_basis = basis[0].shape

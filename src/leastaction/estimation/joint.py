@@ -367,6 +367,6 @@ def _equations(
     local = np.zeros((0, n, n_quad, (grid.degree + 1) * n))
     if differentiate:
         jacobian = physics.columns.jacobian(points, coefficients)
-        jacobian.update({(2, i, i): np.ones(points.n_points) for i in physics.columns.prescribed})
+        jacobian.update({(2, i, i): np.ones(int(points.n_points)) for i in physics.columns.prescribed})
         local = local_jacobian(grid, jacobian, root.T.ravel(), chunk, n)
     return Equations(chunk, local, right), terms

@@ -101,7 +101,7 @@ def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
     """H⁻¹ Σ_r g_r g_rᵀ H⁻¹ with the gradient g_r of each run."""
     error, slopes = flow.errors(x[None])[0], flow.slopes(x)
     root = np.sqrt(1.0 + error.ravel() ** 2)
-    hessian = slopes.T @ (slopes / root[:, None] ** 3)  # with ρ″, not only ρ′
+    hessian: np.ndarray = slopes.T @ (slopes / root[:, None] ** 3)  # with ρ″, not only ρ′
     gradients = (slopes * (error.ravel() / root)[:, None]).reshape(len(error), -1, x.size).sum(axis=1)
     half = np.linalg.pinv(hessian) @ gradients.T
     return half @ half.T

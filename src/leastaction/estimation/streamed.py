@@ -290,7 +290,8 @@ def _total(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 def _counts_and_floors(channels: Sequence[Sequence[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """Samples and noise floor of each channel, trial by trial; see `noise_floors`."""
-    counts, floors = [], []
+    counts: list[int] = []
+    floors: list[float] = []
     for parts in channels:
         seen = [part[np.isfinite(part)] for part in parts]
         count = sum(part.size for part in seen)

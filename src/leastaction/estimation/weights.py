@@ -81,7 +81,7 @@ def start_weights(
     physics: Physics,
     noise_std: np.ndarray,
     control_points: np.ndarray,
-    coefficients,
+    coefficients: np.ndarray,
 ) -> Weights:
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike.
 

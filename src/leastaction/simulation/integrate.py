@@ -72,9 +72,9 @@ def _check_times(t) -> np.ndarray:
 
 def rk4(
     acceleration: Acceleration,
-    q0,
-    qdot0,
-    t,
+    q0: ArrayLike,
+    qdot0: ArrayLike,
+    t: ArrayLike,
     substeps: int = 4,
     forces: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
