@@ -61,7 +61,8 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[Alternative, ...]:
     near, price, share = Neighbourhood.of(fit), penalty(fit.grid), price_of_terms(fit, relevance)
     levels = trade_off(near.model, near.here)
     base = next(c.cost for c in levels[len(near.here)] if c.members == near.here)
-    out, unfitted = [], _FITTED
+    out: list[Alternative] = []
+    unfitted = _FITTED
     for _, level in sorted(levels.items()):
         for choice in level:
             if choice.members != near.here and not near.regular(choice.members):
@@ -85,7 +86,9 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[Alternative, ...]:
     return tuple(out)
 
 
-def _reason(near: Neighbourhood, members, cost: float, more: int, price: float, share: float) -> str:
+def _reason(
+    near: Neighbourhood, members: tuple[int, ...], cost: float, more: int, price: float, share: float
+) -> str:
     """Why a structure was not chosen, by the quadratic model; empty where the model prefers it."""
     if members == near.here:
         return "chosen"
@@ -96,7 +99,7 @@ def _reason(near: Neighbourhood, members, cost: float, more: int, price: float, 
     return ""
 
 
-def _outcome(near: Neighbourhood, members) -> str:
+def _outcome(near: Neighbourhood, members: tuple[int, ...]) -> str:
     """What became of a structure's own fit."""
     fit = near.fit
     other = fit.grid.fit(near.structure(members), near.start(members))

@@ -94,10 +94,11 @@ def _fit(grid: Grid, found: AdamFit) -> Fit:
 
 def _through_samples(grid: Grid) -> np.ndarray:
     """Control points read off the samples at the knot averages, the ends at the first and last sample."""
-    columns = []
+    columns: list[np.ndarray] = []
     for space, trajectory in zip(grid.spline.spaces, grid.problem.trajectories, strict=True):
         sites = greville_sites(space.knots, grid.problem.degree)
         t = trajectory.t
         samples = [(t[np.isfinite(c)], c[np.isfinite(c)]) for c in trajectory.q.T]
-        columns.append(np.column_stack([np.interp(sites, at, c) for at, c in samples]))
+        inside: list[np.ndarray] = [np.interp(sites, at, c) for at, c in samples]
+        columns.append(np.column_stack(inside))
     return np.concatenate(columns)

@@ -53,7 +53,7 @@ def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:
             values = mass[:, touched[0], touched[0]]
             if values.min() >= -_TINY * values.max():
                 operations = int(problem.terms[int(k)].expr.count_ops())
-                options[touched[0]].append((operations, (position,)))
+                options[int(touched[0])].append((operations, (position,)))
     options = [sorted(each)[:_MOST_EACH] or [(0, ())] for each in options]
     return [tuple(sorted(members)) for members in islice(cheapest_combinations(options), _MOST_BASES)]
 

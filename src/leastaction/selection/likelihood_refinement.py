@@ -7,8 +7,9 @@ best are fitted in turn, until nothing is better.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_search import Choice, QuadraticModel, search_subsets, term_penalty
 from leastaction.selection.progress import Progress, law_so_far, silent
 from leastaction.selection.settings import SELECTION
+
+if TYPE_CHECKING:
+    from leastaction.selection.weak_proposals import Proposal
 
 __all__ = ["Neighbourhood", "best_structure", "penalty", "refine", "value"]
 
@@ -161,7 +165,7 @@ def _better(fit: Fit, most: int | None) -> Fit | None:
     return moving
 
 
-def best_structure(proposals, best: Fit | None, report: Progress) -> Fit:
+def best_structure(proposals: Iterable[Proposal], best: Fit | None, report: Progress) -> Fit:
     """Refine proposals (with ``grid``, ``structure``, ``start`` and ``evidence``), the best first.
 
     Ends when two of them lead to the same structure.

@@ -57,7 +57,12 @@ def _on_data(search: Search) -> Search:
     """Find a structure on pieces of long recordings, then on all data."""
     search.report("search", {})
     search = find_structure(search)
-    for run in (lambda s: coarse_restart.run(s, find_structure), all_data.run, exact_equations.run):
+    runs: tuple[Callable[[Search], Search], ...] = (
+        lambda s: coarse_restart.run(s, find_structure),
+        all_data.run,
+        exact_equations.run,
+    )
+    for run in runs:
         search = _attempt(run, search)
     return search
 

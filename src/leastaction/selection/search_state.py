@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ class Search:
         assert self.fit is not None
         return self.fit
 
-    def now(self, fit: Fit, **changes) -> Search:
+    def now(self, fit: Fit, **changes: Any) -> Search:
         """The search with another fit, and its grid."""
         return replace(self, fit=fit, grid=fit.grid, **changes)
 

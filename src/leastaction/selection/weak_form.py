@@ -97,7 +97,8 @@ class WeakForm:
             for total, square, again in zip(totals, squares, self._rows(curve)[0], strict=True):
                 total += again
                 square += again.T @ again
-        out, count = [], len(replicates)
+        out: list[WeakGram] = []
+        count = len(replicates)
         for row, size, total, square in zip(rows, sizes, totals, squares, strict=True):
             mean = total / count
             spread = (square - count * (mean.T @ mean)) / (count - 1)
@@ -124,12 +125,14 @@ class WeakForm:
                     sizes[w] += 0.5 * (inertial.T @ inertial + potential.T @ potential)
         return [np.concatenate(r) for r in rows], sizes
 
-    def join_known(self, inertial: np.ndarray, potential: np.ndarray, push: np.ndarray | None):
+    def join_known(
+        self, inertial: np.ndarray, potential: np.ndarray, push: np.ndarray | None
+    ) -> list[np.ndarray]:
         """Free columns, then one column of everything known; rows flattened and scaled."""
         i_known, v_known = inertial @ self.fixed, potential @ self.fixed
         if push is not None:
             v_known = v_known + push
-        parts = []
+        parts: list[np.ndarray] = []
         for part, known in ((inertial, i_known), (potential, v_known)):
             joined = np.concatenate([part[..., self.is_free], known[..., None]], axis=2)[:, self.equations]
             parts.append((joined * self.scale[None, :, None]).reshape(-1, joined.shape[2]))
@@ -140,17 +143,19 @@ class _TestFunctions:
     """χ = (1 − x²)⁴ and χ̇ times quadrature weights on one trajectory, one window a row."""
 
     def __init__(self, points: np.ndarray, weights: np.ndarray, width: float) -> None:
-        span = points[-1] - points[0]
+        span = float(points[-1] - points[0])
         width = min(width, 0.9 * span)
         hop = width / _HOPS
         n_windows = max(1, int((span - width) / hop) + 1)
-        centres = points[0] + 0.5 * width + hop * np.arange(n_windows)
+        centres: np.ndarray = points[0] + 0.5 * width + hop * np.arange(n_windows)
         self.low = np.searchsorted(points, centres - 0.5 * width)
         self.high = np.searchsorted(points, centres + 0.5 * width)
         lengths = self.high - self.low
         self.overlap = int(lengths.max())
         rows = np.repeat(np.arange(n_windows), lengths)
-        columns = np.arange(lengths.sum()) - np.repeat(np.cumsum(lengths) - lengths, lengths) + self.low[rows]
+        columns = (
+            np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths) + self.low[rows]
+        )
         x = (points[columns] - centres[rows]) / (0.5 * width)
         inside = np.clip(1.0 - x**2, 0.0, None)
         shape = (n_windows, points.size)
@@ -158,7 +163,9 @@ class _TestFunctions:
         slope = -8.0 * x * inside**3 / (0.5 * width) * weights[columns]
         self.chi_dot = sp.csr_array((slope, (rows, columns)), shape=shape)
 
-    def apply(self, values: np.ndarray, forces: np.ndarray | None, here: slice, block: int, form: WeakForm):
+    def apply(
+        self, values: np.ndarray, forces: np.ndarray | None, here: slice, block: int, form: WeakForm
+    ) -> list[np.ndarray]:
         """Both parts of the rows of the windows that begin in the block."""
         mine = np.flatnonzero(
             (self.low >= here.start) & (self.low < here.start + block) & (self.high <= here.stop)

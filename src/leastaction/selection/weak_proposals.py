@@ -91,6 +91,7 @@ def _best_support(
     n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
     price = term_penalty(int(n_rows), free.size)
     first = None
+    error, ranked = _EQUATION_ERRORS[0], list[Support]()
     for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
         ranked = _ranked(gram, error, price, n_rows, bases)
         if ranked[0].ratio < SELECTION.rows_explained:

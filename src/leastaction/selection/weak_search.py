@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leastaction.data.validation import FloatArray
 from leastaction.selection.weak_form import WeakGram
 
 __all__ = [
@@ -107,7 +108,7 @@ def inverse_root(matrices: np.ndarray) -> np.ndarray:
             ridge *= 100.0
 
 
-def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarray:
+def _smallest_root(alpha: FloatArray, squares: FloatArray, mu: FloatArray) -> FloatArray:
     """Root of f = α − x − Σ_j s_j / (μ_j − x) in (0, min μ), where f falls from positive to −∞.
 
     Each step keeps the nearest pole and takes a tangent of the rest.  The rest is concave, so the root of
@@ -116,17 +117,16 @@ def _smallest_root(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np
     """
     first, least = mu[:, :1], 1e-15 * mu[:, :1]
     pole, others, rest = squares[:, 0], mu[:, 1:, None], squares[:, 1:]
-    x = np.broadcast_to(0.5 * first, alpha.shape)
+    x: FloatArray = np.broadcast_to(0.5 * first, alpha.shape)
     moved = np.full(alpha.shape, np.inf)
     for _ in range(_STEPS):
         gap = np.maximum(others - x[:, None, :], least[:, :, None])
         part = rest / gap
-        slope = 1.0 + (part / gap).sum(axis=1)
-        offset = alpha - x - part.sum(axis=1) - slope * (first - x)
-        root = np.sqrt(offset**2 + 4.0 * slope * pole)
-        distance = np.where(
-            offset > 0.0, 2.0 * pole / np.maximum(offset + root, 1e-300), (root - offset) / (2.0 * slope)
-        )
+        slope: FloatArray = 1.0 + (part / gap).sum(axis=1)
+        offset: FloatArray = alpha - x - part.sum(axis=1) - slope * (first - x)
+        root: FloatArray = np.sqrt(offset**2 + 4.0 * slope * pole)
+        above: FloatArray = 2.0 * pole / np.maximum(offset + root, 1e-300)
+        distance = np.where(offset > 0.0, above, (root - offset) / (2.0 * slope))
         new = np.clip(first - distance, 0.0, first)
         x, moved = new, np.abs(new - x)
     row, k = np.nonzero(moved > _SETTLED * (x + least))
@@ -200,7 +200,8 @@ def grow_bases(
     best, since = np.full(len(bases), np.inf), 0
     levels: list[list[Support]] = []
     while since < _PATIENCE:
-        level, values = [], np.full(len(bases), np.inf)
+        level: list[Support] = []
+        values = np.full(len(bases), np.inf)
         for b, supports in enumerate(kept):
             if max(map(len, supports)) >= min(max_size, scaled.known):
                 continue
