@@ -50,6 +50,7 @@ def discover(
     degree: int | None = None,
     relevance: float = 0.05,
     seed: int = 0,
+    shapes: Mapping[str, tuple[float, float]] | None = None,
     options: AdamOptions | Mapping[str, object] | None = None,
     progress: Progress | None = None,
     workers: int | Any = None,
@@ -106,6 +107,10 @@ def discover(
         data; 0 asks for significance alone.
     seed : int
         Of the simulated noise that the search weighs supports with; of the collocation times with adam.
+    shapes : mapping of str to (float, float), optional
+        Ranges of shape parameters: unknown numbers inside candidates, named in braces, as in
+        ``exp(-{a}*x)`` or ``sqrt((x-{p})**2+(y-{r})**2)``. A parameter stays within its range; without
+        one, the data suggest where to look. Several terms may share a parameter.
     options : AdamOptions or mapping, optional
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
@@ -163,6 +168,7 @@ def discover(
         constant,
         prescribed,
         robust=robust and not descent,
+        shapes=dict(shapes or {}),
     )
     with employ(workers) as crew:
         whole = bool(descent or slow)
@@ -233,6 +239,7 @@ def _given(request: Request, setup: Setup, search: Search) -> dict:
         "robust": request.robust,
         "force_offset": {**dict.fromkeys(request.force_offset), **search.bias.seconds_of},
         "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
+        "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
     }
 
 

@@ -13,7 +13,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.findings import doubtful, find
 from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
-from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import Search
 
@@ -60,7 +60,7 @@ def assemble_model(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
-        None if np.isnan(fit.covariance).any() else fit.covariance,
+        None if np.isnan(fit.covariance).any() else _covariance(fit),
         fit.weights.position_std,
         FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
@@ -72,18 +72,34 @@ def assemble_model(
             "knots_per_second": float(grid.knots_per_second),
         },
         diagnostics,
+        _shapes(fit),
     )
+
+
+def _covariance(fit: Fit) -> np.ndarray:
+    """Of the members' coefficients, then of the shape parameters."""
+    return fit.covariance if fit.shapes is None else fit.shapes.covariance
+
+
+def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:
+    """The shape parameters of the structure; without errors where they were held."""
+    names = fit.problem.shapes_of(fit.structure)
+    values = fit.problem.shape_values
+    found = fit.shapes
+    errors = [np.nan] * len(names) if found is None else found.standard_errors.tolist()
+    return tuple(ShapeParameter(n, values[n], error) for n, error in zip(names, errors, strict=True))
 
 
 def _terms(setup: Setup, fit: Fit) -> list[tuple[str, ModelTerm]]:
     """The kind of every term in the model, and the term with its number."""
     errors = dict(zip(fit.structure, fit.standard_errors.tolist(), strict=True))
     out = []
-    for k, term in enumerate(setup.problem.terms):
+    for k, term in enumerate(fit.problem.terms):
         is_known = bool(setup.problem.is_known[k])
         if is_known or k in errors:
             value = float(fit.coefficients[k])
-            out.append((term.kind, ModelTerm(term.text, value, errors.get(k, 0.0), is_known)))
+            template = "" if term.template is None else term.template.term.text
+            out.append((term.kind, ModelTerm(term.text, value, errors.get(k, 0.0), is_known, template)))
     return out
 
 

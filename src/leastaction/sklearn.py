@@ -45,7 +45,7 @@ class SparseLagrangian(BaseEstimator):
     ----------
     library : Library or sequence of str, optional
         Candidates of L; by default those of `Library.mechanical` for the coordinates and angles.
-    known, dissipation, method, angles, prescribed, degree, relevance, seed, options
+    known, dissipation, method, angles, prescribed, degree, relevance, seed, shapes, options
         As for `discover`.
     coordinates : sequence of str, optional
         Names of the columns of the arrays given to `fit`; by default those of the library, or
@@ -105,6 +105,7 @@ class SparseLagrangian(BaseEstimator):
         degree: int | None = None,
         relevance: float = 0.05,
         seed: int = 0,
+        shapes: Mapping[str, tuple[float, float]] | None = None,
         options: AdamOptions | Mapping[str, object] | None = None,
         horizon: float | None = None,
     ) -> None:
@@ -118,6 +119,7 @@ class SparseLagrangian(BaseEstimator):
         self.degree = degree
         self.relevance = relevance
         self.seed = seed
+        self.shapes = shapes
         self.options = options
         self.horizon = horizon
 
@@ -164,6 +166,7 @@ class SparseLagrangian(BaseEstimator):
             prescribed=self.prescribed,
             degree=self.degree,
             relevance=self.relevance,
+            shapes=self.shapes,
             seed=self.seed,
             options=self.options,
         )

@@ -27,6 +27,7 @@ _STAGES = {
     "": "Starting",
     "prepare": "Preparing the data and the candidates",
     "search": "Searching for structures on the weak form",
+    "shapes": "Looking for shape parameters",
     "select": "Choosing terms",
     "knots": "Refining the spline",
     "coarse": "Comparing with a coarser spline",
@@ -176,9 +177,7 @@ class ResultView:
                     for k, term in enumerate(terms):
                         note = "known" if term.known else ""
                         math(
-                            notation.addend(
-                                term.expression, term.coefficient, term.standard_error, note, k == 0
-                            )
+                            notation.addend(term.written, term.coefficient, term.standard_error, note, k == 0)
                         )
             if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
                 say("The root is dry friction, |velocity|, made smooth near rest.", "help")

@@ -25,6 +25,7 @@ from leastaction.cli.options import (
     size_option,
 )
 from leastaction.cli.output import check_folder, write_together
+from leastaction.cli.shape_options import shape_option, shape_ranges, term_option, with_terms
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn
 from leastaction.cli.text import counted, shown
 from leastaction.errors import InputError
@@ -62,6 +63,8 @@ Example:
     help="With --library auto: also candidates linear in the velocities (spinning rotors, rotating frames, "
     "charges in magnetic fields).",
 )
+@term_option
+@shape_option
 @click.option(
     "--known",
     multiple=True,
@@ -131,6 +134,8 @@ def discover(
     library: str,
     size: str | None,
     gyroscopic: bool,
+    terms: tuple[str, ...],
+    shapes: tuple[str, ...],
     known: tuple[str, ...],
     dissipation: str | None,
     force_offset: str | None,
@@ -159,7 +164,8 @@ def discover(
     with blame("--known"):
         given = known_coefficients(known)
     fitted, held_out = _split(options.read(), hold_out)
-    candidates = _library(library, size, gyroscopic, options, dissipation)
+    ranges = shape_ranges(shapes)
+    candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
     with blame("--known"):
         check_known(given, candidates)
     if not given and not fitted.driven:
@@ -181,6 +187,7 @@ def discover(
             seed=seed,
             options=chosen,
             relevance=share,
+            shapes=ranges,
             progress=progress,
             workers=workers,
         )

@@ -15,7 +15,7 @@ from leastaction.cli.text import counted, in_options, one_line
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
-    from leastaction.model.term import ModelTerm
+    from leastaction.model.term import ModelTerm, ShapeParameter
     from leastaction.simulation.forecast import ForecastResult
 
 __all__ = ["live_progress", "say", "show_forecast", "show_model", "show_table", "warn", "warn_of_doubts"]
@@ -25,6 +25,7 @@ Rows = Sequence[Sequence[str]]
 _STAGES = {
     "prepare": "preparing",
     "search": "searching the weak form",
+    "shapes": "looking for shape parameters",
     "select": "choosing terms",
     "knots": "refining knots",
     "coarse": "comparing with a coarser spline",
@@ -162,10 +163,26 @@ def show_model(model: LagrangianModel) -> None:
         if term.standard_error > 0:
             ends = " … ".join(rounded(end, term.standard_error) for end in (term.lower, term.upper))
             z = f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}"
-        rows.append((term.expression, with_error(term), ends, z))
-    show_table(rows, {len(model.terms) + 1: "friction, psi:"} if model.dissipation else None)
+        rows.append((term.written, with_error(term), ends, z))
+    headings = {len(model.terms) + 1: "friction, psi:"} if model.dissipation else {}
+    if model.shapes:
+        headings[len(rows)] = "shape parameters:"
+    for shape in model.shapes:
+        rows.append(_shape_row(shape))
+    show_table(rows, headings)
     say()
     show_fit(model)
+
+
+def _shape_row(shape: ShapeParameter) -> tuple[str, str, str, str]:
+    """A shape parameter in the columns of a term."""
+    from leastaction.model.notation import rounded
+
+    error = shape.standard_error
+    if not error > 0:
+        return f"{{{shape.name}}}", rounded(shape.value, error), "", ""
+    ends = " … ".join(rounded(end, error) for end in (shape.lower, shape.upper))
+    return f"{{{shape.name}}}", f"{rounded(shape.value, error)} ± {rounded(error, error)}", ends, ""
 
 
 def show_fit(model: LagrangianModel) -> None:

@@ -53,6 +53,16 @@ class DiagnosisSettings:
     """Relative standard error above which a coefficient is hardly determined. Half: 1 finding more, on a
     wrong law; twice: no effect."""
 
+    form_matters: float = 0.01
+    """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt."""
+
+    form_open: float = 0.05
+    """Change and standard deviation of the accelerations over smooth changes of L, above which the data do
+    not determine the form of L."""
+
+    one_and_the_same: float = 0.99
+    """Correlation above which a shape parameter is said to move with another parameter as one."""
+
     visible: float = 0.3
     """Motion over noise, below which any equations hold. Half: 1 finding fewer, of a wrong law; twice: no
     effect."""

@@ -13,10 +13,12 @@ from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.diagnosis.shapes import doubts_about_shapes
+from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.findings import Finding, find
+from leastaction.findings import Finding, doubtful, find
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
@@ -81,13 +83,15 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
-    found += _signal(fit) + _identifiability(fit)
+    found += _signal(fit) + _identifiability(fit) + doubts_about_shapes(fit)
     found += rival_warnings(fit, alternatives)
     found += _mass_matrix(fit)
     found += _friction(search)
     found += _whiteness(fit) + _zero_offsets(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
+    if look_for_causes and not search.stopped and not doubtful(found):
+        found += doubts_about_the_form(fit, search.relevance)
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 

@@ -14,6 +14,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
 from leastaction.library import Library, Term, smooth_abs
@@ -28,6 +29,7 @@ _COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 # of data: the squares of a force from x**4 reach 1e180, and further products remain finite
 _LARGEST = 1e30
 _NEAR, _ROUNDED = 0.1, 1e-3  # radians
+_FIRST = 0.55  # of the range of a shape parameter, until a search has looked: no round number
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,7 @@ class Request:
     force_offset: Iterable[str] = ()
     prescribed: Iterable[str] = ()
     robust: bool = True
+    shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +122,18 @@ def build_problem(
     library = library.reduced(keep=list(known), prescribed=[library.coordinates[i] for i in places])
     terms = (*library.terms, *library.dissipation)
     coefficients = _coefficients(terms, known)
-    candidates = EulerLagrange(terms, library.coordinates, places)
-    problem = Problem(trajectories, candidates, coefficients, request.degree)
+    ranges = shape_ranges(terms, _states(library.coordinates, scales), request.shapes)
+    numbers = {name: where.at(_FIRST) for name, where in ranges.items()}
+    candidates = EulerLagrange([term.at(numbers) for term in terms], library.coordinates, places)
+    problem = Problem(trajectories, candidates, coefficients, request.degree, ranges=ranges)
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _states(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
+    """Coordinates and velocities along the smooth curve."""
+    q, qdot, _ = scales.smooth.grid.at_quadrature(scales.smooth.control_points)
+    out = {name: q[:, 0, i] for i, name in enumerate(names)}
+    return out | {f"{name}_dot": qdot[:, 0, i] for i, name in enumerate(names)}
 
 
 def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:

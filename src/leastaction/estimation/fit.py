@@ -19,7 +19,34 @@ if TYPE_CHECKING:
     from leastaction.estimation.grid import Grid
     from leastaction.estimation.problem import Problem
 
-__all__ = ["Fit"]
+__all__ = ["Fit", "ShapeEstimate"]
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeEstimate:
+    """Shape parameters of a fit.
+
+    Attributes
+    ----------
+    names : tuple of str
+    values : (n_shapes,) array
+    covariance : (n_members + n_shapes,) * 2 array
+        Of the members' coefficients, then of the shape parameters.
+    settled : bool
+        Whether the last step was below a hundredth of a standard error.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    settled: bool
+
+    @property
+    def standard_errors(self) -> np.ndarray:
+        """(n_shapes,)"""
+        n = len(self.names)
+        return np.sqrt(np.clip(np.diag(self.covariance)[-n:], 0.0, None))
+
 
 _RUN = 2**16  # knot intervals that are looked at together
 
@@ -49,6 +76,8 @@ class Fit:
     n_steps : int
     evidence : float
         Log marginal likelihood, up to a constant of data and grid.
+    shapes : ShapeEstimate or None
+        Shape parameters and their errors, where they were fitted; None: there are none, or they were held.
     """
 
     grid: Grid
@@ -62,6 +91,7 @@ class Fit:
     status: str
     n_steps: int
     evidence: float
+    shapes: ShapeEstimate | None = None
 
     @classmethod
     def of(

@@ -11,8 +11,8 @@ makes a new one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,8 @@ import numpy as np
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.crew import Crew
-from leastaction.library import Term
+from leastaction.estimation.shape_ranges import ShapeRange
+from leastaction.library import Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["Problem"]
@@ -45,6 +46,9 @@ class Problem:
         Free candidates that no structure may contain, such as friction that would feed energy in.
     crew : Crew or None
         Who computes; None is this thread. It has no say in the result.
+    ranges : mapping of str to ShapeRange
+        Where each shape parameter of the candidates is looked for. The numbers that they have now are those
+        of the candidates themselves.
     """
 
     trajectories: Trajectories
@@ -53,6 +57,7 @@ class Problem:
     degree: int = 5
     excluded: frozenset[int] = frozenset()
     crew: Crew | None = None
+    ranges: Mapping[str, ShapeRange] = field(default_factory=dict[str, ShapeRange])
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)
@@ -87,6 +92,23 @@ class Problem:
         allowed = ~self.is_known
         allowed[list(self.excluded)] = False
         return np.flatnonzero(allowed)
+
+    @cached_property
+    def shape_values(self) -> dict[str, float]:
+        """The numbers of all shape parameters."""
+        templates = (term.template for term in self.terms)
+        return {name: value for t in templates if t is not None for name, value in t.values}
+
+    def shapes_of(self, structure: Iterable[int]) -> tuple[str, ...]:
+        """Names of the shape parameters in a structure and in known terms, sorted."""
+        held = [self.terms[k] for k in (*structure, *np.flatnonzero(self.is_known).tolist())]
+        return shape_names(held)
+
+    def at(self, values: Mapping[str, float]) -> Problem:
+        """The problem with other numbers for some shape parameters."""
+        if not values:
+            return self
+        return replace(self, candidates=self.candidates.of([term.at(values) for term in self.terms]))
 
     def completed(self, coefficients: np.ndarray) -> np.ndarray:
         """Coefficients of all candidates with the known ones in place and excluded ones at zero."""

@@ -6,56 +6,14 @@ A text is a template over ``subject`` and the figures, or a function of both whe
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from string import Formatter
-from typing import Any, Literal
+from collections.abc import Iterable
+from typing import Any
 
-from leastaction.findings.finding import Finding, Severity
+from leastaction.findings.finding import Finding
 from leastaction.findings.reasons import because
+from leastaction.findings.templates import Audience, Message, fill
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
-
-Audience = Literal["python", "command line", "page"]
-Text = str | Callable[[dict[str, Any]], str]
-
-
-@dataclass(frozen=True)
-class Message:
-    """How the findings of one code read.
-
-    Attributes
-    ----------
-    severity : Severity
-    message, remedy : str or callable
-        What is so, and what to do, for those who call Python.
-    on_command_line, on_page : str
-        What to do, for those who use the command line or the app; empty: the same.
-    """
-
-    severity: Severity
-    message: Text
-    remedy: Text = ""
-    on_command_line: str = ""
-    on_page: str = ""
-
-
-class _Template(Formatter):
-    """``str.format`` that joins lists by commas and writes shares in per cent: ``{share:.1f%}``."""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        if isinstance(value, (list, tuple)):
-            return ", ".join(str(item) for item in value)
-        if format_spec.endswith("%"):
-            if not math.isfinite(value):
-                return "an unknown share"
-            return f"{format(100.0 * value, format_spec[:-1])} %"
-        return super().format_field(value, format_spec)
-
-
-def _fill(text: Text, fields: dict[str, Any]) -> str:
-    return text(fields) if callable(text) else _Template().vformat(text, (), fields)
 
 
 def _equations_off_remedy(f: dict[str, Any]) -> str:
@@ -66,7 +24,7 @@ def _equations_off_remedy(f: dict[str, Any]) -> str:
     if f["cause_named"]:
         return f"{text}; see the likely cause below"
     unmeasured = "; if forces that were not measured move {subject}, name it in prescribed"
-    return text + (_fill(unmeasured, f) if f["may_be_prescribed"] else "")
+    return text + (fill(unmeasured, f) if f["may_be_prescribed"] else "")
 
 
 def _missing_term(f: dict[str, Any]) -> str:
@@ -75,19 +33,19 @@ def _missing_term(f: dict[str, Any]) -> str:
     gain = f.get("gain")
     by = f", -2 log likelihood {gain:.0f}, the price of the terms included" if gain is not None else ""
     better = " better" if instead else ""
-    lacking = _fill("the library seems to lack {subject}", f)
+    lacking = fill("the library seems to lack {subject}", f)
     return f"{lacking} (with {it}, {f['free_terms']} free terms{instead} explain the motion{better}{by})"
 
 
 def _missing_term_remedy(f: dict[str, Any]) -> str:
     it = "it" if len(f["subject"]) == 1 else "them"
     force = "; in L, {constant_force} by itself is a constant force on it (force_offset)"
-    return f"add {it} to the candidates" + (_fill(force, f) if f["constant_force"] else "")
+    return f"add {it} to the candidates" + (fill(force, f) if f["constant_force"] else "")
 
 
 def _unmodelled_friction(f: dict[str, Any]) -> str:
     gain = f", -2 log likelihood {f['gain']:.0f}" if "gain" in f else ""
-    return _fill("friction seems to act on {velocities} (coefficient about {coefficient:.2g}", f) + f"{gain})"
+    return fill("friction seems to act on {velocities} (coefficient about {coefficient:.2g}", f) + f"{gain})"
 
 
 def _late_forces(f: dict[str, Any]) -> str:
@@ -101,7 +59,7 @@ def _late_forces(f: dict[str, Any]) -> str:
 
 def _wrong_known(f: dict[str, Any]) -> str:
     fewer = f"{f['fewer_terms']} terms fewer" if f["fewer_terms"] > 1 else "the other terms"
-    return _fill(
+    return fill(
         "the known coefficient of {subject} may be wrong (set free it becomes {estimate:.3g} instead of "
         f"{{given:.3g}}, and {fewer} explain the motion better)",
         f,
@@ -140,7 +98,7 @@ def _rate_scaled(f: dict[str, Any]) -> str:
         text += f" ({_UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
     elif opposite:
         text += " (the opposite sign?)" if f["unit"] == "1" else " (with the opposite sign?)"
-    return _fill(text, f)
+    return fill(text, f)
 
 
 def _hardly_determined(f: dict[str, Any]) -> str:
@@ -149,7 +107,7 @@ def _hardly_determined(f: dict[str, Any]) -> str:
         text += " (all coefficients can grow together: the scale of L is open)"
     elif f["combination"]:
         text += " (open to {open:.0f%}: the combination {combination})"
-    return _fill(text, f)
+    return fill(text, f)
 
 
 def _competing_remedy(f: dict[str, Any]) -> str:
@@ -166,20 +124,25 @@ def _smoothed(f: dict[str, Any]) -> str:
 def _zero_offset(f: dict[str, Any]) -> str:
     size = "large" if f["offset"] > 0 else "small"
     text = f"{{term}} with its sine reads as a zero offset: {{subject}} is too {size} by "
-    return _fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
+    return fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
 
 
 def _correlated(f: dict[str, Any]) -> str:
     what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
-    return _fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
+    return fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
 
 
 def _slow_force(f: dict[str, Any]) -> str:
-    return _fill(
+    return fill(
         "a force on {subject} that changes within {seconds:g} s was looked for: between {lowest:.3g} and "
         "{highest:.3g}, ± {standard_error:.2g}" + (": hardly any" if f["hardly_any"] else ""),
         f,
     )
+
+
+def _undetermined_remedy(f: dict[str, Any]) -> str:
+    other = fill("; it cannot be told apart from {with_it}", f) if f["with_it"] else ""
+    return "record motions of another size, write a simpler term, or give a number" + other
 
 
 CODES: dict[str, Message] = {
@@ -219,6 +182,38 @@ CODES: dict[str, Message] = {
         "warning",
         "the forces on {subject} seem to be swapped: exchanged, they lead to equations that hold",
         "check the sequence of the columns",
+    ),
+    # no particular term is missing
+    "form-imitated": Message(
+        "warning",
+        "the candidates seem to imitate a law that they cannot write: a smooth change of the {kind} energy "
+        "explains the motion better (-2 log likelihood {gain:.0f}, for {freedom} numbers more) and changes "
+        "the accelerations by {shift:.1f%}",
+        "offer other candidates; unknown numbers in them stand in braces, as in exp(-{{a}}*x)",
+    ),
+    "form-open": Message(
+        "warning",
+        "other smooth {kind} energies explain the motion as well, with accelerations that differ by "
+        "{open:.1f%}",
+        "record longer, or with less noise",
+    ),
+    # shape parameters
+    "shape-undetermined": Message(
+        "warning",
+        "these data hardly determine the shape parameter {subject} ({value:.3g} ± {standard_error:.2g})",
+        _undetermined_remedy,
+    ),
+    "shape-at-bound": Message(
+        "warning",
+        "the shape parameter {subject} is at the end of its range ({value:.3g} of {low:.3g} to {high:.3g})",
+        "widen the range, or leave it out",
+        on_command_line="widen the range of --shape {subject}, or leave it out",
+    ),
+    "shape-not-settled": Message(
+        "warning",
+        "the shape parameter {subject} did not settle ({value:.3g})",
+        "give a range around the number that you expect with shapes={{'{subject}': (low, high)}}",
+        on_command_line="give a range around the number that you expect with --shape {subject}=LOW..HIGH",
     ),
     # the data
     "rate-unexplained": Message(
@@ -367,7 +362,7 @@ def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Find
     row = CODES[code]
     about = (subject,) if isinstance(subject, str) else tuple(subject)
     fields = {"subject": about, **values}
-    return Finding(code, row.severity, about, values, _fill(row.message, fields), _fill(row.remedy, fields))
+    return Finding(code, row.severity, about, values, fill(row.message, fields), fill(row.remedy, fields))
 
 
 def sentence(finding: Finding, audience: Audience = "python") -> str:
@@ -382,7 +377,7 @@ def sentence(finding: Finding, audience: Audience = "python") -> str:
     if not remedy:
         return str(finding)
     try:
-        return f"{finding.message}: {_fill(remedy, {**finding.values, 'subject': finding.subject})}"
+        return f"{finding.message}: {fill(remedy, {**finding.values, 'subject': finding.subject})}"
     except (KeyError, TypeError, ValueError):  # figures of another version, from a file
         return str(finding)
 

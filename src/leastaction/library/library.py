@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, overload
-
-import sympy
 
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, quoted
 from leastaction.library.families import MAX_TERMS, check_angles, mechanical_terms
 from leastaction.library.file import read_terms
+from leastaction.library.lookup import listing_of, place_among_all, place_of, summary_of
 from leastaction.library.parser import normalise
-from leastaction.library.reduction import find_redundant, same_functions
+from leastaction.library.reduction import find_redundant
+from leastaction.library.shapes import check_numbers, check_shapes, numbers_somewhere, shape_names
 from leastaction.library.term import Candidate, Dropped, Kind, Term, make_term
 
 __all__ = ["Library"]
+
+_Some = Iterable[Candidate] | Candidate
+_Numbers = Mapping[str, float] | None
 
 
 class Library(Sequence[Term]):
@@ -82,18 +84,15 @@ class Library(Sequence[Term]):
             raise InputError("the library has no terms; give expressions such as 'theta_dot**2'")
 
     def _collect(
-        self,
-        sources: Iterable[Candidate] | Candidate,
-        names: list[str],
-        parameters: Mapping[str, float] | None,
-        kind: Kind,
+        self, sources: _Some, names: list[str], parameters: _Numbers, kind: Kind
     ) -> tuple[Term, ...]:
         if not isinstance(sources, Iterable) or isinstance(sources, Candidate):
             raise InputError(f"expected a list of {kind} terms, got {quoted(sources)}")
-        found: dict[sympy.Expr, Term] = {}
+        found: dict[object, Term] = {}
         repeated: list[Dropped] = []
         for source in sources:
             term = make_term(source, names, parameters, kind)
+            check_shapes(term)
             if term.expr in found:
                 repeated.append(Dropped(term, "duplicate", f"equals {found[term.expr].text}"))
             else:
@@ -233,6 +232,17 @@ class Library(Sequence[Term]):
         return self._angles
 
     @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the shape parameters: unknown numbers inside terms, written in braces.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "exp(-{a}*x)", "exp(-2*{a}*x)"], ["x"]).shapes
+        ('a',)
+        """
+        return shape_names((*self._terms, *self._dissipation))
+
+    @property
     def n_dof(self) -> int:
         """Number of coordinates."""
         return len(self._coordinates)
@@ -262,16 +272,7 @@ class Library(Sequence[Term]):
         return self._terms, self._dissipation, self._coordinates, self._angles
 
     def __repr__(self) -> str:
-        shown = [term.text for term in self._terms[:6]]
-        listing = ", ".join(map(repr, shown)) + (", ..." if len(self) > len(shown) else "")
-        parts = [f"[{listing}]", f"coordinates={list(self._coordinates)}"]
-        if self._angles:
-            parts.append(f"angles={list(self._angles)}")
-        if self._dissipation:
-            parts.append(f"dissipation={[term.text for term in self._dissipation]}")
-        if len(self) > len(shown):
-            parts.append(f"{len(self)} terms")
-        return f"Library({', '.join(parts)})"
+        return listing_of(self)
 
     def index(self, expression: Candidate, kind: Kind = "lagrangian") -> int:  # type: ignore[override]
         """Return the place of an expression in the library; equal functions match, however they are written.
@@ -294,18 +295,8 @@ class Library(Sequence[Term]):
         """
         names = [*self._coordinates, *self.velocities]
         kind = expression.kind if isinstance(expression, Term) else kind
-        wanted = make_term(expression, names, kind=kind)
         terms = self._terms if kind == "lagrangian" else self._dissipation
-        for k, term in enumerate(terms):
-            if term.expr == wanted.expr:
-                return k
-        same = same_functions(wanted.expr, [term.expr for term in terms], self._coordinates)
-        if same:
-            return same[0]
-        texts = [term.text for term in terms]
-        near = difflib.get_close_matches(wanted.text, texts, n=3, cutoff=0.4) or texts[:3]
-        hint = f"; near matches: {', '.join(near)}" if near else ""
-        raise InputError(f"{wanted.text!r} is not among the {len(terms)} {kind} terms of the library{hint}")
+        return place_of(make_term(expression, names, kind=kind), terms, self._coordinates)
 
     def replace(
         self,
@@ -345,7 +336,7 @@ class Library(Sequence[Term]):
 
         Left out are null terms (constants and total time derivatives), multiples of another term, and
         sums of others, also where that is so only up to a null term; `dropped` says which and why.
-        Terms of the dissipation are examined together with those of the Lagrangian.
+        Terms of L and of the dissipation are examined together.
 
         Parameters
         ----------
@@ -366,9 +357,10 @@ class Library(Sequence[Term]):
         (['x_dot**2', 'x'], ['1: constant', 'x*x_dot: total time derivative', '2*x: equals 2*x'])
         """
         both = (*self._terms, *self._dissipation)
-        wanted = (keep,) if isinstance(keep, Candidate) else keep
-        places = [self._coordinates.index(name) for name in prescribed]
-        found = find_redundant(both, self._coordinates, {self._place(item) for item in wanted}, places)
+        somewhere = [term.at(numbers_somewhere(self.shapes)) for term in both]
+        places = map(self._coordinates.index, prescribed)
+        held = {place_among_all(self, k) for k in ((keep,) if isinstance(keep, Candidate) else keep)}
+        found = find_redundant(somewhere, self._coordinates, held, list(places))
         left = [term for k, term in enumerate(both) if k not in found]
         terms = [term for term in left if term.kind == "lagrangian"]
         if not terms:
@@ -377,16 +369,22 @@ class Library(Sequence[Term]):
         new._dropped = self._dropped + tuple(found.values())
         return new
 
-    def _place(self, item: Candidate) -> int:
-        """Return the index of a term in terms + dissipation; text may mean a term of either."""
-        known_kind = item.kind if isinstance(item, Term) else None
-        if known_kind != "dissipation":
-            try:
-                return self.index(item)
-            except InputError:
-                if known_kind or not self._dissipation:
-                    raise
-        return len(self._terms) + self.index(item, "dissipation")
+    def at(self, values: Mapping[str, float]) -> Library:
+        """Return the library with numbers for its shape parameters, by name.
+
+        Raises
+        ------
+        InputError
+            When a shape parameter has no number.
+
+        Examples
+        --------
+        >>> Library(["x_dot**2", "exp(-{a}*x)"], ["x"]).at({"a": 0.5})
+        Library(['x_dot**2', 'exp(-0.5*x)'], coordinates=['x'])
+        """
+        check_numbers((*self._terms, *self._dissipation), values)
+        terms, dissipation = ([t.at(values) for t in part] for part in (self._terms, self._dissipation))
+        return self.replace(terms=terms, dissipation=dissipation)
 
     def summary(self) -> str:
         """Return one line with the number of terms of each kind.
@@ -396,11 +394,4 @@ class Library(Sequence[Term]):
         >>> Library(["x_dot**2", "x"], ["x"]).summary()
         '2 terms in x: 1 with velocities, 1 without'
         """
-        velocities = {sympy.Symbol(name, real=True) for name in self.velocities}
-        moving = sum(not velocities.isdisjoint(term.expr.free_symbols) for term in self._terms)
-        angles = f" (angles: {', '.join(self._angles)})" if self._angles else ""
-        text = f"{len(self)} terms in {', '.join(self._coordinates)}{angles}: "
-        text += f"{moving} with velocities, {len(self) - moving} without"
-        if self._dissipation:
-            text += f"; {len(self._dissipation)} of dissipation"
-        return text + (f"; {len(self._dropped)} left out" if self._dropped else "")
+        return summary_of(self)

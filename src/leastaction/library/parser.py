@@ -18,7 +18,15 @@ from sympy.printing.str import StrPrinter
 from leastaction.errors import InputError
 from leastaction.library.scanner import MAX_DEPTH, Source, scan
 
-__all__ = ["MAX_EXPONENT", "canonical_number", "format_expression", "normalise", "parse_expression"]
+__all__ = [
+    "MAX_EXPONENT",
+    "canonical_number",
+    "format_expression",
+    "is_constant",
+    "normalise",
+    "parse_expression",
+    "shape_symbol",
+]
 
 MAX_EXPONENT = 32
 MAX_NUMBER = 10**12
@@ -30,7 +38,7 @@ _ALLOWED_HEADS = (*_PARTS, sympy.Abs, sympy.log, sympy.sin, sympy.cos, sympy.tan
 
 
 def parse_expression(
-    text: str, names: Iterable[str], parameters: Mapping[str, float] | None = None
+    text: str, names: Iterable[str], parameters: Mapping[str, float] | None = None, *, shapes: bool = False
 ) -> sympy.Expr:
     """Turn text into a SymPy expression over real symbols; the text is never evaluated.
 
@@ -43,6 +51,9 @@ def parse_expression(
         Names that may occur: the coordinates and their velocities ``<coordinate>_dot``.
     parameters
         Numbers to put in place of further names.
+    shapes
+        Whether unknown numbers may stand in it, named in braces: ``"exp(-{a}*x)"``. They become symbols
+        whose names keep the braces.
 
     Returns
     -------
@@ -64,7 +75,7 @@ def parse_expression(
     """
     symbols = {normalise(name): sympy.Symbol(normalise(name), real=True) for name in names}
     values = {normalise(name): _parameter(name, value) for name, value in (parameters or {}).items()}
-    source = scan(text, symbols, values)
+    source = scan(text, symbols, values, shapes=shapes)
     try:
         tree = ast.parse(source.text, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
@@ -102,6 +113,28 @@ def format_expression(expr: sympy.Expr) -> str:
     if problem:
         raise InputError(f"cannot write the expression {str(expr)[:80]!r}: {problem}")
     return _Printer().doprint(expr)
+
+
+def shape_symbol(name: str) -> sympy.Symbol:
+    """Return the symbol of a shape parameter; the braces keep it apart from coordinates of that name.
+
+    Examples
+    --------
+    >>> shape_symbol("a").name
+    '{a}'
+    """
+    return sympy.Symbol(f"{{{name}}}", real=True)
+
+
+def is_constant(expr: sympy.Expr) -> bool:
+    """Tell whether an expression holds no coordinates or velocities: numbers and shape parameters only.
+
+    Examples
+    --------
+    >>> is_constant(shape_symbol("n") - 1), is_constant(sympy.Symbol("x", real=True))
+    (True, False)
+    """
+    return all(symbol.name.startswith("{") for symbol in expr.free_symbols)  # type: ignore[attr-defined]
 
 
 def normalise(text: str) -> str:
@@ -163,6 +196,8 @@ class _Converter:
             return self._constant(node)
         if isinstance(node, ast.Name):
             return self.meaning.get(node.id, sympy.pi)  # the scanner has refused every other name
+        if isinstance(node, ast.Set) and len(node.elts) == 1 and isinstance(node.elts[0], ast.Name):
+            return shape_symbol(node.elts[0].id)  # the scanner has refused it where it may not stand
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
             value = self._convert(node.operand, depth + 1)
             return -value if isinstance(node.op, ast.USub) else value
@@ -211,9 +246,9 @@ class _Converter:
     def _power(self, node: ast.BinOp, depth: int) -> sympy.Expr:
         base = self._convert(node.left, depth + 1)
         exponent = self._convert(node.right, depth + 1)
-        if exponent.free_symbols:
+        if not is_constant(exponent):
             raise self._error(node.right, "the exponent must be a number; write exp(...) for other powers")
-        if abs(_value(exponent)) > MAX_EXPONENT:
+        if _is_too_high(exponent):
             raise self._error(node.right, f"the exponent is out of range; expected |n| <= {MAX_EXPONENT}")
         if base.is_zero and exponent.is_negative:
             raise self._error(node, "division by zero (zero to a negative power)")
@@ -240,7 +275,7 @@ class _Converter:
                 raise self._error(node, "this number is out of range; expected |number| <= 1e12")
         elif expr.is_Mul and abs(_value(expr.as_coeff_Mul()[0])) > MAX_NUMBER:
             raise self._error(node, "a number in this product is out of range; expected |number| <= 1e12")
-        elif isinstance(expr, sympy.Pow) and abs(_value(expr.exp)) > MAX_EXPONENT:
+        elif isinstance(expr, sympy.Pow) and _is_too_high(expr.exp):
             raise self._error(node, f"this power is out of range; expected |exponent| <= {MAX_EXPONENT}")
         return expr
 
@@ -256,6 +291,11 @@ def _value(number: sympy.Expr) -> float:
         return math.inf
     except (TypeError, ValueError):
         return math.nan
+
+
+def _is_too_high(exponent: sympy.Expr) -> bool:
+    """Tell whether a number as exponent is out of range; a shape parameter is not known yet."""
+    return not exponent.free_symbols and abs(_value(exponent)) > MAX_EXPONENT
 
 
 def _explodes(argument: sympy.Expr) -> bool:
@@ -304,7 +344,9 @@ def _unsupported(expr: sympy.Expr) -> str:
         if part.is_Number and part != 0 and not MIN_NUMBER <= abs(Fraction(str(part))) <= MAX_NUMBER:
             return "a number in it is out of range; expected 1e-30 <= |number| <= 1e12"
         exponent = part.args[1] if isinstance(part, sympy.Pow) else None  # type: ignore
-        if exponent is not None and (exponent.free_symbols or not abs(_value(exponent)) <= MAX_EXPONENT):
+        if exponent is None or (exponent.free_symbols and is_constant(exponent)):
+            continue
+        if exponent.free_symbols or not abs(_value(exponent)) <= MAX_EXPONENT:
             return f"a power in it is out of range; expected a number with |exponent| <= {MAX_EXPONENT}"
     return ""
 

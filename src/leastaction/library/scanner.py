@@ -26,13 +26,14 @@ _MAX_POWER_CHAIN = 4
 _TOKEN = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
     r"|(?P<name>[^\W\d]\w*)|(?P<operator>\*\*|[-+*/])|(?P<bracket>[()])|(?P<space>\s+)"
+    r"|(?P<shape>\{\s*[^\W\d]\w*\s*\})"
 )
 _HINTS = {
     "^": "use ** for powers",
     ",": "every function takes one argument",
     "=": "write an expression, not an equation",
     "[": "use round brackets ( )",
-    "{": "use round brackets ( )",
+    "{": "use round brackets ( ); braces hold the name of a shape parameter, as in exp(-{a}*x)",
     "\u2212": "use - for minus",
     "\u2013": "use - for minus",
     "\u00d7": "use * to multiply",
@@ -70,7 +71,9 @@ def _error(text: str, position: int, problem: str) -> InputError:
     return InputError(f"cannot read {shown!r} at column {position + 1}: {problem}")
 
 
-def scan(text: object, names: Collection[str], parameters: Collection[str] = ()) -> Source:
+def scan(
+    text: object, names: Collection[str], parameters: Collection[str] = (), *, shapes: bool = False
+) -> Source:
     """Check the tokens of one expression and return its normalised text (Unicode NFKC).
 
     Parameters
@@ -79,6 +82,8 @@ def scan(text: object, names: Collection[str], parameters: Collection[str] = ())
         The expression.
     names, parameters
         Names that may occur besides the functions and ``pi``.
+    shapes
+        Whether shape parameters such as ``{a}`` may occur.
 
     Raises
     ------
@@ -101,14 +106,15 @@ def scan(text: object, names: Collection[str], parameters: Collection[str] = ())
     normal = " ".join(normal.split()) if len(normal) <= MAX_LENGTH else normal[:MAX_LENGTH]
     if not normal:
         raise InputError("cannot read an empty expression; expected for example 'theta_dot**2'")
-    return _Scanner(normal, names, parameters).run()
+    return _Scanner(normal, names, parameters, shapes).run()
 
 
 class _Scanner:
     """A two-state machine: after an operator an operand must follow, and the other way round."""
 
-    def __init__(self, text: str, names: Collection[str], parameters: Collection[str]):
+    def __init__(self, text: str, names: Collection[str], parameters: Collection[str], shapes: bool):
         self.text = text
+        self.shapes = shapes
         self.known = [*names, *parameters, "pi"]
         self.coordinates = [name for name in names if not name.endswith("_dot")]
         self.numbers: dict[int, str] = {}
@@ -122,11 +128,11 @@ class _Scanner:
             if match is None:
                 raise self._unexpected(position)
             kind, token = match.lastgroup, match.group()
-            if kind in ("number", "name", "operator"):
+            if kind in ("number", "name", "operator", "shape"):
                 self.nodes += 1
             if kind == "space":
                 pass
-            elif kind in ("number", "name") or token == "(":
+            elif kind in ("number", "name", "shape") or token == "(":
                 if not operand_next:
                     raise self._missing_operator(position, token)
                 operand_next = token == "(" or self._operand(str(kind), token, position)
@@ -170,6 +176,9 @@ class _Scanner:
                 raise _error(self.text, position, f"write {token} without leading zeros")
             self.numbers[position] = token
             return False
+        if kind == "shape":
+            self._shape(token[1:-1].strip(), position)
+            return False
         called = self.text[position + len(token) :].lstrip().startswith("(")
         if token in FUNCTIONS:
             if not called:
@@ -180,6 +189,14 @@ class _Scanner:
         if token not in self.known:
             raise _error(self.text, position, self._unknown(token, called))
         return False
+
+    def _shape(self, name: str, position: int) -> None:
+        """Check the name of a shape parameter."""
+        if not self.shapes:
+            problem = f"{{{name}}} is a shape parameter, which has its place in a library; write a number"
+            raise _error(self.text, position, problem)
+        if name in self.known or name in FUNCTIONS:
+            raise _error(self.text, position, f"{name!r} is the name of something else; rename the parameter")
 
     def _unknown(self, token: str, called: bool) -> str:
         if called:

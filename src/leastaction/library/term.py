@@ -11,14 +11,23 @@ from typing import TYPE_CHECKING, Literal, overload
 import sympy
 
 from leastaction.errors import InputError
-from leastaction.library.parser import canonical_number, format_expression, normalise, parse_expression
+from leastaction.library.parser import (
+    canonical_number,
+    format_expression,
+    is_constant,
+    normalise,
+    parse_expression,
+    shape_symbol,
+)
 
 if TYPE_CHECKING:
     from leastaction.library.library import Library
 
-__all__ = ["Candidate", "Dropped", "Kind", "Term", "make_term", "smooth_abs"]
+__all__ = ["Candidate", "Dropped", "Kind", "Template", "Term", "make_term", "smooth_abs"]
 
 Kind = Literal["lagrangian", "dissipation"]
+
+_BRACES = re.compile(r"(?P<sign>(?<![-+*/])[-+])?\{(?P<name>\w+)\}(?P<power>\*\*)?")
 
 
 @dataclass(frozen=True)
@@ -35,14 +44,73 @@ class Term:
         The same as a SymPy expression over real symbols.
     kind
         ``"lagrangian"`` or ``"dissipation"``.
+    template
+        The term with shape parameters that this one has numbers for, and those numbers by name.
+
+    Examples
+    --------
+    >>> term = make_term("exp(-{a}*x)", ["x", "x_dot"])
+    >>> term.shapes, term.at({"a": 0.5}).text
+    (('a',), 'exp(-0.5*x)')
     """
 
     text: str = field(compare=False)
     expr: sympy.Expr
     kind: Kind = "lagrangian"
+    template: Template | None = field(default=None, compare=False)
 
     def __str__(self) -> str:
         return self.text
+
+    @property
+    def shapes(self) -> tuple[str, ...]:
+        """Names of the shape parameters, whether they have numbers or not."""
+        expr = self.expr if self.template is None else self.template.term.expr
+        return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
+
+    def at(self, values: Mapping[str, float]) -> Term:
+        """The term with numbers for its shape parameters, of twelve digits; itself if it has none.
+
+        Parameters
+        ----------
+        values
+            Name to number; a term that has numbers already keeps those that are not given.
+
+        Raises
+        ------
+        KeyError
+            If a number is lacking.
+        """
+        names = self.shapes
+        if not names:
+            return self
+        whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)
+        values = {**dict(had), **values}
+        numbers = {name: float(f"{values[name]:.12g}") for name in names}
+        # one that cancels out of the expression has no number, and none matters
+        text = _BRACES.sub(lambda found: _literal(found, numbers.get(found["name"], 1.0)), whole.text)
+        expr = whole.expr.xreplace({shape_symbol(name): sympy.Float(x) for name, x in numbers.items()})
+        return Term(text, expr, self.kind, Template(whole, tuple(numbers.items())))
+
+
+@dataclass(frozen=True)
+class Template:
+    """Where a term with numbers comes from: the term with shape parameters, and (name, number) of each."""
+
+    term: Term
+    values: tuple[tuple[str, float], ...]
+
+
+def _literal(found: re.Match[str], number: float) -> str:
+    """A number in place of braces; the sign in front of it takes a minus up."""
+    sign, power = found["sign"] or "", found["power"] or ""
+    if number >= 0:
+        return f"{sign}{number!r}{power}"
+    if sign and not power:
+        before = found.string[: found.start()].rstrip()
+        plus = "" if before.endswith("(") or not before else "+"
+        return f"{plus if sign == '-' else '-'}{-number!r}"
+    return f"{sign}({number!r}){power}"
 
 
 Candidate = str | Term | sympy.Expr
@@ -98,12 +166,13 @@ def make_term(
     if isinstance(source, Term):
         if source.kind != kind:
             raise InputError(f"term {source.text!r} is a {source.kind} term; expected a {kind} term")
-        strangers = {symbol.name for symbol in source.expr.free_symbols} - {normalise(n) for n in names}
+        used = {symbol.name for symbol in source.expr.free_symbols if not is_constant(symbol)}
+        strangers = used - {normalise(n) for n in names}
         if not strangers:
             return source
         source = source.text
     source = _text_of(source)
-    expr = parse_expression(source, names, parameters)
+    expr = parse_expression(source, names, parameters, shapes=True)
     # Text with a parameter in it could not be read back by itself (from a saved model).
     by_itself = not parameters or not _mentions(source, parameters)
     text = "".join(normalise(source).split()) if by_itself else format_expression(expr)
@@ -172,8 +241,8 @@ def smooth_abs(source: Term | Library, scale: Mapping[str, float]) -> Term | Lib
         return source
     expr = source.expr.xreplace(changes)
     text = format_expression(expr)
-    names = [symbol.name for symbol in expr.free_symbols]
-    return Term(text, parse_expression(text, names), source.kind)
+    names = [symbol.name for symbol in expr.free_symbols if not is_constant(symbol)]
+    return Term(text, parse_expression(text, names, shapes=True), source.kind)
 
 
 def _epsilon(velocity: str, scale: Mapping[str, float], term: Term) -> float:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ import sympy as sp
 from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
-from leastaction.library import Library, Term
+from leastaction.library import Library, Template, Term, shape_symbol
 
 __all__ = ["EulerLagrange", "Points", "euler_lagrange"]
 
@@ -51,15 +51,22 @@ class Points:
         self.n_points, self.n_dof = q.shape
         blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
         self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
-        self._cache: dict[sp.Basic, np.ndarray] = {}
+        self._cache: dict[tuple[sp.Basic, tuple[float, ...]], np.ndarray] = {}
 
-    def value(self, atom: sp.Basic, function: Callable[..., Any]) -> np.ndarray:
-        """Value of sin(θ), √(…) and the like, computed once for all candidates."""
-        if atom not in self._cache:
+    def value(
+        self, atom: sp.Basic, function: Callable[..., Any], numbers: tuple[float, ...] = ()
+    ) -> np.ndarray:
+        """Value of sin(θ), √(…) and the like, computed once for all candidates.
+
+        ``numbers`` are those of the shape parameters, as the function takes them behind the state.
+        """
+        key = (atom, numbers)
+        if key not in self._cache:
             # a candidate may be undefined at some points (log of a negative number): NaN is checked later
             with np.errstate(all="ignore"):
-                self._cache[atom] = np.broadcast_to(function(*self.columns[: 2 * self.n_dof]), self.n_points)
-        return self._cache[atom]
+                values = function(*self.columns[: 2 * self.n_dof], *numbers)
+            self._cache[key] = np.broadcast_to(values, self.n_points)
+        return self._cache[key]
 
 
 def _symbols(coordinates: Sequence[str]) -> tuple[list[sp.Symbol], list[sp.Symbol], list[sp.Symbol]]:
@@ -82,10 +89,14 @@ def _gradient(expr: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]:
 
 
 class _Compiled:
-    """Several expressions of (q, q̇, q̈) as one numpy function; zeros are left out."""
+    """Several expressions of (q, q̇, q̈) and shape parameters as one numpy function; zeros are left out."""
 
     def __init__(
-        self, expressions: dict[tuple[int, ...], sp.Expr], symbols: list[sp.Symbol], n_dof: int
+        self,
+        expressions: dict[tuple[int, ...], sp.Expr],
+        symbols: list[sp.Symbol],
+        n_dof: int,
+        shapes: list[sp.Symbol],
     ) -> None:
         entries = {key: e for key, e in expressions.items() if e != 0}
         self.keys = tuple(entries)
@@ -93,19 +104,22 @@ class _Compiled:
         stand_ins = [sp.Symbol(f"_shared{k}", real=True) for k in range(len(atoms))]
         swap = dict(zip(atoms, stand_ins, strict=True))
         bodies = [e.xreplace(swap) for e in entries.values()]
-        self._atoms = [(a, _atom_function(a, tuple(symbols[: 2 * n_dof]))) for a in atoms]
+        state = (*symbols[: 2 * n_dof], *shapes)
+        self._atoms = [(a, _atom_function(a, state)) for a in atoms]
         # dummify: a coordinate may bear the name of a numpy function
         self._function = sp.lambdify(
-            [*symbols, *stand_ins], bodies, modules="numpy", cse=len(bodies) > 2, dummify=True
+            [*symbols, *stand_ins, *shapes], bodies, modules="numpy", cse=len(bodies) > 2, dummify=True
         )
         self._n_symbols = len(symbols)
 
-    def __call__(self, points: Points) -> Iterable[tuple[tuple[int, ...], np.ndarray | float]]:
+    def __call__(
+        self, points: Points, numbers: tuple[float, ...] = ()
+    ) -> Iterable[tuple[tuple[int, ...], np.ndarray | float]]:
         if not self.keys:
             return ()
-        shared = [points.value(atom, function) for atom, function in self._atoms]
+        shared = [points.value(atom, function, numbers) for atom, function in self._atoms]
         with np.errstate(all="ignore"):
-            values = self._function(*points.columns[: self._n_symbols], *shared)
+            values = self._function(*points.columns[: self._n_symbols], *shared, *numbers)
         return zip(self.keys, values, strict=True)
 
 
@@ -132,12 +146,13 @@ _compiling = threading.RLock()
 
 
 class _Column:
-    """One candidate: its derivatives, compiled when first asked for."""
+    """One candidate: its derivatives, compiled when first asked for. Shape parameters are arguments."""
 
     def __init__(self, term: Term, coordinates: tuple[str, ...]) -> None:
         self.term = term
         self.n_dof = len(coordinates)
         self.q, self.qdot, self.qddot = _symbols(coordinates)
+        self.shapes = [shape_symbol(name) for name in term.shapes]
         self._compiled: dict[str, _Compiled] = {}
 
     def get(self, what: str) -> _Compiled:
@@ -148,7 +163,7 @@ class _Column:
         if what not in self._compiled:
             expressions = getattr(self, f"_{what}")()
             state = [*self.q, *self.qdot] if what in ("weak", "mass") else [*self.q, *self.qdot, *self.qddot]
-            self._compiled[what] = _Compiled(expressions, state, self.n_dof)
+            self._compiled[what] = _Compiled(expressions, state, self.n_dof, self.shapes)
         return self._compiled[what]
 
     def _weak(self) -> dict[tuple[int, ...], sp.Expr]:
@@ -193,6 +208,24 @@ def _column(term: Term, coordinates: tuple[str, ...]) -> _Column:
     return _Column(term, coordinates)
 
 
+class _Numbered:
+    """The functions of a candidate with shape parameters, with numbers for these."""
+
+    def __init__(self, term: Term, template: Template, coordinates: tuple[str, ...]) -> None:
+        self._column = _column(template.term, coordinates)
+        values = dict(template.values)
+        self._numbers = tuple(values[name] for name in term.shapes)
+
+    def get(self, what: str) -> Callable[[Points], Iterable[tuple[tuple[int, ...], np.ndarray | float]]]:
+        return partial(self._column.get(what), numbers=self._numbers)
+
+
+def _functions(term: Term, coordinates: tuple[str, ...]) -> _Column | _Numbered:
+    if term.template is None:
+        return _column(term, coordinates)
+    return _Numbered(term, term.template, coordinates)
+
+
 class EulerLagrange:
     """The columns of a library as numpy functions.
 
@@ -213,7 +246,7 @@ class EulerLagrange:
         self.coordinates = tuple(coordinates)
         self.prescribed = tuple(prescribed)
         self.n_dof = len(self.coordinates)
-        self._columns = [_column(term, self.coordinates) for term in self.terms]
+        self._columns = [_functions(term, self.coordinates) for term in self.terms]
 
     def __len__(self) -> int:
         return len(self.terms)
@@ -325,7 +358,7 @@ def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: Array
     Raises
     ------
     InputError
-        If the shapes do not match each other or the library.
+        If the shapes do not match each other or the library, or a shape parameter has no number.
 
     Examples
     --------
@@ -341,5 +374,6 @@ def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: Array
             f"q, qdot and qddot have the shapes {', '.join(map(str, shapes))}; expected one shape "
             f"(n_times, {len(library.coordinates)}) for the coordinates {', '.join(library.coordinates)}"
         )
+    library = library.at({})  # says which shape parameter has no number
     columns = EulerLagrange((*library.terms, *library.dissipation), library.coordinates)
     return columns.strong(Points(*states)).transpose(2, 1, 0)

@@ -15,8 +15,8 @@ from leastaction.data.validation import real_array
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
 from leastaction.kinds import is_list, is_mapping
-from leastaction.library import parse_expression
-from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.library import make_term, parse_expression
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 
 if TYPE_CHECKING:
     from leastaction.model.diagnostics import Diagnostics
@@ -39,7 +39,8 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
     if not terms:
         raise InputError("terms is empty; a Lagrangian needs at least one term")
     expressions = (_parsed(terms, "terms", coordinates), _parsed(dissipation, "dissipation", coordinates))
-    n_free = sum(not term.known for term in (*terms, *dissipation))
+    shapes = _shapes(model.shapes, (*terms, *dissipation), coordinates)
+    n_free = sum(not term.known for term in (*terms, *dissipation)) + len(shapes)
     _check_fit(model.fit)
     n_weights = len(model.fit.physics_weight)
     if n_weights not in (0, len(coordinates)):
@@ -55,6 +56,7 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
         "noise_std": _noise_std(model.noise_std, coordinates),
         "provenance": dict(model.provenance),
         "diagnostics": _with_findings(model.diagnostics, model.fit),
+        "shapes": shapes,
         "_expressions": expressions,
     }
 
@@ -67,6 +69,28 @@ def _check_fit(fit: object) -> None:
 def _check_provenance(provenance: object) -> None:
     if not is_mapping(provenance):
         raise InputError(f"provenance is {quoted(provenance)}; expected a dictionary")
+
+
+def _shapes(
+    shapes: Sequence[ShapeParameter], terms: Sequence[ModelTerm], coordinates: Sequence[str]
+) -> tuple[ShapeParameter, ...]:
+    """The shape parameters, which must be those of the templates."""
+    items = tuple(_shape(item, i) for i, item in enumerate(shapes))
+    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    used = [make_term(term.template, names).shapes for term in terms if term.template]
+    lacking = {name for shapes_of in used for name in shapes_of} ^ {item.name for item in items}
+    if lacking or len(items) > len({item.name for item in items}):
+        raise InputError(
+            f"shapes has {', '.join(item.name for item in items) or 'nothing'}; expected every shape "
+            "parameter of the templates once, and no other"
+        )
+    return items
+
+
+def _shape(item: object, place: int) -> ShapeParameter:
+    if not isinstance(item, ShapeParameter):
+        raise InputError(f"shapes[{place}] is {quoted(item)}; expected a ShapeParameter")
+    return item
 
 
 def _with_findings(diagnostics: Diagnostics | None, fit: FitSummary) -> Diagnostics | None:
@@ -117,7 +141,7 @@ def _covariance(value: ArrayLike | None, n_free: int) -> np.ndarray | None:
     if covariance.shape != (n_free, n_free):
         raise InputError(
             f"covariance has shape {covariance.shape}; expected {(n_free, n_free)}, a row for each "
-            "coefficient that is not known"
+            "coefficient that is not known and each shape parameter"
         )
     variance = covariance.diagonal()
     if not np.isfinite(covariance).all() or (variance < 0).any():

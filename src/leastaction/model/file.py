@@ -15,7 +15,11 @@ Schema 2, where ``null`` stands for "not available"::
                            "message": text, "remedy": text}, ...],
              "warnings": [text, ...]},
      "provenance": {anything that is JSON: version, options, hash of the data},
-     "covariance": [[...], ...]}        optional: of the free coefficients, terms before dissipation
+     "shapes": [{"name": text, "value": number, "standard_error": number or null}, ...],
+     "covariance": [[...], ...]}        of the free coefficients, terms before dissipation, then shapes
+
+``shapes`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression with shape
+parameters in braces.
 
 ``fit.warnings`` repeats the findings of that severity in sentences, for scripts that want no more; it is not
 read.  In schema 1 it stood alone: its sentences become findings with the code ``text``.
@@ -38,7 +42,7 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_array, is_collection, is_list, is_mapping, is_scalar
-from leastaction.model.term import FitSummary, ModelTerm, as_float
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, as_float
 
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
@@ -70,6 +74,11 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
         },
         "provenance": plain_json(model.provenance, "provenance"),
     }
+    if model.shapes:
+        document["shapes"] = [
+            {"name": s.name, "value": s.value, "standard_error": _number_or_none(s.standard_error)}
+            for s in model.shapes
+        ]
     if model.covariance is not None:
         document["covariance"] = model.covariance.tolist()
     return document
@@ -81,6 +90,7 @@ def _encode_term(term: ModelTerm) -> dict[str, Any]:
         "coefficient": term.coefficient,
         "standard_error": _number_or_none(term.standard_error),
         "known": term.known,
+        **({"template": term.template} if term.template else {}),
     }
 
 
@@ -202,7 +212,7 @@ def fields(document: Any) -> dict[str, Any]:
     if not is_mapping(document) or "schema" not in document:
         raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
-    _check_entries(document, "the model", _REQUIRED, ("covariance",))
+    _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes"))
     coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)
     for i, name in enumerate(coordinates):
         _text(name, f"coordinates[{i}]")
@@ -217,7 +227,21 @@ def fields(document: Any) -> dict[str, Any]:
         "noise_std": _numbers(document["noise_std"], "noise_std"),
         "fit": _fit(document["fit"], document["schema"]),
         "provenance": plain_json(provenance, "provenance"),
+        "shapes": _shapes(document.get("shapes", [])),
     }
+
+
+def _shapes(value: Any) -> tuple[ShapeParameter, ...]:
+    out: list[ShapeParameter] = []
+    for i, item in enumerate(_list(value, "shapes", MAX_TERMS)):
+        place = f"shapes[{i}]"
+        _check_entries(item, place, ("name", "value", "standard_error"))
+        error = _number(item["standard_error"], f"{place}.standard_error", nullable=True, least=0.0)
+        try:
+            out.append(ShapeParameter(item["name"], _number(item["value"], f"{place}.value"), error))
+        except InputError as problem:
+            raise InputError(f"{place}: {problem}") from None
+    return tuple(out)
 
 
 def _check_schema(schema: Any) -> None:
@@ -272,7 +296,7 @@ def _terms(value: Any, place: str) -> tuple[ModelTerm, ...]:
 
 
 def _term(value: Any, place: str) -> ModelTerm:
-    _check_entries(value, place, ("expression", "coefficient", "standard_error", "known"))
+    _check_entries(value, place, ("expression", "coefficient", "standard_error", "known"), ("template",))
     known = value["known"]
     if not isinstance(known, bool):
         raise InputError(f"{place}.known is {quoted(known)}; expected true or false")
@@ -280,7 +304,7 @@ def _term(value: Any, place: str) -> ModelTerm:
     coefficient = _number(value["coefficient"], f"{place}.coefficient")
     error = _number(value["standard_error"], f"{place}.standard_error", nullable=True, least=0.0)
     try:
-        return ModelTerm(expression, coefficient, error, known)
+        return ModelTerm(expression, coefficient, error, known, _text(value.get("template", ""), place))
     except InputError as problem:
         raise InputError(f"{place}: {problem}") from None
 

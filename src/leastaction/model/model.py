@@ -26,7 +26,7 @@ from leastaction.model.checks import (
     held_out,
     prescribed_in,
 )
-from leastaction.model.term import FitSummary, ModelTerm, weighted_sum
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
 from leastaction.simulation.integrate import SimulationResult, simulate
 from leastaction.threads import single_threaded
@@ -36,33 +36,32 @@ if TYPE_CHECKING:
 
     from leastaction.model.diagnostics import Diagnostics
 
-__all__ = ["FitSummary", "LagrangianModel", "ModelTerm"]
+__all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LagrangianModel:
     r"""A Lagrangian L(q, q̇) and a dissipation function ψ(q, q̇) with numbers and their errors.
 
-    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. A passive system fixes L and ψ only up to one common
-    factor: that of the known coefficients.
+    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
 
     Parameters
     ----------
     coordinates : sequence of str
-    terms : sequence of ModelTerm
-        L = Σ coefficient · expression; at least one.
-    dissipation : sequence of ModelTerm
-        The same for ψ; may be empty.
+    terms, dissipation : sequence of ModelTerm
+        L = Σ coefficient · expression, at least one term; and the same for ψ, which may be empty.
     covariance : array_like, shape (n_free, n_free), optional
-        Of the coefficients that are not known: those of `terms`, then those of `dissipation`.
+        Of the coefficients of `terms` and `dissipation` that are not known, then of the `shapes`.
     noise_std : array_like, shape (n_dof,), optional
         Standard deviation of the measurement noise; NaN: not available.
     fit : FitSummary
-        Whether the model holds, and the warnings if it does not.
+        Whether the model holds, and why not if it does not.
     provenance : mapping
         Where the model comes from: version, options, hash of the data. Must be JSON.
     diagnostics : Diagnostics, optional
         What the discovery left behind; it is not saved.
+    shapes : sequence of ShapeParameter
+        Unknown numbers inside terms, as found; the expressions hold them already.
 
     Raises
     ------
@@ -89,6 +88,7 @@ class LagrangianModel:
     fit: FitSummary = field(default_factory=FitSummary)
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     diagnostics: Diagnostics | None = None
+    shapes: tuple[ShapeParameter, ...] = ()
 
     def __post_init__(self) -> None:
         for name, value in checked_fields(self).items():
@@ -356,7 +356,7 @@ class LagrangianModel:
         return model_text.html_table(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the model as JSON types, as in the file of `save`; null stands for what is not available."""
+        """Return the model as JSON types, as in the file of `save`; null stands for "not available"."""
         return model_file.encode(self)
 
     @classmethod

@@ -9,10 +9,19 @@ from collections.abc import Iterable, Sequence
 
 import sympy as sp
 
+from leastaction.library import shape_symbol
 from leastaction.mechanics.equations import state_symbols
-from leastaction.model.term import ModelTerm
+from leastaction.model.term import ModelTerm, ShapeParameter
 
-__all__ = ["coefficient_text", "latex_sum", "latex_symbols", "plain_sum", "rounded"]
+__all__ = [
+    "coefficient_text",
+    "latex_number",
+    "latex_sum",
+    "latex_symbols",
+    "plain_sum",
+    "rounded",
+    "shape_symbols",
+]
 
 _SMALL = """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau
 upsilon phi chi psi omega"""
@@ -87,7 +96,8 @@ def plain_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> str
     """The sum of the terms with rounded coefficients, e.g. ``0.5*theta_dot**2 + 9.81*cos(theta)``."""
     pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
-        text = f"({term.expression})" if expr.is_Add or term.expression.startswith("-") else term.expression
+        written = term.written
+        text = f"({written})" if expr.is_Add or written.startswith("-") else written
         pieces.append(f"{coefficient_text(term)}*{text}")
     return " + ".join(pieces).replace("+ -", "- ") or "0"
 
@@ -137,6 +147,29 @@ def _word(word: str) -> str:
     return word if len(word) == 1 else rf"\mathrm{{{word}}}"
 
 
+def shape_symbols(shapes: Iterable[ShapeParameter]) -> dict[sp.Symbol, str]:
+    """LaTeX of shape parameters.
+
+    Examples
+    --------
+    >>> from leastaction.model.term import ShapeParameter
+    >>> list(shape_symbols([ShapeParameter("a1", 0.5)]).values())
+    ['a_{1}']
+    """
+    return {shape_symbol(shape.name): "".join(_head_and_subscript(shape.name)) for shape in shapes}
+
+
+def latex_number(number: str) -> str:
+    r"""A number as text, with its power of ten in LaTeX.
+
+    Examples
+    --------
+    >>> print(latex_number("1.5e-07"))
+    1.5 \times 10^{-7}
+    """
+    return re.sub(r"e([+-])0*(\d+)$", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", number)
+
+
 def latex_sum(
     terms: Iterable[ModelTerm],
     expressions: Iterable[sp.Expr],
@@ -149,7 +182,7 @@ def latex_sum(
     for term, expr in zip(terms, expressions, strict=True):
         number = coefficient_text(term, digits, uncertainty)
         sign, number = ("-", number[1:]) if number.startswith("-") else ("+", number)
-        number = re.sub(r"e([+-])0*(\d+)$", lambda m: rf" \times 10^{{{m[1].strip('+')}{m[2]}}}", number)
+        number = latex_number(number)
         factor = sp.latex(expr, symbol_names=symbols)
         if expr.is_Add or factor.startswith("-"):
             factor = rf"\left({factor}\right)"

@@ -15,7 +15,7 @@ from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 
-__all__ = ["FitSummary", "ModelTerm", "as_float", "weighted_sum"]
+__all__ = ["FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
 
 # Half width of a central 95 % interval of a normal distribution, in standard errors.
 _Z95 = 1.959963984540054
@@ -53,6 +53,9 @@ class ModelTerm:
         0.0 for a known coefficient; NaN where it is not available.
     known : bool
         Whether the coefficient was given by the user instead of estimated.
+    template : str
+        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"`` where ``expression`` has
+        their numbers; empty if it has none.
 
     Raises
     ------
@@ -70,8 +73,10 @@ class ModelTerm:
     coefficient: float
     standard_error: float = 0.0
     known: bool = False
+    template: str = ""
 
     def __post_init__(self) -> None:
+        _check_text(self.template, "the template of a term")
         _check_expression(self.expression)
         where = f"term {quoted(self.expression)}: "
         _check_known(self.known, where)
@@ -81,6 +86,11 @@ class ModelTerm:
         object.__setattr__(self, "coefficient", as_float(self.coefficient, f"{where}the coefficient"))
         object.__setattr__(self, "standard_error", error)
         object.__setattr__(self, "known", bool(self.known))
+
+    @property
+    def written(self) -> str:
+        """The expression as people read it: shape parameters by name."""
+        return self.template or self.expression
 
     @property
     def lower(self) -> float:
@@ -105,9 +115,62 @@ def _check_expression(expression: object) -> None:
         )
 
 
+def _check_text(value: object, what: str) -> None:
+    if not isinstance(value, str):
+        raise InputError(f"{what} is {quoted(value)}; expected text")
+
+
 def _check_known(known: object, where: str) -> None:
     if not isinstance(known, (bool, np.bool_)):
         raise InputError(f"{where}known is {quoted(known)}; expected True or False")
+
+
+@dataclass(frozen=True)
+class ShapeParameter:
+    """An unknown number inside terms, as found.
+
+    Parameters
+    ----------
+    name : str
+        As in the braces of the templates.
+    value : float
+    standard_error : float
+        NaN where it is not available.
+
+    Raises
+    ------
+    InputError
+        If a value is of the wrong type or not finite.
+
+    Examples
+    --------
+    >>> decay = ShapeParameter("a", 0.8, 0.1)
+    >>> round(decay.lower, 3), round(decay.upper, 3)
+    (0.604, 0.996)
+    """
+
+    name: str
+    value: float
+    standard_error: float = math.nan
+
+    def __post_init__(self) -> None:
+        _check_text(self.name, "the name of a shape parameter")
+        if not self.name.isidentifier():
+            raise InputError(f"a shape parameter has the name {quoted(self.name)}; expected one such as 'a'")
+        where = f"shape parameter {quoted(self.name)}: "
+        error = as_float(self.standard_error, f"{where}the standard error", missing=True, least=0.0)
+        object.__setattr__(self, "value", as_float(self.value, f"{where}the value"))
+        object.__setattr__(self, "standard_error", error)
+
+    @property
+    def lower(self) -> float:
+        """Lower end of the 95 % interval."""
+        return self.value - _Z95 * self.standard_error
+
+    @property
+    def upper(self) -> float:
+        """Upper end of the 95 % interval."""
+        return self.value + _Z95 * self.standard_error
 
 
 @dataclass(frozen=True, init=False)

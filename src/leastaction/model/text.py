@@ -7,12 +7,23 @@ from typing import TYPE_CHECKING
 
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
-from leastaction.model.notation import coefficient_text, latex_sum, latex_symbols, plain_sum, rounded
+from leastaction.library import parse_expression, shape_symbol
+from leastaction.model.notation import (
+    coefficient_text,
+    latex_number,
+    latex_sum,
+    latex_symbols,
+    plain_sum,
+    rounded,
+    shape_symbols,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
+    import sympy as sp
 
     from leastaction.model.model import LagrangianModel
+    from leastaction.model.term import ModelTerm
 
 __all__ = ["frame", "html_table", "latex", "rows", "summary", "table"]
 
@@ -30,7 +41,12 @@ def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
                 rest = (f"{error:.2g}", ends, f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}")
             else:
                 rest = ("known" if term.known else "", "", "")
-            out.append((term.expression, kind, coefficient_text(term), *rest))
+            out.append((term.written, kind, coefficient_text(term), *rest))
+    for shape in model.shapes:
+        error = shape.standard_error
+        ends = " … ".join(rounded(end, error) for end in (shape.lower, shape.upper)) if error > 0 else ""
+        shown = f"{error:.2g}" if error > 0 else ""
+        out.append((f"{{{shape.name}}}", "shape", rounded(shape.value, error), shown, ends, ""))
     return out
 
 
@@ -47,6 +63,8 @@ def summary(model: LagrangianModel) -> str:
     total = plain_sum(model.terms, model.expressions)
     if model.dissipation:
         total += f", psi = {plain_sum(model.dissipation, model.dissipation_expressions)}"
+    for shape in model.shapes:
+        total += f", {{{shape.name}}} = {rounded(shape.value, shape.standard_error)}"
     return f"<LagrangianModel of {', '.join(model.coordinates)}: L = {total}; fit {model.fit.status}>"
 
 
@@ -58,20 +76,30 @@ def _check_digits(digits: object) -> None:
 def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
     """L, and ψ if there is one, for math mode."""
     _check_digits(digits)
-    symbols = latex_symbols(model.coordinates)
+    symbols = latex_symbols(model.coordinates) | shape_symbols(model.shapes)
     lines: list[str] = []
     groups = (
         ("L", model.terms, model.expressions),
         (r"\psi", model.dissipation, model.dissipation_expressions),
     )
     for name, terms, expressions in groups:
-        pieces = latex_sum(terms, expressions, symbols, digits, uncertainty) if terms else []
+        shown = [_written(model, t, e) for t, e in zip(terms, expressions, strict=True)]
+        pieces = latex_sum(terms, shown, symbols, digits, uncertainty) if terms else []
         # Four terms a line: more would run out of the page.
         parts = [" ".join(pieces[i : i + 4]) for i in range(0, len(pieces), 4)]
         lines += [f"{name} &= {part}" if i == 0 else rf"&\quad {part}" for i, part in enumerate(parts)]
+    for shape in model.shapes:
+        number = rounded(shape.value, shape.standard_error, digits, uncertainty)
+        lines.append(f"{symbols[shape_symbol(shape.name)]} &= {latex_number(number)}")
     if len(lines) == 1:
         return lines[0].replace("&=", "=")
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
+
+
+def _written(model: LagrangianModel, term: ModelTerm, expr: sp.Expr) -> sp.Expr:
+    """The expression of a term with its shape parameters as symbols."""
+    names = [*model.coordinates, *(f"{c}_dot" for c in model.coordinates)]
+    return parse_expression(term.template, names, shapes=True) if term.template else expr
 
 
 def html_table(model: LagrangianModel) -> str:

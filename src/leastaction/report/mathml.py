@@ -136,6 +136,8 @@ class Notation:
             ), _POWER + 1
         if isinstance(node, ast.Name):
             return self._name(node.id), _POWER + 1
+        if isinstance(node, ast.Set):
+            return _shape(node), _POWER + 1
         if isinstance(node, ast.UnaryOp):
             sign = "<mo>−</mo>" if isinstance(node.op, ast.USub) else ""
             return f"{sign}{self._at(_PRODUCT, node.operand)}", _SUM
@@ -184,6 +186,13 @@ class Notation:
         if isinstance(base, ast.Call) and isinstance(base.func, ast.Name) and base.args:
             return self._call(base.func.id, base.args[0], power)
         return f"<msup><mrow>{self._at(_POWER + 1, base)}</mrow>{power}</msup>"
+
+
+def _shape(node: ast.Set) -> str:
+    """A shape parameter, which stands in braces: {a1}."""
+    head, subscript = _split("".join(e.id for e in node.elts if isinstance(e, ast.Name)))
+    base = f"<mi>{escape(head)}</mi>"
+    return f"<msub>{base}<mtext>{escape(subscript)}</mtext></msub>" if subscript else base
 
 
 class Number(NamedTuple):

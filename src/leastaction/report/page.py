@@ -113,7 +113,7 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
             "name": name,
             "addends": [
                 notation.addend(
-                    t.expression, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
+                    t.written, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
                 )
                 for k, t in enumerate(terms)
             ],

@@ -49,7 +49,14 @@ def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[
         }
         for symbol, name, terms in kinds
         if terms
-    ]
+    ] + _shape_group(model, notation)
+
+
+def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """Rows of the shape parameters, in the columns of coefficients."""
+    alike = [ModelTerm(f"{{{s.name}}}", s.value, s.standard_error) for s in model.shapes]
+    rows = [{**_coefficient_row(t, notation, f"shape{k}"), "z": ""} for k, t in enumerate(alike)]
+    return [{"symbol": "", "name": "shape parameters", "rows": rows}] if rows else []
 
 
 def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str, Any]:
@@ -57,8 +64,8 @@ def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str,
     number = number_parts(term.coefficient, error)
     ends = [typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
     return {
-        "term": notation.term(term.expression),
-        "text": term.expression,
+        "term": notation.term(term.written),
+        "text": term.written,
         "value": number.text,
         "error": number.error_text,
         "whisker": whisker(term, key),

@@ -48,7 +48,8 @@ def value(fit: Fit) -> float:
     # candidates that imitate the known term let the scale of L run away from it
     if np.all(np.abs(fit.estimates) < SELECTION.scale_lost * fit.standard_errors):
         return -np.inf
-    return fit.evidence - 0.5 * penalty(fit.grid) * len(fit.structure)
+    n_parameters = len(fit.structure) + len(fit.problem.shapes_of(fit.structure))
+    return fit.evidence - 0.5 * penalty(fit.grid) * n_parameters
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from leastaction.errors import StopSearch
 from leastaction.estimation.fit import Fit
@@ -23,6 +24,8 @@ from leastaction.selection.strategies import (
     force_bias,
     irrelevant_terms,
     kinetic_restart,
+    shape_fit,
+    shape_start,
     simulation_error,
     terms_again,
     weak_start,
@@ -31,12 +34,15 @@ from leastaction.selection.strategies import (
 __all__ = ["ON_ONE_GRID", "find_structure", "run_search"]
 
 ON_ONE_GRID = (
+    shape_start,
     weak_start,
+    shape_fit,
     finer_knots,
     kinetic_restart,
     terms_again,
     irrelevant_terms,
     feeding_friction,
+    shape_fit,
 )
 """Strategies that find a structure from nothing but a first grid, in order."""
 
@@ -57,10 +63,12 @@ def _on_data(search: Search) -> Search:
     """Find a structure on pieces of long recordings, then on all data."""
     search.report("search", {})
     search = find_structure(search)
+    restart = partial(coarse_restart.run, again=find_structure)
     runs: tuple[Callable[[Search], Search], ...] = (
-        lambda s: coarse_restart.run(s, find_structure),
+        restart,
         all_data.run,
         exact_equations.run,
+        shape_fit.run,
     )
     for run in runs:
         search = _attempt(run, search)

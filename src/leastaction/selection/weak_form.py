@@ -15,6 +15,7 @@ errors, as a quadratic form in the coefficients, and their bias, which is taken 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ import scipy.sparse as sp
 from leastaction.curve.bspline import SplineGrid
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["WeakForm", "WeakGram"]
+__all__ = ["WeakForm", "WeakGram", "weak_gram"]
 
 _BLOCK = 16384  # quadrature points handled at once
 _HOPS = 6  # test functions a width
@@ -48,6 +49,28 @@ class WeakGram:
     noise: np.ndarray
     size: np.ndarray
     n_rows: int
+
+
+def weak_gram(
+    inertial: np.ndarray, potential: np.ndarray, mean: np.ndarray, square: np.ndarray, count: int
+) -> WeakGram:
+    """Quadratic forms from the two parts of the rows along a curve, and those along replicates of it.
+
+    Parameters
+    ----------
+    inertial, potential : (n_rows, n_columns) arrays
+    mean : (n_rows, n_columns) array
+        Of the rows of the replicates.
+    square : (n_columns, n_columns) array
+        Sum of their Gram matrices.
+    count : int
+        Replicates.
+    """
+    row = inertial + potential
+    spread = (square - count * (mean.T @ mean)) / (count - 1)
+    corrected = 2.0 * row - mean  # less the bias, mean − row
+    size = 0.5 * (inertial.T @ inertial + potential.T @ potential)
+    return WeakGram(corrected.T @ corrected, spread * (1.0 + 1.0 / count), size, row.shape[0])
 
 
 class WeakForm:
@@ -75,11 +98,10 @@ class WeakForm:
         widths: Sequence[float],
         scale: np.ndarray,
     ) -> None:
-        self.grid, self.columns, self.forces = grid, columns, forces
+        self.grid, self.forces = grid, forces
         self.equations = np.setdiff1d(np.arange(columns.n_dof), columns.prescribed)
         self.scale = scale[self.equations]
-        self.is_free = np.isnan(known)
-        self.fixed = np.where(self.is_free, 0.0, known)
+        self._take(columns, known)
         self.widths = tuple(widths)
         owners = [np.flatnonzero(grid.owner == k) for k in range(len(grid.spaces))]
         self._chunks = [slice(index[0], index[-1] + 1) for index in owners]
@@ -88,29 +110,36 @@ class WeakForm:
             for c in self._chunks
         ]
 
+    def _take(self, columns: EulerLagrange, known: np.ndarray) -> None:
+        self.columns = columns
+        self.is_free = np.isnan(known)
+        self.fixed = np.where(self.is_free, 0.0, known)
+
+    def of(self, columns: EulerLagrange, known: np.ndarray) -> WeakForm:
+        """The same test functions for other columns, without forces."""
+        other = copy(self)
+        other.forces = None
+        other._take(columns, known)
+        return other
+
     def grams(self, control_points: np.ndarray, replicates: Sequence[np.ndarray]) -> list[WeakGram]:
         """Quadratic forms of each width along a curve, with replicates of it for the noise."""
-        rows, sizes = self._rows(control_points)
-        totals = [np.zeros_like(r) for r in rows]
-        squares = [np.zeros((r.shape[1], r.shape[1])) for r in rows]
+        here = self.rows(control_points)
+        totals = [np.zeros_like(inertial) for inertial, _ in here]
+        squares = [np.zeros((t.shape[1], t.shape[1])) for t in totals]
         for curve in replicates:
-            for total, square, again in zip(totals, squares, self._rows(curve)[0], strict=True):
+            for total, square, (inertial, potential) in zip(totals, squares, self.rows(curve), strict=True):
+                again = inertial + potential
                 total += again
                 square += again.T @ again
-        out: list[WeakGram] = []
-        count = len(replicates)
-        for row, size, total, square in zip(rows, sizes, totals, squares, strict=True):
-            mean = total / count
-            spread = (square - count * (mean.T @ mean)) / (count - 1)
-            corrected = 2.0 * row - mean  # less the bias, mean − row
-            out.append(WeakGram(corrected.T @ corrected, spread * (1.0 + 1.0 / count), size, row.shape[0]))
-        return out
+        return [
+            weak_gram(*parts, total / len(replicates), square, len(replicates))
+            for parts, total, square in zip(here, totals, squares, strict=True)
+        ]
 
-    def _rows(self, control_points: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """For each width (n_rows, n_columns) rows, and the Gram matrices of their two parts."""
-        n = int(self.is_free.sum()) + 1
-        rows: list[list[np.ndarray]] = [[] for _ in self.widths]
-        sizes = [np.zeros((n, n)) for _ in self.widths]
+    def rows(self, control_points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each width the two parts of the rows, inertial and potential, (n_rows, n_columns) each."""
+        rows: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.widths]
         for chunk, tests in zip(self._chunks, self._tests, strict=True):
             q, qdot, _ = (s.reshape(-1, s.shape[2]) for s in self.grid.at_quadrature(control_points, chunk))
             forces = None if self.forces is None else self.forces[chunk].reshape(-1, q.shape[1])
@@ -120,23 +149,21 @@ class WeakForm:
                 values = self.columns.weak(Points(q[here], qdot[here]))
                 force = None if forces is None else forces[here]
                 for w, test in enumerate(tests):
-                    inertial, potential = test.apply(values, force, here, _BLOCK, self)
-                    rows[w].append(inertial + potential)
-                    sizes[w] += 0.5 * (inertial.T @ inertial + potential.T @ potential)
-        return [np.concatenate(r) for r in rows], sizes
+                    rows[w].append(test.apply(values, force, here, _BLOCK, self))
+        return [(np.concatenate([i for i, _ in r]), np.concatenate([v for _, v in r])) for r in rows]
 
     def join_known(
         self, inertial: np.ndarray, potential: np.ndarray, push: np.ndarray | None
-    ) -> list[np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Free columns, then one column of everything known; rows flattened and scaled."""
         i_known, v_known = inertial @ self.fixed, potential @ self.fixed
         if push is not None:
             v_known = v_known + push
-        parts: list[np.ndarray] = []
-        for part, known in ((inertial, i_known), (potential, v_known)):
-            joined = np.concatenate([part[..., self.is_free], known[..., None]], axis=2)[:, self.equations]
-            parts.append((joined * self.scale[None, :, None]).reshape(-1, joined.shape[2]))
-        return parts
+        return self._joined(inertial, i_known), self._joined(potential, v_known)
+
+    def _joined(self, part: np.ndarray, known: np.ndarray) -> np.ndarray:
+        joined = np.concatenate([part[..., self.is_free], known[..., None]], axis=2)[:, self.equations]
+        return (joined * self.scale[None, :, None]).reshape(-1, joined.shape[2])
 
 
 class _TestFunctions:
@@ -165,7 +192,7 @@ class _TestFunctions:
 
     def apply(
         self, values: np.ndarray, forces: np.ndarray | None, here: slice, block: int, form: WeakForm
-    ) -> list[np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Both parts of the rows of the windows that begin in the block."""
         mine = np.flatnonzero(
             (self.low >= here.start) & (self.low < here.start + block) & (self.high <= here.stop)

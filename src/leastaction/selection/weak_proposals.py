@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
@@ -26,7 +28,7 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "propose_structures", "weak_grams"]
+__all__ = ["Proposal", "propose_structures", "weak_form", "weak_grams", "weak_replicates"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8
@@ -71,15 +73,26 @@ def propose_structures(
 def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
     """The weak form along a smooth curve for each width of test functions."""
     problem = grid.problem
+    known = problem.completed(np.full(len(problem.candidates), np.nan))
+    form = weak_form(grid, curve, problem.candidates, known, _WIDTHS)
+    return form.grams(curve.control_points, weak_replicates(grid, curve, seed))
+
+
+def weak_form(
+    grid: Grid, curve: Smooth, candidates: EulerLagrange, known: np.ndarray, widths: Sequence[float]
+) -> WeakForm:
+    """The weak form of some candidates, with widths in periods of the fastest coordinate."""
     _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
     rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
     period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
-    widths = [factor * period for factor in _WIDTHS]
     forces = None if grid.forces is None else grid.forces.values
-    known = problem.completed(np.full(len(problem.candidates), np.nan))
-    form = WeakForm(grid.spline, problem.candidates, known, forces, widths, np.sqrt(rates))
-    replicates = curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
-    return form.grams(curve.control_points, replicates)
+    seconds = [factor * period for factor in widths]
+    return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates))
+
+
+def weak_replicates(grid: Grid, curve: Smooth, seed: int) -> list[np.ndarray]:
+    """Curves smoothed from the smooth curve measured again."""
+    return curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
 
 
 def _best_support(

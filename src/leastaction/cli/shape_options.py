@@ -1,0 +1,70 @@
+"""``--term`` and ``--shape``: further candidates, and where to look for the unknown numbers in them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from leastaction.cli.options import blame, number
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+if TYPE_CHECKING:
+    from leastaction.library import Library
+
+__all__ = ["shape_option", "shape_ranges", "term_option", "with_terms"]
+
+_RANGE = re.compile(r"\s*\{?\s*(?P<name>\w+)\s*\}?\s*=\s*(?P<low>.+?)\s*\.\.\s*(?P<high>.+?)\s*")
+
+term_option = click.option(
+    "--term",
+    "terms",
+    multiple=True,
+    metavar="EXPR",
+    help="A candidate beside those of --library; may be given several times. Unknown numbers in it are named "
+    "in braces, e.g. 'exp(-{a}*x)' or 'sqrt((x-{p})**2+(y-{r})**2)'.",
+)
+shape_option = click.option(
+    "--shape",
+    "shapes",
+    multiple=True,
+    metavar="NAME=LOW..HIGH",
+    help="Range of an unknown number in the candidates, e.g. a=0.1..10; without one the data suggest where "
+    "to look. May be given several times.",
+)
+
+
+def with_terms(library: Library, terms: Sequence[str]) -> Library:
+    """Return the library with further candidates of L."""
+    if not terms:
+        return library
+    with blame("--term"):
+        return library.replace(terms=[*library.terms, *terms])
+
+
+def shape_ranges(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the ranges of ``--shape`` by name.
+
+    Raises
+    ------
+    InputError
+        If a text is no range, or a name occurs twice.
+
+    Examples
+    --------
+    >>> shape_ranges(["a=0.1..10"])
+    {'a': (0.1, 10.0)}
+    """
+    out: dict[str, tuple[float, float]] = {}
+    with blame("--shape"):
+        for text in texts:
+            found = _RANGE.fullmatch(text)
+            if found is None:
+                raise InputError(f"{quoted(text)} is no range; expected NAME=LOW..HIGH, e.g. a=0.1..10")
+            if found["name"] in out:
+                raise InputError(f"{found['name']} has two ranges; give one")
+            out[found["name"]] = (number(found["low"]), number(found["high"]))
+    return out

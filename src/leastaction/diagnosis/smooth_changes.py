@@ -1,0 +1,158 @@
+"""Would a smooth change of the law, of no particular form, explain the data better?
+
+Where a library lacks the law, its terms imitate it along the data, and leave nothing that a test of any one
+term must find.  So L is tried with a sum of bumps added,
+
+    δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum,
+
+with centres over the recorded motion.  All a_k are free: the quadratic model of the likelihood about the fit
+says by how much −2 log L falls, which for the true law is χ² with as many degrees of freedom, and what the
+best a_k, and those nearly as good, would make of the accelerations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from leastaction.data.validation import FloatArray
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.shapes import with_tangents
+from leastaction.findings import Finding, find
+from leastaction.library import Term, make_term
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.selection.significance import chi_square_cutoff
+
+__all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
+
+_ALONE, _TOGETHER = 8, 5  # centres along a coordinate: of one, of each of two
+_KINETIC = 5
+_WIDTH = 1.2  # of a bump, in distances between centres
+_VISITED = 0.005  # share of the motion near a centre, at least
+_ENDS = (0.01, 0.99)  # quantiles of the motion that the centres span
+_DEPENDENT = 1e-7  # of the greatest eigenvalue: directions that hardly differ from others
+_POINTS = 400
+
+
+@dataclass(frozen=True)
+class SmoothChange:
+    """What a smooth change of one kind would do.
+
+    Attributes
+    ----------
+    kind : str
+        "potential" or "kinetic".
+    gain : float
+        By how much −2 log likelihood would fall.
+    freedom : int
+        Degrees of freedom of the change.
+    shift, spread : float
+        Root mean square of the change of q̈, and of its standard deviation, relative to that of q̈; of the
+        coordinate where their sum is greatest.
+    """
+
+    kind: str
+    gain: float
+    freedom: int
+    shift: float
+    spread: float
+
+
+def doubts_about_the_form(fit: Fit, relevance: float) -> list[Finding]:
+    """A change that explains the data better, or accelerations that the data leave open."""
+    changes = smooth_changes(fit)
+    out: list[Finding] = []
+    for change in changes:
+        least = chi_square_cutoff(change.freedom, len(changes)) + relevance * float(fit.weights.slack.sum())
+        figures = {"kind": change.kind, "gain": change.gain, "freedom": change.freedom, "shift": change.shift}
+        if change.gain > least and change.shift > DIAGNOSIS.form_matters:
+            out.append(find("form-imitated", **figures))
+        elif change.shift + change.spread > DIAGNOSIS.form_open:
+            out.append(find("form-open", kind=change.kind, open=change.shift + change.spread))
+    return out[:1]
+
+
+def smooth_changes(fit: Fit) -> list[SmoothChange]:
+    """Changes of the potential and, of one coordinate, of the kinetic energy."""
+    if not (fit.converged and np.isfinite(fit.evidence)):
+        return []
+    potential = list(_bumps(fit, _ALONE, ""))
+    kinds = {"potential": potential}
+    if len(fit.problem.coordinates) == 1:
+        kinds["kinetic"] = list(_bumps(fit, _KINETIC, f"{fit.problem.coordinates[0]}_dot**2*"))
+    return [_change(fit, kind, terms) for kind, terms in kinds.items() if terms]
+
+
+def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
+    """Bumps over the motion: of the plane for two coordinates, along each for others."""
+    names = fit.problem.coordinates
+    motion = np.stack(fit.points().columns[: len(names)], axis=1)
+    groups = [(0, 1)] if len(names) == 2 else [(i,) for i in range(len(names))]
+    for group in groups:
+        number = _TOGETHER if len(group) == 2 else count
+        ends = np.quantile(motion[:, group], _ENDS, axis=0)
+        widths = _WIDTH * (ends[1] - ends[0]) / (number - 1)
+        text = "".join(f"-(({names[i]}-{{c{i}}})/{{w{i}}})**2" for i in group)
+        template = make_term(f"{factor}exp({text})", [*names, *(f"{n}_dot" for n in names)])
+        width = {f"w{i}": w for i, w in zip(group, widths.tolist(), strict=True)}
+        places: list[list[float]] = [
+            np.linspace(float(low), float(high), number).tolist() for low, high in zip(*ends, strict=True)
+        ]
+        for centre in product(*places):
+            near = np.all(np.abs(motion[:, group] - centre) < widths, axis=1)
+            if np.mean(near) > _VISITED:
+                yield template.at(width | {f"c{i}": c for i, c in zip(group, centre, strict=True)})
+
+
+def _change(fit: Fit, kind: str, terms: list[Term]) -> SmoothChange:
+    problem = fit.problem
+    base = [problem.terms[m] for m in fit.structure] + _tangents(fit)
+    candidates = problem.candidates.of([*base, *terms])
+    quadratic = fit.score(candidates)
+    scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
+    matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
+    before, own = _explained(matrix[: len(base), : len(base)], gradient[: len(base)])
+    after, root = _explained(matrix, gradient)
+    shift, spread = _accelerations(
+        fit, candidates, -scale * (root @ (root.T @ gradient)), scale[:, None] * root
+    )
+    total = np.where(np.isfinite(shift + spread), shift + spread, 0.0)
+    worst = int(np.argmax(total))
+    freedom = max(root.shape[1] - own.shape[1], 1)
+    return SmoothChange(kind, after - before, freedom, float(shift[worst]), float(spread[worst]))
+
+
+def _tangents(fit: Fit) -> list[Term]:
+    """Columns by which the shape parameters of the fit can move."""
+    names = fit.problem.shapes_of(fit.structure)
+    wide, _ = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
+    return list(wide.terms[len(fit.problem.terms) :])
+
+
+def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
+    """gᵀ A⁻¹ g and a root R of A⁻¹ = R Rᵀ, over the directions that differ."""
+    values, vectors = np.linalg.eigh(matrix)
+    kept = values > _DEPENDENT * values[-1]
+    root = vectors[:, kept] / np.sqrt(values[kept])
+    return float(np.sum((root.T @ gradient) ** 2)), root
+
+
+def _accelerations(
+    fit: Fit, candidates: EulerLagrange, step: FloatArray, root: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(n_dof,) root mean square of the change of q̈, and of its standard deviation, relative to q̈."""
+    points, n = fit.points(_POINTS), fit.problem.candidates.n_dof
+    physics, index = fit.grid.physics(fit.structure)
+    mass = physics.columns.mass_matrix(points, fit.coefficients[index])
+    change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))  # (points, dof, columns)
+    size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
+    size = np.maximum(size, 1e-300)
+    shift = np.sqrt(np.mean((change @ step) ** 2, axis=0)) / size
+    spread = np.sqrt(np.mean(np.sum((change @ root) ** 2, axis=2), axis=0)) / size
+    places = list(fit.problem.prescribed)
+    shift[places] = spread[places] = 0.0
+    return shift, spread

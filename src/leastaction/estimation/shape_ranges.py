@@ -1,0 +1,213 @@
+"""Where to look for shape parameters: ranges from the user, or from the part that a parameter plays.
+
+In ``exp(-{a}*x)`` a is compared with 1/x, in ``(x-{p})**2`` p with x, in ``x**2+{h}**2`` h with |x|, and in
+``r**{n}`` n is an exponent.  So the data give a range wherever the user gives none.  It says where starts are
+tried; only a range from the user is a bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import sympy as sp
+
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+from leastaction.library import Term, is_constant, shape_names, shape_symbol
+
+__all__ = ["ShapeRange", "shape_ranges"]
+
+_DECADE = 10.0  # either side of a scale
+_WIDER = 0.5  # of the spread, on both sides of what a location is compared with
+_SMALLEST = 0.03  # of a length that is added in squares: less is as good as none
+_FARTHEST = 0.5  # in one step
+_EXPONENTS = (-12.0, -9.0, -6.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.5, 2.5, 3.0, 4.0, 5.0, 6.0)
+
+
+@dataclass(frozen=True)
+class ShapeRange:
+    """Where starts of a shape parameter are tried.
+
+    Attributes
+    ----------
+    low, high : float
+        In the units of the parameter.
+    spacing : {"linear", "log", "exponent"}
+        Of the starts.
+    bounded : bool
+        Whether the parameter has to stay there, because the user said so.
+    """
+
+    low: float
+    high: float
+    spacing: Literal["linear", "log", "exponent"]
+    bounded: bool = False
+
+    def starts(self, count: int) -> np.ndarray:
+        """About ``count`` numbers over the range, rising."""
+        if self.spacing == "exponent":
+            inside = [x for x in _EXPONENTS if self.low <= x <= self.high]
+            if len(inside) > 2:
+                return np.array(inside)
+        if self.spacing == "log":
+            return np.geomspace(self.low, self.high, count)
+        edge = 0.5 * (self.high - self.low) / count
+        return np.linspace(self.low + edge, self.high - edge, count)
+
+    def at(self, share: float) -> float:
+        """The number at a share of the range, between 0 and 1."""
+        if self.spacing == "log":
+            return float(self.low ** (1.0 - share) * self.high**share)
+        return float(self.low + share * (self.high - self.low))
+
+    def stepped(self, value: float, step: float) -> float:
+        """The value after a step, no farther than half of it (or of a quarter of a linear range).
+
+        What the user has bounded stays within its bounds.
+        """
+        size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
+        moved = value + float(np.clip(step, -_FARTHEST * size, _FARTHEST * size))
+        return float(np.clip(moved, self.low, self.high)) if self.bounded else moved
+
+
+def shape_ranges(
+    terms: Sequence[Term], states: Mapping[str, np.ndarray], given: Mapping[str, tuple[float, float]]
+) -> dict[str, ShapeRange]:
+    """Range of every shape parameter of some terms.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+    states : mapping of str to (n_points,) array
+        Coordinates and velocities at points of the data.
+    given : mapping of str to (low, high)
+        What the user said.
+
+    Raises
+    ------
+    InputError
+        If what was given names no shape parameter, or is no range.
+    """
+    names = shape_names(terms)
+    for name, ends in given.items():
+        if name not in names:
+            listing = ", ".join(names) or "none; write one as exp(-{a}*x)"
+            raise InputError(
+                f"shapes names {quoted(name)}, which is no shape parameter of the library (it has {listing})"
+            )
+        _check_ends(name, ends)
+    out: dict[str, ShapeRange] = {}
+    for name in names:
+        found = _from_part(shape_symbol(name), [t.expr for t in terms if name in t.shapes], states)
+        if name in given:
+            low, high = map(float, given[name])
+            log = low > 0.0 and found.spacing != "exponent" and high > _DECADE * low
+            spacing = "log" if log else "exponent" if found.spacing == "exponent" else "linear"
+            found = ShapeRange(low, high, spacing, bounded=True)
+        out[name] = found
+    return out
+
+
+def _check_ends(name: str, ends: object) -> None:
+    try:
+        low, high = map(float, ends)  # type: ignore[call-overload]
+    except (TypeError, ValueError):
+        low = high = np.nan
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise InputError(
+            f"the range of the shape parameter {quoted(name)} is {quoted(ends)}; expected (low, high) with "
+            "low < high"
+        )
+
+
+def _from_part(
+    symbol: sp.Symbol, expressions: Sequence[sp.Expr], states: Mapping[str, np.ndarray]
+) -> ShapeRange:
+    """The range of a parameter from what it is added to, multiplied with, or an exponent of."""
+    for expr in expressions:
+        chain = _ancestors(expr, symbol)
+        for place in range(len(chain) - 1, 0, -1):
+            child, parent = chain[place], chain[place - 1]
+            above = chain[place - 2] if place > 1 else None
+            found = _compared(symbol, child, parent, above, states)
+            if found is not None:
+                return found
+    return ShapeRange(1.0 / _DECADE, _DECADE, "log")
+
+
+def _ancestors(expr: sp.Expr, symbol: sp.Symbol) -> list[sp.Basic]:
+    """From the expression down to the symbol, along its first occurrence."""
+    chain: list[sp.Basic] = [expr]
+    while chain[-1] != symbol:
+        chain.append(next(part for part in chain[-1].args if symbol in part.free_symbols))
+    return chain
+
+
+def _compared(
+    symbol: sp.Symbol, child: Any, parent: Any, above: Any, states: Mapping[str, np.ndarray]
+) -> ShapeRange | None:
+    """The range, where the parent compares the child with something that moves; else None."""
+    if isinstance(parent, sp.Pow) and parent.exp == child:
+        return None if _still(parent.base) else ShapeRange(_EXPONENTS[0], _EXPONENTS[-1], "exponent")
+    others: list[Any] = [part for part in parent.args if part != child and not _still(part)]
+    if not others:
+        return None
+    if parent.is_Add:
+        against = -_values(sp.Add(*others), states)
+        slope = sp.diff(child, symbol)
+        if not slope.free_symbols:
+            ends = np.array([against.min(), against.max()]) / float(slope)
+            return _around(ends)
+        size = _where(child, symbol, float(np.abs(against).max()))
+        return ShapeRange(_SMALLEST * size, size, "log")
+    if parent.is_Mul:
+        size = _rms(_values(sp.Mul(*others), states))
+        around = above if above is not None and above.is_Add else sp.Add()
+        moving: list[Any] = [part for part in around.args if part != parent and not _still(part)]
+        scale = _rms(_values(sp.Add(*moving), states)) if moving else 1.0
+        middle = _where(child, symbol, scale / max(size, 1e-300))
+        return ShapeRange(middle / _DECADE, middle * _DECADE, "log")
+    return None
+
+
+def _still(expr: Any) -> bool:
+    """Whether no coordinate or velocity is in it."""
+    return is_constant(expr)
+
+
+def _around(ends: np.ndarray) -> ShapeRange:
+    low, high = float(ends.min()), float(ends.max())
+    margin = _WIDER * max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
+    return ShapeRange(low - margin, high + margin, "linear")
+
+
+def _where(expr: sp.Expr, symbol: sp.Symbol, size: float) -> float:
+    """The positive number at which an expression of the symbol alone comes nearest to a size."""
+    trial = size * np.geomspace(1e-6, 1e6, 121) if size > 0.0 else np.ones(1)
+    trial = np.unique(np.concatenate([trial, np.sqrt(trial), np.geomspace(1e-3, 1e3, 61)]))
+    ones = {s: 1.0 for s in expr.free_symbols if s != symbol}
+    function = sp.lambdify([symbol], expr.xreplace(ones), modules="numpy", dummify=True)
+    with np.errstate(all="ignore"):
+        reached = np.abs(np.broadcast_to(np.asarray(function(trial), dtype=float), trial.shape))
+    gap = np.abs(np.log(np.maximum(reached, 1e-300) / max(size, 1e-300)))
+    return float(trial[np.nanargmin(gap)])
+
+
+def _values(expr: sp.Expr, states: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n_points,) finite values of an expression along the data, other shape parameters at one."""
+    names = sorted(states)
+    ones = {s: sp.Float(1.0) for s in expr.free_symbols if is_constant(s)}
+    symbols = [sp.Symbol(name, real=True) for name in names]
+    function = sp.lambdify(symbols, expr.xreplace(ones), modules="numpy", dummify=True)
+    points = [states[name] for name in names]
+    with np.errstate(all="ignore"):
+        values = np.broadcast_to(np.asarray(function(*points), dtype=float), points[0].shape)
+    finite = values[np.isfinite(values)]
+    return finite if finite.size else np.ones(1)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

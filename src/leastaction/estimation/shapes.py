@@ -1,0 +1,116 @@
+"""Joint fit of curve, coefficients and shape parameters.
+
+About numbers κ a structure depends on a small step δ by
+
+    Σ_k λ_k φ_k(κ + δ) = Σ_k λ_k φ_k(κ) + Σ_j δ_j Σ_k λ_k ∂φ_k/∂κ_j + O(δ²),
+
+so a step is the coefficient of one more term, the tangent Σ_k λ_k ∂φ_k/∂κ_j.  A fit of the structure with its
+tangents gives λ and δ together; κ moves by δ and the tangents are made anew until δ vanishes (Gauss–Newton).
+Where it has, the covariance of that fit is the joint one of λ and κ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leastaction.estimation.fit import Fit, ShapeEstimate
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start
+from leastaction.library import Term, tangent
+
+__all__ = ["fit_shapes", "with_tangents"]
+
+_MOST_STEPS = 25
+_HALVINGS = 6
+_SETTLED = 0.01  # standard errors
+_DIGITS = 1e-9  # relative: what noise-free data are fitted to
+_LOST = 0.6  # of log likelihood, which a fit settles to a half
+_ROUNDS = 25
+
+
+def with_tangents(
+    problem: Problem, structure: Structure, coefficients: np.ndarray, names: tuple[str, ...]
+) -> tuple[Problem, Structure]:
+    """The problem with a tangent for each shape parameter, and the structure that holds them all."""
+    held = [*structure, *np.flatnonzero(problem.is_known).tolist()]
+    tangents = [_tangent(problem, held, coefficients, name) for name in names]
+    count = len(problem.candidates)
+    return problem.wider(tangents), structure.with_(range(count, count + len(names)))
+
+
+def _tangent(problem: Problem, held: list[int], coefficients: np.ndarray, name: str) -> Term:
+    bearers = [k for k in held if name in problem.terms[k].shapes]
+    kind = problem.terms[bearers[0]].kind
+    bearers = [k for k in bearers if problem.terms[k].kind == kind]
+    return tangent([problem.terms[k] for k in bearers], coefficients[bearers].tolist(), name)
+
+
+def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
+    """The fit with its shape parameters at their most likely numbers, and with their errors.
+
+    The fit itself comes back where its structure has none, or where no step from it converges.
+
+    Notes
+    -----
+    A parameter that stands both in L and in the dissipation follows the terms of L.
+    """
+    names = fit.problem.shapes_of(fit.structure)
+    if not names or not fit.usable:
+        return fit
+    for _ in range(most_steps):
+        trial = _Trial.of(fit, names)
+        if trial is None:
+            return fit
+        moved = None if trial.settled else _advance(fit, trial, names)
+        if moved is None:
+            return trial.now
+        fit = moved
+    return fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A fit with tangents: steps δ, their errors, and the fit without them."""
+
+    now: Fit
+    steps: np.ndarray
+    errors: np.ndarray
+    start: Start
+
+    @classmethod
+    def of(cls, fit: Fit, names: tuple[str, ...]) -> _Trial | None:
+        problem, structure = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
+        count = len(fit.problem.candidates)
+        padded = np.append(fit.coefficients, np.zeros(len(names)))
+        start = Start(fit.control_points, padded, fit.weights)
+        wide = fit.grid.posed(problem).fit(structure, start, _ROUNDS)
+        if not wide.usable or not np.isfinite(wide.evidence):
+            return None
+        steps, n = wide.coefficients[count:], len(fit.structure)
+        values = np.array([fit.problem.shape_values[name] for name in names])
+        errors = wide.standard_errors[n:]
+        settled = bool(np.all(np.abs(steps) <= np.maximum(_SETTLED * errors, _DIGITS * np.abs(values))))
+        estimate = ShapeEstimate(names, values, wide.covariance, settled)
+        now = replace(fit, covariance=wide.covariance[:n, :n], shapes=estimate)
+        return cls(now, steps, errors, Start(wide.control_points, wide.coefficients[:count], wide.weights))
+
+    @property
+    def settled(self) -> bool:
+        """Whether another step would change nothing."""
+        return self.now.shapes is not None and self.now.shapes.settled
+
+
+def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...]) -> Fit | None:
+    """The first fit along the step, halved where needed, that is at least as likely."""
+    problem, share = fit.problem, 1.0
+    for _ in range(_HALVINGS):
+        steps = zip(names, (share * trial.steps).tolist(), strict=True)
+        values = {n: problem.ranges[n].stepped(problem.shape_values[n], d) for n, d in steps}
+        other = fit.grid.posed(problem.at(values)).fit(fit.structure, trial.start, _ROUNDS)
+        if other.usable and other.evidence >= fit.evidence - _LOST:
+            return other
+        share *= 0.5
+    return None

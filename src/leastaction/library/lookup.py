@@ -1,0 +1,82 @@
+"""Finding a term in a library, and saying what a library holds."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import sympy
+
+from leastaction.errors import InputError
+from leastaction.library.reduction import same_functions
+from leastaction.library.term import Candidate, Term
+
+if TYPE_CHECKING:
+    from leastaction.library.library import Library
+
+__all__ = ["listing_of", "place_among_all", "place_of", "summary_of"]
+
+_SHOWN = 6
+
+
+def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) -> int:
+    """Return the place of a term among others; equal functions match, however they are written.
+
+    Raises
+    ------
+    InputError
+        When no term is equal; the message lists near matches.
+    """
+    for k, term in enumerate(terms):
+        if term.expr == wanted.expr:
+            return k
+    if not wanted.shapes:
+        plain = [k for k, term in enumerate(terms) if not term.shapes]
+        same = same_functions(wanted.expr, [terms[k].expr for k in plain], coordinates)
+        if same:
+            return plain[same[0]]
+    texts = [term.text for term in terms]
+    near = difflib.get_close_matches(wanted.text, texts, n=3, cutoff=0.4) or texts[:3]
+    hint = f"; near matches: {', '.join(near)}" if near else ""
+    raise InputError(
+        f"{wanted.text!r} is not among the {len(terms)} {wanted.kind} terms of the library{hint}"
+    )
+
+
+def place_among_all(library: Library, item: Candidate) -> int:
+    """Return the place of a term among those of L and of the dissipation; text may mean either."""
+    known_kind = item.kind if isinstance(item, Term) else None
+    if known_kind != "dissipation":
+        try:
+            return library.index(item)
+        except InputError:
+            if known_kind or not library.dissipation:
+                raise
+    return len(library.terms) + library.index(item, "dissipation")
+
+
+def listing_of(library: Library) -> str:
+    """Return the first terms, coordinates, angles and dissipation as a call that could be typed."""
+    shown = [term.text for term in library.terms[:_SHOWN]]
+    listing = ", ".join(map(repr, shown)) + (", ..." if len(library) > len(shown) else "")
+    parts = [f"[{listing}]", f"coordinates={list(library.coordinates)}"]
+    if library.angles:
+        parts.append(f"angles={list(library.angles)}")
+    if library.dissipation:
+        parts.append(f"dissipation={[term.text for term in library.dissipation]}")
+    if len(library) > len(shown):
+        parts.append(f"{len(library)} terms")
+    return f"Library({', '.join(parts)})"
+
+
+def summary_of(library: Library) -> str:
+    """Return one line with the number of terms of each kind."""
+    velocities = {sympy.Symbol(name, real=True) for name in library.velocities}
+    moving = sum(not velocities.isdisjoint(term.expr.free_symbols) for term in library.terms)
+    angles = f" (angles: {', '.join(library.angles)})" if library.angles else ""
+    text = f"{len(library)} terms in {', '.join(library.coordinates)}{angles}: "
+    text += f"{moving} with velocities, {len(library) - moving} without"
+    if library.dissipation:
+        text += f"; {len(library.dissipation)} of dissipation"
+    return text + (f"; {len(library.dropped)} left out" if library.dropped else "")

@@ -1,0 +1,103 @@
+"""Shape parameters: unknown numbers inside candidates, written in braces, as in ``exp(-{a}*x)``.
+
+With numbers κ in place, a candidate φ(q, q̇; κ) is a term like any other, and ∂φ/∂κ_j is one, too: that is all
+that the estimation needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import sympy
+
+from leastaction.errors import InputError
+from leastaction.library.parser import is_constant, shape_symbol
+from leastaction.library.term import Template, Term
+
+__all__ = ["check_numbers", "check_shapes", "numbers_somewhere", "shape_names", "tangent"]
+
+_PROPORTIONAL = 1e-9
+_POINTS = 12
+
+
+def shape_names(terms: Sequence[Term]) -> tuple[str, ...]:
+    """Names of the shape parameters of some terms, sorted."""
+    return tuple(sorted({name for term in terms for name in term.shapes}))
+
+
+def numbers_somewhere(names: Sequence[str]) -> dict[str, float]:
+    """Numbers that nothing simplifies with, always the same for the same names."""
+    drawn = np.random.default_rng(0).uniform(0.3, 2.2, len(names))
+    return {name: round(x, 9) for name, x in zip(names, drawn.tolist(), strict=True)}
+
+
+def tangent(terms: Sequence[Term], coefficients: Sequence[float], name: str) -> Term:
+    """Σ_k λ_k ∂φ_k/∂κ over terms with numbers: the term whose coefficient is a step of κ.
+
+    All terms are of one kind. The coefficients travel as numbers of the template, too, so that the functions
+    compiled for it serve every step.
+
+    Examples
+    --------
+    >>> from leastaction.library.term import make_term
+    >>> decay = make_term("exp(-{a}*x)", ["x"]).at({"a": 0.5})
+    >>> tangent([decay], [3.0], "a").expr
+    -3.0*x*exp(-0.5*x)
+    """
+    parts: list[sympy.Expr] = []
+    values: dict[str, float] = {}
+    for k, (term, coefficient) in enumerate(zip(terms, coefficients, strict=True)):
+        if term.template is None or name not in term.shapes:
+            continue
+        weight = f"_weight{k}"
+        parts.append(shape_symbol(weight) * sympy.diff(term.template.term.expr, shape_symbol(name)))
+        values |= {weight: float(coefficient), **dict(term.template.values)}
+    expr = sympy.Add(*parts)
+    numbers = {shape_symbol(n): sympy.Float(x) for n, x in values.items()}
+    text = f"d/d{name}"  # never shown
+    whole = Term(text, expr, terms[0].kind)
+    return Term(text, expr.xreplace(numbers), whole.kind, Template(whole, tuple(values.items())))
+
+
+def check_numbers(terms: Sequence[Term], values: Mapping[str, float]) -> None:
+    """Refuse to go on without numbers for all shape parameters.
+
+    Raises
+    ------
+    InputError
+    """
+    lacking = set(shape_names([term for term in terms if term.template is None])) - set(values)
+    if lacking:
+        raise InputError(f"no number for the shape parameter {min(lacking)!r} of the library; give one")
+
+
+def check_shapes(term: Term) -> None:
+    """Refuse a shape parameter that only scales its term: the coefficient does that already.
+
+    Raises
+    ------
+    InputError
+
+    Examples
+    --------
+    >>> from leastaction.library.term import make_term
+    >>> check_shapes(make_term("cos({k}*x)", ["x"]))
+    """
+    if term.template is not None or not term.shapes:
+        return
+    numbers = {shape_symbol(n): sympy.Float(x) for n, x in numbers_somewhere(term.shapes).items()}
+    symbols = sorted((s for s in term.expr.free_symbols if not is_constant(s)), key=str)
+    states = np.random.default_rng(1).uniform(0.3, 2.2, (len(symbols), _POINTS))
+    for name in term.shapes:
+        pair = [e.xreplace(numbers) for e in (term.expr, sympy.diff(term.expr, shape_symbol(name)))]
+        functions = sympy.lambdify(symbols, pair, modules="numpy", dummify=True)
+        with np.errstate(all="ignore"):
+            values, slopes = (np.broadcast_to(v, _POINTS) for v in functions(*states))
+        usable = np.isfinite(values) & np.isfinite(slopes) & (values != 0.0)
+        ratio = slopes[usable] / values[usable]
+        if usable.sum() > 1 and np.ptp(ratio) <= _PROPORTIONAL * np.abs(ratio).max():
+            raise InputError(
+                f"the shape parameter {{{name}}} only scales the term {term.text!r}, which its coefficient "
+                f"does already; leave {{{name}}} out"
+            )

@@ -1,0 +1,224 @@
+"""The weak form as a function of the shape parameters: how well any numbers explain the rows.
+
+Rows of candidates without shape parameters are made once.  For numbers κ only the columns φ(κ) are made anew,
+and a search for a support tells how well noise explains what is left.  About a support, tangents are columns
+too, and their coefficients a step of κ (Gauss–Newton on the ratio ρ).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.problem import Problem
+from leastaction.library import Term, shape_names, tangent
+from leastaction.selection.likelihood_search import term_penalty
+from leastaction.selection.settings import SELECTION
+from leastaction.selection.weak_backward import backward_search
+from leastaction.selection.weak_form import WeakForm, WeakGram, weak_gram
+from leastaction.selection.weak_proposals import weak_form, weak_replicates
+from leastaction.selection.weak_search import ScaledGram, solve_support, support_score
+
+__all__ = ["Profile", "ProfilePoint"]
+
+EQUATION_ERROR = 1e-6  # squared, relative to the rows: what the curve cannot follow of exact equations
+_BEAM = 1
+_FEW = 3  # replicates, for a first look
+_GROWTH = 1.5  # of the number of plain candidates from one level to the next, at least
+_STEPS = 12
+_SHARES = (1.0, 0.3, 0.1, 0.03)
+_GAIN = 1e-3  # of log ρ
+
+
+@dataclass(frozen=True, eq=False)
+class ProfilePoint:
+    """Numbers of shape parameters and how well they explain the rows.
+
+    Attributes
+    ----------
+    values : mapping of str to float
+    gram : WeakGram
+        Of the plain candidates, then the free bearers.
+    members : tuple of int
+        Columns of the gram that are used.
+    ratio : float
+        ρ with these columns.
+    score : float
+        Of the best support, where one was searched; less is better, see `support_score`.
+    """
+
+    values: Mapping[str, float]
+    gram: WeakGram
+    members: tuple[int, ...]
+    ratio: float
+    score: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Two parts of the rows along the curve, and the rows along each replicate; known column last."""
+
+    inertial: np.ndarray
+    potential: np.ndarray
+    replicates: list[np.ndarray]
+
+    def beside(self, more: _Rows) -> _Rows:
+        """Free columns of both, then the sum of what is known."""
+        pairs = zip(self.replicates, more.replicates, strict=False)  # of few, if one has few
+        return _Rows(
+            _joined(self.inertial, more.inertial),
+            _joined(self.potential, more.potential),
+            [_joined(a, b) for a, b in pairs],
+        )
+
+    def gram(self) -> WeakGram:
+        """Quadratic forms over all rows."""
+        count = len(self.replicates)
+        mean = sum(self.replicates) / count
+        square = sum(r.T @ r for r in self.replicates)
+        return weak_gram(self.inertial, self.potential, mean, square, count)  # type: ignore[arg-type]
+
+
+def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.concatenate([a[:, :-1], b[:, :-1], a[:, -1:] + b[:, -1:]], axis=1)
+
+
+def _levels(terms: Sequence[Term]) -> list[tuple[int, ...]]:
+    """Ever more of the terms, the simplest first.
+
+    Beside many terms, numbers that are a little off are as bad as any: the others imitate whatever the right
+    ones explain, and only at these does it fit. Beside few, the way there is smooth.
+    """
+    size = np.array([term.expr.count_ops() for term in terms], dtype=int)
+    levels: list[tuple[int, ...]] = [()]
+    for limit in np.unique(size):
+        inside = tuple(np.flatnonzero(size <= limit).tolist())
+        if len(inside) >= _GROWTH * len(levels[-1]) or limit == size.max():
+            levels.append(inside)
+    return levels[1:] or levels
+
+
+class Profile:
+    """The weak form of a problem with shape parameters, along one smooth curve.
+
+    Parameters
+    ----------
+    grid : Grid
+    curve : Smooth
+    seed : int
+        Of the noise of the replicates.
+    """
+
+    def __init__(self, grid: Grid, curve: Smooth, seed: int) -> None:
+        self.problem: Problem = grid.problem
+        terms = self.problem.terms
+        free: list[int] = self.problem.free.tolist()
+        self.plain = [k for k in free if not terms[k].shapes]
+        fixed = [k for k in range(len(terms)) if self.problem.is_known[k] and not terms[k].shapes]
+        index = [*self.plain, *fixed]
+        known = np.append(np.full(len(self.plain), np.nan), self.problem.known[fixed])
+        self._curves = [curve.control_points, *weak_replicates(grid, curve, seed)]
+        self._form = weak_form(grid, curve, self.problem.candidates.subset(index), known, (1.0,))
+        self._rows = self._made(self._form)
+        self._levels = _levels([terms[k] for k in self.plain])
+
+    def point(self, values: Mapping[str, float], bearers: Sequence[int]) -> list[ProfilePoint]:
+        """Numbers for the shape parameters of some candidates, the bearers, beside ever more plain ones.
+
+        A first look, with few replicates of the noise. Empty where a candidate is undefined along the curve.
+        """
+        gram = self._gram(values, bearers, (), _FEW)
+        if gram is None:
+            return []
+        scaled, first = ScaledGram(gram, EQUATION_ERROR), len(self.plain)
+        own = tuple(range(first, first + len(self._free(bearers))))
+        supports = [(*level, *own) for level in self._levels]
+        return [ProfilePoint(dict(values), gram, m, scaled.ratio(m)) for m in supports if m]
+
+    def searched(self, point: ProfilePoint) -> ProfilePoint:
+        """The point with the best support of all candidates."""
+        n_rows, price = self._counts(point.gram)
+        levels = backward_search(point.gram, EQUATION_ERROR, price, n_rows, _BEAM)
+        best = min((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
+        score = support_score(best, price, n_rows)
+        return replace(point, members=best.members, ratio=best.ratio, score=score)
+
+    def refined(self, point: ProfilePoint, bearers: Sequence[int]) -> ProfilePoint:
+        """The point moved by Gauss–Newton steps, its columns held, with all noise accounted for."""
+        gram = self._gram(point.values, bearers, ())
+        if gram is None:
+            return point
+        ratio = ScaledGram(gram, EQUATION_ERROR).ratio(point.members)
+        point = replace(point, gram=gram, ratio=ratio)
+        for _ in range(_STEPS):
+            nearer = self._nearer(point, bearers, self._steps(point, bearers))
+            if nearer is None:
+                break
+            gain, point = np.log(point.ratio / nearer.ratio), nearer
+            if gain < _GAIN:
+                break
+        return point
+
+    def _free(self, bearers: Sequence[int]) -> list[int]:
+        return [k for k in bearers if not self.problem.is_known[k]]
+
+    def _steps(self, point: ProfilePoint, bearers: Sequence[int]) -> dict[str, float]:
+        """Steps of the shape parameters, from their tangents."""
+        coefficients = self.problem.completed(np.zeros(len(self.problem.candidates)))
+        found = solve_support(point.gram, EQUATION_ERROR, point.members)
+        coefficients[[*self.plain, *self._free(bearers)]] = found
+        held = [k for k in bearers if coefficients[k] != 0.0]
+        terms = [self.problem.terms[k].at(point.values) for k in held]
+        names = shape_names(terms)
+        tangents = [tangent(terms, coefficients[held].tolist(), name) for name in names]
+        wide = self._gram(point.values, bearers, tangents)
+        if wide is None or not names:
+            return {}
+        first = point.gram.residual.shape[0] - 1
+        members = (*point.members, *range(first, first + len(names)))
+        return dict(zip(names, solve_support(wide, EQUATION_ERROR, members)[first:].tolist(), strict=True))
+
+    def _nearer(
+        self, point: ProfilePoint, bearers: Sequence[int], steps: Mapping[str, float]
+    ) -> ProfilePoint | None:
+        """The first point along the steps, shortened where needed, with a smaller ratio."""
+        ranges = self.problem.ranges
+        for share in _SHARES if steps else ():
+            moved = {n: ranges[n].stepped(point.values[n], share * d) for n, d in steps.items()}
+            values = {**point.values, **moved}
+            gram = self._gram(values, bearers, ())
+            if gram is None:
+                continue
+            ratio = ScaledGram(gram, EQUATION_ERROR).ratio(point.members)
+            if ratio < point.ratio:
+                return ProfilePoint(values, gram, point.members, ratio)
+        return None
+
+    def _counts(self, gram: WeakGram) -> tuple[float, float]:
+        """Independent rows, and the price of a term."""
+        n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
+        return n_rows, term_penalty(int(n_rows), self.problem.free.size)
+
+    def _gram(
+        self,
+        values: Mapping[str, float],
+        bearers: Sequence[int],
+        tangents: Sequence[Term],
+        most: int | None = None,
+    ) -> WeakGram | None:
+        """Quadratic forms over the plain candidates, the bearers and the tangents; None if undefined."""
+        terms = [*(self.problem.terms[k].at(values) for k in bearers), *tangents]
+        known = np.append(self.problem.known[list(bearers)], np.full(len(tangents), np.nan))
+        rows = self._made(self._form.of(self.problem.candidates.of(terms), known), most)
+        return self._rows.beside(rows).gram() if np.isfinite(rows.inertial + rows.potential).all() else None
+
+    def _made(self, form: WeakForm, most: int | None = None) -> _Rows:
+        """Rows along the curve and its replicates, or the first few of them."""
+        first, *others = self._curves
+        inertial, potential = form.rows(first)[0]
+        again = (form.rows(curve)[0] for curve in others[:most])
+        return _Rows(inertial, potential, [i + v for i, v in again])

@@ -1,0 +1,115 @@
+"""Numbers to begin with for shape parameters, from a profile of the weak form.
+
+Candidates with shape parameters are placed one after the other: of the numbers that the range of the
+parameters offers, those that explain the rows of the weak form with the cheapest support, refined by
+Gauss–Newton steps. Then each is looked for once more with the others in place.
+
+Cost: two passes over some tens of numbers for each candidate, each a search for a support on the weak form.
+Skipped where no candidate has shape parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import qmc
+
+from leastaction.estimation.problem import Problem
+from leastaction.selection.search_state import Search
+from leastaction.selection.shape_profile import Profile, ProfilePoint
+
+__all__ = ["run"]
+
+_STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
+_MOST_STARTS = 512
+_REFINED = 4  # of the starts, beside each number of plain candidates
+_PASSES = 2
+_EXPLAINED = 1.5  # ratio to what noise leaves
+
+
+def run(search: Search) -> Search:
+    """The problem with the best numbers that a profile finds."""
+    problem = search.grid.problem
+    if not problem.ranges:
+        return search
+    search.report("shapes", {})
+    profile = Profile(search.grid, search.curve, search.seed)
+    point = _placed(profile, problem)
+    if point is None:
+        return search
+    return posed(search, dict(point.values))
+
+
+def posed(search: Search, values: dict[str, float]) -> Search:
+    """The search with other numbers for its shape parameters."""
+    whole, searched, gridded = (p.at(values) for p in (search.problem, search.searched, search.grid.problem))
+    return replace(search, problem=whole, searched=searched, grid=search.grid.posed(gridded))
+
+
+def _placed(profile: Profile, problem: Problem) -> ProfilePoint | None:
+    """All shape parameters, those of one candidate after those of another."""
+    values: dict[str, float] = {}
+    best: ProfilePoint | None = None
+    groups = _groups(problem)
+    for _ in range(_PASSES if len(groups) > 1 else 1):
+        for group in groups:
+            others = {n: v for n, v in values.items() if n not in group}
+            bearers = _determined(problem, {*others, *group})
+            found = _best(profile, bearers, others, _starts(problem, group))
+            complete = best is not None and set(best.values) == {*others, *group}
+            if found is not None and not (complete and best is not None and best.score <= found.score):
+                best, values = found, dict(found.values)
+    return best
+
+
+def _groups(problem: Problem) -> list[tuple[str, ...]]:
+    """Shape parameters that come together: those of a candidate that none before it has."""
+    out: list[tuple[str, ...]] = []
+    seen: set[str] = set()
+    for term in problem.terms:
+        new = tuple(name for name in term.shapes if name not in seen)
+        if new:
+            out.append(new)
+            seen |= {*new}
+    return out
+
+
+def _determined(problem: Problem, names: set[str]) -> list[int]:
+    """Candidates all of whose shape parameters have numbers."""
+    return [k for k, term in enumerate(problem.terms) if term.shapes and names.issuperset(term.shapes)]
+
+
+def _starts(problem: Problem, group: Sequence[str]) -> Iterator[dict[str, float]]:
+    """Numbers over the ranges: even for one parameter, a Sobol sequence for several."""
+    ranges = [problem.ranges[name] for name in group]
+    count = _STARTS.get(len(group), _MOST_STARTS)
+    if len(group) == 1:
+        yield from ({group[0]: x} for x in ranges[0].starts(count).tolist())
+        return
+    shares = qmc.Sobol(len(group), seed=0).random_base2(int(np.ceil(np.log2(count))))
+    for row in shares[:count]:
+        yield {n: r.at(x) for n, r, x in zip(group, ranges, row.tolist(), strict=True)}
+
+
+def _best(
+    profile: Profile,
+    bearers: Sequence[int],
+    others: dict[str, float],
+    starts: Iterable[dict[str, float]],
+) -> ProfilePoint | None:
+    """The best support after Gauss–Newton steps from the best few starts beside simple and all candidates.
+
+    Ends where noise explains what is left.
+    """
+    tried = [profile.point({**others, **start}, bearers) for start in starts]
+    best: ProfilePoint | None = None
+    for level in zip(*filter(None, tried), strict=True):
+        for point in sorted(level, key=lambda p: p.ratio)[:_REFINED]:
+            found = profile.searched(profile.refined(point, bearers))
+            if best is None or found.score < best.score:
+                best = found
+            if best.ratio < _EXPLAINED:
+                return best
+    return best
