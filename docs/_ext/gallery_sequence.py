@@ -12,6 +12,7 @@ _NAMES = (
     "closed_loop_arm",
     "oscillators",
     "magnetic_pendulum",
+    "unknown_anchor",
     "missing_samples",
     "camera_pixels",
     "lacking_term",

@@ -87,7 +87,10 @@ def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:
     values = fit.problem.shape_values
     found = fit.shapes
     errors = [np.nan] * len(names) if found is None else found.standard_errors.tolist()
-    return tuple(ShapeParameter(n, values[n], error) for n, error in zip(names, errors, strict=True))
+    # one that is held at its bound has no error
+    return tuple(
+        ShapeParameter(n, values[n], error or np.nan) for n, error in zip(names, errors, strict=True)
+    )
 
 
 def _terms(setup: Setup, fit: Fit) -> list[tuple[str, ModelTerm]]:

@@ -31,7 +31,7 @@ class ShapeEstimate:
     names : tuple of str
     values : (n_shapes,) array
     covariance : (n_members + n_shapes,) * 2 array
-        Of the members' coefficients, then of the shape parameters.
+        Of the members' coefficients, then of the shape parameters; zero for those held at a bound.
     settled : bool
         Whether the last step was below a hundredth of a standard error.
     """

@@ -60,42 +60,58 @@ def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
     names = fit.problem.shapes_of(fit.structure)
     if not names or not fit.usable:
         return fit
-    for _ in range(most_steps):
-        trial = _Trial.of(fit, names)
+    for left in reversed(range(most_steps)):
+        trial = _tried(fit, names)
         if trial is None:
             return fit
-        moved = None if trial.settled else _advance(fit, trial, names)
+        moved = None if trial.settled or not left else _advance(fit, trial, names)
         if moved is None:
-            return trial.now
+            return trial.now  # with errors, and whether it settled
         fit = moved
     return fit
 
 
+def _tried(fit: Fit, names: tuple[str, ...]) -> _Trial | None:
+    """A fit with tangents; parameters whose step would cross their bound are held there."""
+    trial = _Trial.of(fit, names, names)
+    if trial is None:
+        return None
+    ranges, here = fit.problem.ranges, fit.problem.shape_values
+    steps = dict(zip(names, trial.steps.tolist(), strict=True))
+    free = tuple(n for n in names if steps[n] == 0.0 or ranges[n].stepped(here[n], steps[n]) != here[n])
+    return trial if free == names else _Trial.of(fit, names, free)
+
+
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A fit with tangents: steps δ, their errors, and the fit without them."""
+    """A fit with tangents: steps δ, and the fit without them."""
 
     now: Fit
     steps: np.ndarray
-    errors: np.ndarray
     start: Start
 
     @classmethod
-    def of(cls, fit: Fit, names: tuple[str, ...]) -> _Trial | None:
-        problem, structure = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
+    def of(cls, fit: Fit, names: tuple[str, ...], free: tuple[str, ...]) -> _Trial | None:
+        """With a tangent for each free name; the others have neither step nor error."""
+        problem, structure = with_tangents(fit.problem, fit.structure, fit.coefficients, free)
         count = len(fit.problem.candidates)
-        padded = np.append(fit.coefficients, np.zeros(len(names)))
+        padded = np.append(fit.coefficients, np.zeros(len(free)))
         start = Start(fit.control_points, padded, fit.weights)
         wide = fit.grid.posed(problem).fit(structure, start, _ROUNDS)
         if not wide.usable or not np.isfinite(wide.evidence):
             return None
-        steps, n = wide.coefficients[count:], len(fit.structure)
+        n = len(fit.structure)
+        places = [names.index(name) for name in free]
+        steps, covariance = np.zeros(len(names)), np.zeros((n + len(names),) * 2)
+        steps[places] = wide.coefficients[count:]
+        index = [*range(n), *(n + k for k in places)]
+        covariance[np.ix_(index, index)] = wide.covariance
         values = np.array([fit.problem.shape_values[name] for name in names])
-        errors = wide.standard_errors[n:]
+        errors = np.sqrt(np.clip(np.diag(covariance)[n:], 0.0, None))
         settled = bool(np.all(np.abs(steps) <= np.maximum(_SETTLED * errors, _DIGITS * np.abs(values))))
-        estimate = ShapeEstimate(names, values, wide.covariance, settled)
-        now = replace(fit, covariance=wide.covariance[:n, :n], shapes=estimate)
-        return cls(now, steps, errors, Start(wide.control_points, wide.coefficients[:count], wide.weights))
+        estimate = ShapeEstimate(names, values, covariance, settled)
+        now = replace(fit, covariance=covariance[:n, :n], shapes=estimate)
+        return cls(now, steps, Start(wide.control_points, wide.coefficients[:count], wide.weights))
 
     @property
     def settled(self) -> bool:
@@ -106,9 +122,10 @@ class _Trial:
 def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...]) -> Fit | None:
     """The first fit along the step, halved where needed, that is at least as likely."""
     problem, share = fit.problem, 1.0
+    here = problem.shape_values
     for _ in range(_HALVINGS):
         steps = zip(names, (share * trial.steps).tolist(), strict=True)
-        values = {n: problem.ranges[n].stepped(problem.shape_values[n], d) for n, d in steps}
+        values = {n: problem.ranges[n].stepped(here[n], d) for n, d in steps}
         other = fit.grid.posed(problem.at(values)).fit(fit.structure, trial.start, _ROUNDS)
         if other.usable and other.evidence >= fit.evidence - _LOST:
             return other

@@ -13,7 +13,7 @@ from leastaction.library.file import read_terms
 from leastaction.library.lookup import listing_of, place_among_all, place_of, summary_of
 from leastaction.library.parser import normalise
 from leastaction.library.reduction import find_redundant
-from leastaction.library.shapes import check_numbers, check_shapes, numbers_somewhere, shape_names
+from leastaction.library.shapes import check_numbers, check_shapes, shape_names, term_somewhere
 from leastaction.library.term import Candidate, Dropped, Kind, Term, make_term
 
 __all__ = ["Library"]
@@ -357,16 +357,15 @@ class Library(Sequence[Term]):
         (['x_dot**2', 'x'], ['1: constant', 'x*x_dot: total time derivative', '2*x: equals 2*x'])
         """
         both = (*self._terms, *self._dissipation)
-        somewhere = [term.at(numbers_somewhere(self.shapes)) for term in both]
-        places = map(self._coordinates.index, prescribed)
+        places = [self._coordinates.index(name) for name in prescribed]
         held = {place_among_all(self, k) for k in ((keep,) if isinstance(keep, Candidate) else keep)}
-        found = find_redundant(somewhere, self._coordinates, held, list(places))
+        found = find_redundant([term_somewhere(t) for t in both], self._coordinates, held, places)
         left = [term for k, term in enumerate(both) if k not in found]
         terms = [term for term in left if term.kind == "lagrangian"]
         if not terms:
             raise InputError("no term of the library has an effect on the motion; add kinetic terms")
         new = self.replace(terms=terms, dissipation=[term for term in left if term.kind == "dissipation"])
-        new._dropped = self._dropped + tuple(found.values())
+        new._dropped = self._dropped + tuple(Dropped(both[k], d.reason, d.because) for k, d in found.items())
         return new
 
     def at(self, values: Mapping[str, float]) -> Library:

@@ -7,6 +7,7 @@ that the estimation needs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import sympy
@@ -15,7 +16,7 @@ from leastaction.errors import InputError
 from leastaction.library.parser import is_constant, shape_symbol
 from leastaction.library.term import Template, Term
 
-__all__ = ["check_numbers", "check_shapes", "numbers_somewhere", "shape_names", "tangent"]
+__all__ = ["check_numbers", "check_shapes", "shape_names", "tangent", "term_somewhere"]
 
 _PROPORTIONAL = 1e-9
 _POINTS = 12
@@ -26,10 +27,25 @@ def shape_names(terms: Sequence[Term]) -> tuple[str, ...]:
     return tuple(sorted({name for term in terms for name in term.shapes}))
 
 
-def numbers_somewhere(names: Sequence[str]) -> dict[str, float]:
-    """Numbers that nothing simplifies with, always the same for the same names."""
-    drawn = np.random.default_rng(0).uniform(0.3, 2.2, len(names))
-    return {name: round(x, 9) for name, x in zip(names, drawn.tolist(), strict=True)}
+def _somewhere(names: Sequence[str]) -> dict[str, float]:
+    """Numbers that nothing simplifies with, each its own, always the same for the same name."""
+    seeds = {name: list(name.encode()) for name in names}
+    return {name: round(np.random.default_rng(seeds[name]).uniform(0.3, 2.2), 9) for name in names}
+
+
+def term_somewhere(term: Term) -> Term:
+    """The term with numbers that nothing simplifies with, under its own text; itself if it has numbers.
+
+    Examples
+    --------
+    >>> from leastaction.library.term import make_term
+    >>> some = term_somewhere(make_term("exp(-{a}*x)", ["x"]))
+    >>> some.text, some.expr.free_symbols
+    ('exp(-{a}*x)', {x})
+    """
+    if term.template is not None:
+        return term
+    return replace(term.at(_somewhere(term.shapes)), text=term.text)
 
 
 def tangent(terms: Sequence[Term], coefficients: Sequence[float], name: str) -> Term:
@@ -86,7 +102,7 @@ def check_shapes(term: Term) -> None:
     """
     if term.template is not None or not term.shapes:
         return
-    numbers = {shape_symbol(n): sympy.Float(x) for n, x in numbers_somewhere(term.shapes).items()}
+    numbers = {shape_symbol(n): sympy.Float(x) for n, x in _somewhere(term.shapes).items()}
     symbols = sorted((s for s in term.expr.free_symbols if not is_constant(s)), key=str)
     states = np.random.default_rng(1).uniform(0.3, 2.2, (len(symbols), _POINTS))
     for name in term.shapes:

@@ -302,12 +302,12 @@ class LagrangianModel:
         return checked_states(self.coordinates, arrays)
 
     def table(self) -> pd.DataFrame:
-        """Coefficients with their errors.
+        """Coefficients with their errors; shape parameters come last, under their names in braces.
 
         Returns
         -------
         pandas.DataFrame
-            Index ``expression``; columns ``kind`` ("lagrangian" or "dissipation"), ``coefficient``,
+            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation" or "shape"), ``coefficient``,
             ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
 
         Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from typing import TYPE_CHECKING
 
 from leastaction.errors import InputError, MissingPackageError
@@ -125,8 +126,15 @@ def frame(model: LagrangianModel) -> pd.DataFrame:
         instead = "use format_table(), or terms and dissipation"
         raise MissingPackageError("table()", "pandas", "pandas", instead) from None
 
-    terms = (*model.terms, *model.dissipation)
-    kinds = ["lagrangian"] * len(model.terms) + ["dissipation"] * len(model.dissipation)
-    names = ("coefficient", "standard_error", "lower", "upper", "z", "known")
-    columns = {"kind": kinds, **{name: [getattr(t, name) for t in terms] for name in names}}
-    return pd.DataFrame(columns, index=pd.Index([t.expression for t in terms], name="expression"))
+    names = ("standard_error", "lower", "upper")
+    found = [
+        (t.written, kind, t.coefficient, *(getattr(t, name) for name in names), t.z, t.known)
+        for terms, kind in ((model.terms, "lagrangian"), (model.dissipation, "dissipation"))
+        for t in terms
+    ]
+    found += [
+        (f"{{{s.name}}}", "shape", s.value, *(getattr(s, name) for name in names), math.nan, False)
+        for s in model.shapes
+    ]
+    columns = ("expression", "kind", "coefficient", *names, "z", "known")
+    return pd.DataFrame(found, columns=list(columns)).set_index("expression")

@@ -1,0 +1,208 @@
+"""Unknown numbers inside terms, from the data to a saved model, on a Morse potential D (1 − exp(−a x))²."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import leastaction as la
+from helpers import findings_of, record
+from leastaction.model.term import ModelTerm, ShapeParameter
+
+DEPTH, RATE = 2.0, 0.8
+LIBRARY = ["x_dot**2", "x", "x**2", "x**3", "exp(-{a}*x)", "exp(-2*{a}*x)"]
+KNOWN = {"x_dot**2": 0.5}
+TRUTH = {"x_dot**2": 0.5, "exp(-{a}*x)": 2 * DEPTH, "exp(-2*{a}*x)": -DEPTH}
+
+
+def acceleration(q, v, f):
+    return -2.0 * DEPTH * RATE * (np.exp(-RATE * q) - np.exp(-2.0 * RATE * q))
+
+
+@pytest.fixture(scope="module")
+def data():
+    starts = [([2.2], [0.0]), ([1.3], [0.0]), ([0.0], [1.2])]
+    return record(acceleration, starts, ["x"], duration=8.0, rate=30.0, noise=0.01, seed=1)
+
+
+@pytest.fixture(scope="module")
+def model(data):
+    return la.discover(data, LIBRARY, known=KNOWN)
+
+
+def test_law_and_number_are_found(model):
+    assert model.fit.status == "ok", model.fit.warnings
+    assert {term.written for term in model.terms} == set(TRUTH)
+    for term in model.terms:
+        assert abs(term.coefficient - TRUTH[term.written]) <= 4.0 * term.standard_error, term
+    (rate,) = model.shapes
+    assert rate.name == "a"
+    assert abs(rate.value - RATE) <= 4.0 * rate.standard_error
+    assert rate.standard_error < 0.02
+    assert rate.lower < rate.value < rate.upper
+    assert model.covariance.shape == (3, 3)
+    np.testing.assert_allclose(model.covariance[2, 2], rate.standard_error**2)
+    for code in ("shape-undetermined", "shape-at-bound", "shape-not-settled"):
+        assert not findings_of(model, code)
+
+
+def test_expressions_hold_the_number_and_templates_its_name(model):
+    value = f"{model.shapes[0].value:.12g}"
+    bearers = [term for term in model.terms if term.template]
+    assert {term.template for term in bearers} == {"exp(-{a}*x)", "exp(-2*{a}*x)"}
+    for term in bearers:
+        assert term.expression == term.template.replace("{a}", value)
+
+
+def test_a_file_keeps_shapes_and_templates(model, tmp_path):
+    model.save(tmp_path / "model.json")
+    again = la.load(tmp_path / "model.json")
+    assert again.shapes == model.shapes
+    assert again.terms == model.terms
+    assert again.to_dict() == model.to_dict()
+    np.testing.assert_array_equal(again.covariance, model.covariance)
+    document = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
+    assert document["shapes"] == [
+        {"name": "a", "value": model.shapes[0].value, "standard_error": model.shapes[0].standard_error}
+    ]
+    assert "template" not in document["terms"][0]
+
+
+def test_it_reads_by_name(model):
+    value = f"{model.shapes[0].value:.3f}"[:4]
+    assert "*exp(-{a}*x)" in repr(model)
+    assert f"{{a}} = {value}" in repr(model)
+    table = model.format_table()
+    assert "exp(-2*{a}*x)" in table
+    assert any(line.split()[:2] == ["{a}", "shape"] for line in table.splitlines())
+    frame = model.table()
+    assert frame.index.tolist() == [*(term.written for term in model.terms), "{a}"]
+    assert frame.loc["{a}", "kind"] == "shape"
+    assert frame.loc["{a}", "coefficient"] == model.shapes[0].value
+    latex = model.latex()
+    assert "e^{- x a}" in latex
+    assert f"a &= {value}" in latex
+    html = model._repr_html_()
+    assert "exp(-{a}*x)" in html
+
+
+def test_it_simulates(model):
+    coefficients = {term.written: term.coefficient for term in model.terms}
+    one, two, rate = coefficients["exp(-{a}*x)"], coefficients["exp(-2*{a}*x)"], model.shapes[0].value
+
+    def slope(t, state):
+        force = -rate * (one * np.exp(-rate * state[0]) + 2 * two * np.exp(-2 * rate * state[0]))
+        return [state[1], force]
+
+    t = np.linspace(0.0, 10.0, 51)
+    expected = solve_ivp(slope, (0.0, 10.0), [1.9, 0.1], t_eval=t, rtol=1e-11, atol=1e-11).y.T
+    motion = model.simulate([1.9], [0.1], t, rtol=1e-11, atol=1e-11)
+    assert motion.complete
+    np.testing.assert_allclose(np.hstack([motion.q, motion.qdot]), expected, atol=1e-6)
+
+
+def test_a_bound_that_excludes_the_truth_is_named(data):
+    model = la.discover(data, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (1.2, 3.0)})
+    assert model.fit.status == "doubtful"
+    assert model.provenance["options"]["shapes"] == {"a": [1.2, 3.0]}
+    (finding,) = findings_of(model, "shape-at-bound")
+    assert finding.values["value"] == 1.2
+    assert "widen the range" in str(finding)
+
+
+# -------------------------------------------------------------------------------- bad input, old files
+@pytest.mark.parametrize(
+    ("library", "options", "message"),
+    [
+        (LIBRARY, {"shapes": {"b": (0, 1)}}, "shapes names 'b', which is no shape parameter"),
+        (LIBRARY, {"shapes": {"a": (1, 0)}}, "low < high"),
+        (["x_dot**2", "x**2"], {"shapes": {"a": (0, 1)}}, "it has none"),
+        (["x_dot**2", "{a}*x**2"], {}, r"\{a\} only scales the term"),
+        (["x_dot**2", "exp(-{x}*x)"], {}, "'x' is the name of something else"),
+    ],
+)
+def test_wrong_shapes_are_refused(data, library, options, message):
+    with pytest.raises(la.InputError, match=message):
+        la.discover(data, library, known=KNOWN, **options)
+
+
+SCHEMA_2 = {
+    "schema": 2,
+    "coordinates": ["x"],
+    "terms": [
+        {"expression": "x_dot**2", "coefficient": 0.5, "standard_error": 0.0, "known": True},
+        {"expression": "exp(-0.8*x)", "coefficient": 4.0, "standard_error": 0.1, "known": False},
+    ],
+    "dissipation": [],
+    "noise_std": [0.01],
+    "fit": {"status": "ok", "chi2_per_sample": 1.0, "physics_weight": [1.0], "findings": [], "warnings": []},
+    "provenance": {},
+    "covariance": [[0.01]],
+}
+
+
+def load(document, tmp_path):
+    path = tmp_path / "m.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return la.load(path)
+
+
+def test_a_file_without_shapes_still_loads(tmp_path):
+    model = load(SCHEMA_2, tmp_path)
+    assert model.shapes == ()
+    assert [term.template for term in model.terms] == ["", ""]
+    assert model.to_dict() == SCHEMA_2
+
+
+def with_shape(**changes) -> dict:
+    term = {**SCHEMA_2["terms"][1], "template": "exp(-{a}*x)"}
+    shapes = [{"name": "a", "value": 0.8, "standard_error": 0.01}]
+    return {**SCHEMA_2, "terms": [SCHEMA_2["terms"][0], term], "covariance": [[0.01, 0], [0, 1e-4]]} | {
+        "shapes": shapes,
+        **changes,
+    }
+
+
+def test_a_file_with_a_shape_loads(tmp_path):
+    model = load(with_shape(), tmp_path)
+    assert model.shapes == (ShapeParameter("a", 0.8, 0.01),)
+    assert load(with_shape(shapes=[{"name": "a", "value": 0.8, "standard_error": None}]), tmp_path).shapes
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shapes": []}, "every shape parameter of the templates once"),
+        ({"shapes": [{"name": "b", "value": 0.8, "standard_error": None}]}, "shapes has b"),
+        ({"shapes": [{"name": "a", "value": 0.8, "standard_error": None}] * 2}, "shapes has a, a"),
+        ({"shapes": [{"name": "a", "value": "0.8", "standard_error": None}]}, r"shapes\[0\]"),
+        ({"shapes": [{"name": "a", "value": 0.8, "standard_error": -1.0}]}, r"shapes\[0\]"),
+        ({"shapes": [{"name": "1a", "value": 0.8, "standard_error": None}]}, r"shapes\[0\]"),
+        ({"shapes": [{"name": "a", "value": 0.8}]}, "standard_error"),
+        ({"shapes": {}}, "shapes"),
+        ({"covariance": [[0.01]]}, "covariance"),
+    ],
+)
+def test_wrong_files_are_refused(changes, message, tmp_path):
+    with pytest.raises(la.InputError, match=message):
+        load(with_shape(**changes), tmp_path)
+
+
+def test_a_template_must_be_readable(tmp_path):
+    document = with_shape()
+    document["terms"][1]["template"] = "exp(-{a}*"
+    with pytest.raises(la.InputError):
+        load(document, tmp_path)
+    with pytest.raises(la.InputError, match="template"):
+        ModelTerm("exp(-0.8*x)", 1.0, template=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"), [("", 1.0, 0.1), ("a b", 1.0, 0.1), ("a", np.inf, 0.1), ("a", 1.0, -0.1)]
+)
+def test_a_shape_parameter_checks_itself(name, value, error):
+    with pytest.raises(la.InputError):
+        ShapeParameter(name, value, error)
