@@ -54,11 +54,13 @@ class DiagnosisSettings:
     wrong law; twice: no effect."""
 
     form_matters: float = 0.01
-    """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt."""
+    """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt.
+    Not from a study; five times less than what a result is called wrong for."""
 
     form_open: float = 0.05
-    """Change and standard deviation of the accelerations over smooth changes of L, above which the data do
-    not determine the form of L."""
+    """Root mean square by which accelerations may be off over smooth changes of L, relative to them; what the
+    study `unlisted` calls wrong. Of its seen laws 18 of 21 that were ok and wrong pass it, of 111 correct
+    results none."""
 
     one_and_the_same: float = 0.99
     """Correlation above which a shape parameter is said to move with another parameter as one."""

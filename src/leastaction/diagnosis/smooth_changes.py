@@ -52,7 +52,7 @@ class SmoothChange:
         Degrees of freedom of the change.
     shift, spread : float
         Root mean square of the change of q̈, and of its standard deviation, relative to that of q̈; of the
-        coordinate where their sum is greatest.
+        coordinate where they are greatest.
     """
 
     kind: str
@@ -60,6 +60,11 @@ class SmoothChange:
     freedom: int
     shift: float
     spread: float
+
+    @property
+    def open(self) -> float:
+        """Root mean square by which q̈ may be off, relative to it."""
+        return float(np.hypot(self.shift, self.spread))
 
 
 def doubts_about_the_form(fit: Fit, relevance: float) -> list[Finding]:
@@ -71,8 +76,8 @@ def doubts_about_the_form(fit: Fit, relevance: float) -> list[Finding]:
         figures = {"kind": change.kind, "gain": change.gain, "freedom": change.freedom, "shift": change.shift}
         if change.gain > least and change.shift > DIAGNOSIS.form_matters:
             out.append(find("form-imitated", **figures))
-        elif change.shift + change.spread > DIAGNOSIS.form_open:
-            out.append(find("form-open", kind=change.kind, open=change.shift + change.spread))
+        elif change.open > DIAGNOSIS.form_open:
+            out.append(find("form-open", kind=change.kind, open=change.open))
     return out[:1]
 
 
@@ -120,8 +125,7 @@ def _change(fit: Fit, kind: str, terms: list[Term]) -> SmoothChange:
     shift, spread = _accelerations(
         fit, candidates, -scale * (root @ (root.T @ gradient)), scale[:, None] * root
     )
-    total = np.where(np.isfinite(shift + spread), shift + spread, 0.0)
-    worst = int(np.argmax(total))
+    worst = int(np.argmax(np.nan_to_num(np.hypot(shift, spread), posinf=0.0)))
     freedom = max(root.shape[1] - own.shape[1], 1)
     return SmoothChange(kind, after - before, freedom, float(shift[worst]), float(spread[worst]))
 

@@ -57,7 +57,7 @@ class Term:
     text: str = field(compare=False)
     expr: sympy.Expr
     kind: Kind = "lagrangian"
-    template: Template | None = field(default=None, compare=False)
+    template: Template | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         return self.text
