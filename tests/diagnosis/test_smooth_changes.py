@@ -63,7 +63,7 @@ def test_data_that_leave_the_form_open_are_told(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_for_the_true_law_the_gain_is_no_more_than_chance():
-    """−2 log likelihood falls by χ² with the degrees of freedom of the change, or less: noise is fitted, too."""
+    """−2 log likelihood falls by χ² with the degrees of freedom of the change, or by less."""
     gains, freedom = [], []
     held: list[Fit] = []
     for seed in range(6):
