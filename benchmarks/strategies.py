@@ -20,7 +20,13 @@ import click
 import leastaction as la
 from leastaction import systems
 from leastaction.selection import likelihood_refinement, likelihood_search, search
-from leastaction.selection.strategies import all_data, coarse_restart, exact_equations, simulation_error
+from leastaction.selection.strategies import (
+    all_data,
+    coarse_restart,
+    exact_equations,
+    shortest_form,
+    simulation_error,
+)
 
 _FURTHER = ("toda_chain", "double_well", "henon_heiles", "kepler_orbit")
 
@@ -53,7 +59,14 @@ def _name(strategy: ModuleType) -> str:
     return strategy.__name__.rpartition(".")[2]
 
 
-_LEFT_OUT = (*search.ON_ONE_GRID[1:], coarse_restart, all_data, exact_equations, simulation_error)
+_LEFT_OUT = (
+    *search.ON_ONE_GRID[1:],
+    coarse_restart,
+    all_data,
+    shortest_form,
+    exact_equations,
+    simulation_error,
+)
 VARIANTS: dict[str, Callable] = {
     "all": nullcontext,
     "local": lambda: _changed(likelihood_refinement, "search_subsets", _local),

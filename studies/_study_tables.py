@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from studies._names_tables import tables as names
 from studies._tables import (
     Records,
     Table,
@@ -34,7 +35,8 @@ _RIGHT = 0.05
 
 def tables(study: str, records: Records) -> list[Table]:
     """Return all tables of a study."""
-    special = {"calibration": _calibration, "faults": _faults, "noise": _noise, "unlisted": unlisted}
+    special = {"calibration": _calibration, "faults": _faults, "noise": _noise}
+    special |= {"unlisted": unlisted, "names": names}
     return list(special.get(study, _structure)(records))
 
 

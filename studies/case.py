@@ -22,7 +22,7 @@ class Case:
         Level, times the standard deviation of each coordinate.
     setup : str
         What is done to the data or the question ("plain": nothing): see ``noises.py`` and ``faults.py``.
-    library : {"compact", "large", "auto"}
+    library : {"compact", "large", "auto", "symbolic"}
     trial : int
         New initial conditions, forcing and noise each.
     trajectories : int

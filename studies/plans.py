@@ -45,6 +45,11 @@ def _noise() -> Iterator[Case]:
     yield from _grid("noise", driven, (0.01, 0.05), tuple(FORCE_KINDS))
 
 
+def _names() -> Iterator[Case]:
+    everything = (*systems.names(), *systems.further_names())
+    yield from _grid("names", everything, (0.01, 0.1), libraries=("symbolic",))
+
+
 def _unlisted() -> Iterator[Case]:
     for trajectories in (1, 5):
         yield from _grid("unlisted", LAWS, (0.01, 0.05, 0.1), libraries=("auto",), trajectories=trajectories)
@@ -61,6 +66,7 @@ PLANS = {
         1800.0,
         tuple(_grid("further", systems.further_names(), (0.01, 0.1), libraries=("compact", "large"))),
     ),
+    "names": Plan(3, 900.0, tuple(_names())),
     "unlisted": Plan(3, 300.0, tuple(_unlisted())),
 }
 

@@ -38,7 +38,7 @@ def _line(case: Case, result: dict) -> str:
         return f"{case.key}: {result['status']}: {result['reason']}"
     if result["status"] == "no model":
         return f"{case.key}: no model: {result['reason']}"
-    if case.study == "unlisted":
+    if case.study in ("unlisted", "names"):
         error = number(result["acceleration_error"], ".2e")
         return f"{case.key}: {result['status']}, accelerations off by {error}, {result['cpu_s']:.1f} CPU s"
     verdict = "exact" if result["exact"] else "wrong"
@@ -50,7 +50,7 @@ def _line(case: Case, result: dict) -> str:
 @click.option("--system", multiple=True, help="Only these; default: all of the study.")
 @click.option("--noise", multiple=True, type=float)
 @click.option("--setup", multiple=True)
-@click.option("--library", multiple=True, type=click.Choice(["compact", "large", "auto"]))
+@click.option("--library", multiple=True, type=click.Choice(["compact", "large", "auto", "symbolic"]))
 @click.option("--rate", multiple=True, type=float)
 @click.option("--trajectories", multiple=True, type=int)
 @click.option("--trials", type=click.IntRange(1), help="Data sets a case; default: those of the study.")

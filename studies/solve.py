@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import replace
 from functools import lru_cache
@@ -11,7 +10,8 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from studies import unlisted
+from studies import names, unlisted
+from studies._friction import COULOMB, friction_candidates
 from studies.case import Case
 from studies.faults import FAULTS, Question
 from studies.noises import measured
@@ -20,7 +20,6 @@ __all__ = ["pose", "solve"]
 
 # Studies whose tables set the error beside the Cramér–Rao bound, which takes about as long as a discovery.
 _WITH_BOUND = ("structure", "single", "further")
-_COULOMB = re.compile(r"sqrt\((\w+_dot)\*\*2 ?\+ ?[^()]*\)")
 
 
 def pose(case: Case) -> tuple[Question, np.ndarray]:
@@ -51,17 +50,12 @@ def _moving(setup: str, name: str) -> systems.MechanicalSystem:
     return systems.get(name) if fault is None else fault.nature(systems.get(name))
 
 
-def friction_candidates(system: systems.MechanicalSystem) -> list[str]:
-    """Viscous and Coulomb friction in every coordinate, as a user would write them."""
-    coulomb = {_COULOMB.sub(r"abs(\1)", text): text for text in system.dissipation}
-    own = [coulomb.get(f"abs({v})", f"abs({v})") for v in system.velocities]
-    return [*(f"{v}**2/2" for v in system.velocities), *own]
-
-
 def solve(case: Case) -> dict:
     """Return everything that is kept of one discovery; an error of the user's kind is an answer too."""
     if case.study == "unlisted":
         return unlisted.solve(case)
+    if case.study == "names":
+        return names.solve(case)
     question, sigma = pose(case)
     wall, cpu = time.perf_counter(), time.process_time()
     try:
@@ -97,7 +91,7 @@ class _Places:
 
     def of(self, text: str, kind: str) -> str:
         if kind == "dissipation":  # |v| is smoothed by discover(), near zero velocity only
-            return "ψ " + _COULOMB.sub(r"abs(\1)", text).replace(" ", "")
+            return "ψ " + COULOMB.sub(r"abs(\1)", text).replace(" ", "")
         try:
             return self._library[self._library.index(text)].text
         except la.InputError:

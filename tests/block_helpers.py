@@ -5,6 +5,7 @@ from __future__ import annotations
 from concurrent.futures import CancelledError, Future
 
 import numpy as np
+import pytest
 
 from helpers import euler_lagrange, interpolate, uniform_grid
 from leastaction.data.trajectories import Rate
@@ -39,6 +40,20 @@ def problem():
 def close(found, expected, tolerance=1e-9):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * max(float(scale), 1e-300))
+
+
+SMALL = 20 * 2 * 4 * 6
+"""Numbers in the Jacobian of 20 knot intervals of two coordinates: a block holds one of the trials or two."""
+
+
+def assert_same(one, other, tolerance: float = 1e-6):
+    """Terms, coefficients within a millionth of a standard error, and the verdict."""
+    assert [t.expression for t in one.terms] == [t.expression for t in other.terms]
+    for a, b in zip(one.terms, other.terms, strict=True):
+        assert abs(a.coefficient - b.coefficient) <= tolerance * a.standard_error
+        assert b.standard_error == pytest.approx(a.standard_error, rel=1e-5)
+    assert one.fit.status == other.fit.status
+    assert [f.code for f in one.fit.findings] == [f.code for f in other.fit.findings]
 
 
 class Cluster:

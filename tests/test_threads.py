@@ -100,6 +100,15 @@ def test_the_decorated_function_keeps_its_name_and_signature():
     assert "trajectories" in la.discover.__wrapped__.__code__.co_varnames
 
 
+@pytest.fixture
+def interruptible():
+    """Ctrl-C raises KeyboardInterrupt, even where whoever started the tests ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_is_held_back_and_not_lost():
     """The search for BLAS libraries calls back from C: an exception raised there would be ignored."""
     before, steps = signal.getsignal(signal.SIGINT), []

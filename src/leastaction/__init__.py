@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from leastaction.errors import StopSearch as StopSearch
     from leastaction.estimation.adam_options import AdamOptions
     from leastaction.exporters.write import export
-    from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, write_csv
+    from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, stream, write_csv
     from leastaction.library import Library
     from leastaction.mechanics.euler_lagrange import euler_lagrange
     from leastaction.model.load import load
@@ -55,6 +55,7 @@ _HOMES = {
     "read_npz": "io",
     "read_parquet": "io",
     "smooth": "curve.motion",
+    "stream": "io",
     "write_csv": "io",
     "write_report": "report",
 }
@@ -84,6 +85,7 @@ __all__ = [
     "read_npz",
     "read_parquet",
     "smooth",
+    "stream",
     "systems",
     "write_csv",
     "write_report",

@@ -55,7 +55,7 @@ def assemble_model(
         force_offset=search.bias.found(),
         prepared=setup.findings,
     )
-    terms = _terms(setup, fit)
+    terms = _terms(fit)
     return LagrangianModel(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
@@ -93,12 +93,12 @@ def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:
     )
 
 
-def _terms(setup: Setup, fit: Fit) -> list[tuple[str, ModelTerm]]:
+def _terms(fit: Fit) -> list[tuple[str, ModelTerm]]:
     """The kind of every term in the model, and the term with its number."""
     errors = dict(zip(fit.structure, fit.standard_errors.tolist(), strict=True))
     out = []
     for k, term in enumerate(fit.problem.terms):
-        is_known = bool(setup.problem.is_known[k])
+        is_known = bool(fit.problem.is_known[k])
         if is_known or k in errors:
             value = float(fit.coefficients[k])
             template = "" if term.template is None else term.template.term.text

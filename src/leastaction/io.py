@@ -26,6 +26,7 @@ from leastaction.data.formats.dispatch import StrPath, combined_trajectories
 from leastaction.data.formats.frames import frame_table, read_parquet_table
 from leastaction.data.formats.joint_states import read_mcap
 from leastaction.data.formats.layout import Coordinates, Forces, Layout, to_trajectories
+from leastaction.data.formats.streams import streamed_trajectories
 from leastaction.data.formats.write_csv import csv_bytes
 from leastaction.data.trajectories import Trajectories, Trajectory
 
@@ -38,6 +39,7 @@ __all__ = [
     "read_mcap",
     "read_npz",
     "read_parquet",
+    "stream",
     "write_bytes",
     "write_csv",
     "write_text",
@@ -311,6 +313,55 @@ def read_many(
 ) -> Trajectories:
     """Read several files as trials of one system: `read` under another name."""
     return read(paths, coordinates, time, forces, trial, angles, velocities, accelerations)
+
+
+def stream(
+    path: StrPath | Iterable[StrPath],
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
+) -> Trajectories:
+    r"""Read recordings that are longer than memory, CSV or Parquet.
+
+    The files are read in pieces, one trial after the other, and checked as by `read`. The samples go to a
+    temporary file and are fetched from there when they are needed; it takes 8 bytes a number, lies where the
+    environment variable ``TMPDIR`` says, and goes when the trajectories go. `leastaction.discover` searches a
+    structure on pieces of long recordings, and goes along all of it once for each step of the fit.
+
+    Parameters
+    ----------
+    path : path, or iterable of paths
+        ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), or ``.parquet``, which is read by
+        row groups. One trial at a time must fit into memory: a long file needs a column of trials.
+    coordinates, time, forces, trial, angles, velocities, accelerations
+        As for `read_csv`.
+
+    Returns
+    -------
+    Trajectories
+        The same as of `read`.
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     rows = [f"\n{run},{k},{k / 8}" for run in "ab" for k in range(6)]
+    ...     path = write_text(f"{folder}/runs.csv", "trial,t,x" + "".join(rows))
+    ...     runs = stream(path, ["x"])
+    >>> runs
+    <Trajectories of x: 2 trajectories, 12 samples, 10 s>
+    """
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    return streamed_trajectories(path, layout)
 
 
 def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:

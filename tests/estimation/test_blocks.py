@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from block_helpers import DURATIONS, MORE, VALUES, WEIGHTS, Cluster, close, problem
+from block_helpers import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
-from leastaction.estimation import joint, volume
+from leastaction.estimation import joint, recipes, volume
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, ThreadCrew, employ
@@ -20,26 +20,33 @@ from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
 
 
+@pytest.fixture(autouse=True, scope="module")
+def small_blocks():
+    """Blocks as small as a trial."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recipes, "_NUMBERS", SMALL)
+        yield
+
+
 @pytest.fixture
-def crew(monkeypatch):
-    """Two threads, and blocks as small as a trial."""
+def crew():
+    """Two threads."""
     crew = ThreadCrew(2)
-    crew.least = 1
     yield crew
     crew.close()
 
 
-@pytest.mark.parametrize("n_blocks", [2, 3, 5, 9])
-def test_blocks_give_the_sums_of_the_whole(n_blocks, crew, monkeypatch):
+@pytest.mark.parametrize(("intervals", "n_blocks"), [(1, 5), (20, 4), (25, 3), (40, 2)])
+def test_blocks_give_the_sums_of_the_whole(intervals, n_blocks, crew, monkeypatch):
     # runs that begin within trials, and means over time that leave points out
     monkeypatch.setattr(joint, "_CHUNK", 13)
     monkeypatch.setattr(volume, "_CHUNK", 13)
     monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
     grid, data, physics, control = problem()
-    crew.n_blocks = n_blocks
+    monkeypatch.setattr(recipes, "_NUMBERS", intervals * SMALL // 20)
     whole, parts = Observations(grid, *data), observe(grid, *data, crew)
     assert isinstance(parts, BlockedObservations)
-    assert 2 <= len(parts.blocks) <= min(n_blocks, len(DURATIONS))
+    assert len(parts.blocks) == n_blocks
     for name in ("counts", "coordinates", "floors", "noise_floor"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
     for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
@@ -94,13 +101,20 @@ def test_what_is_computed_again_equals_what_is_kept(monkeypatch):
     np.testing.assert_array_equal(one.schur, other.schur)
 
 
-def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew):
+def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew, monkeypatch):
     grid, data, _, _ = problem()
     t, q = data[0][0], data[1][0]
     assert isinstance(observe(uniform_grid([2.0], 6.0, 5, 2), [t], [q], (), crew), Observations)
-    crew.least = grid.n_intervals
+    assert isinstance(observe(grid, *data, crew), BlockedObservations)
+    monkeypatch.setattr(recipes, "_NUMBERS", grid.n_intervals * SMALL // 20)
     assert isinstance(observe(grid, *data, crew), Observations)
-    assert isinstance(observe(grid, *data, None), Observations)
+
+
+def test_the_cuts_do_not_depend_on_who_computes(crew):
+    grid, data, _, _ = problem()
+    seen = [observe(grid, *data, each) for each in (None, crew, DaskCrew(Cluster(10**9)))]
+    assert all(isinstance(parts, BlockedObservations) for parts in seen)
+    assert seen[0].points == seen[1].points == seen[2].points
 
 
 def test_a_failure_in_a_block_is_the_failure_of_the_whole(crew):
@@ -114,7 +128,6 @@ def test_a_failure_in_a_block_is_the_failure_of_the_whole(crew):
 def test_a_crew_that_has_gone_home_leaves_results_that_can_be_used():
     grid, data, physics, control = problem()
     with employ(2) as crew:
-        crew.least = 1
         seen = observe(grid, *data, crew)
     expected = linearise(Observations(grid, *data), physics, control, VALUES)
     assert linearise(seen, physics, control, VALUES).cost(WEIGHTS) == pytest.approx(expected.cost(WEIGHTS))
@@ -125,7 +138,6 @@ def test_a_crew_that_has_gone_home_leaves_results_that_can_be_used():
 def test_what_a_lost_worker_held_is_computed_here(cluster):
     grid, data, physics, control = problem()
     crew = DaskCrew(cluster)
-    crew.least = 1
     there = linearise(observe(grid, *data, crew), physics, control, VALUES)
     here = linearise(Observations(grid, *data), physics, control, VALUES)
     assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
@@ -137,7 +149,6 @@ def test_what_a_lost_worker_held_is_computed_here(cluster):
 def test_what_fails_on_a_cluster_fails_here():
     grid, data, physics, control = problem()
     crew = DaskCrew(Cluster(10**9))
-    crew.least = 1
     at = linearise(observe(grid, *data, crew), physics, control, VALUES)
     with pytest.raises(np.linalg.LinAlgError):
         at.normal(replace(WEIGHTS, physics=np.array([np.nan, 1.0]))).eliminate()
@@ -152,23 +163,13 @@ def found(data, **more):
     return la.discover(data, systems.compact_library("double_pendulum"), **more)
 
 
-def assert_same(one, other, tolerance: float = 1e-6):
-    """Terms, coefficients within a millionth of a standard error, and the verdict."""
-    assert [t.expression for t in one.terms] == [t.expression for t in other.terms]
-    for a, b in zip(one.terms, other.terms, strict=True):
-        assert abs(a.coefficient - b.coefficient) <= tolerance * a.standard_error
-        assert b.standard_error == pytest.approx(a.standard_error, rel=1e-5)
-    assert one.fit.status == other.fit.status
-    assert [f.code for f in one.fit.findings] == [f.code for f in other.fit.findings]
-
-
 @pytest.fixture(scope="module")
 def alone():
     data = recordings()
     return data, found(data)
 
 
-@pytest.mark.parametrize("workers", [1, 2, 3])
+@pytest.mark.parametrize("workers", [1, 2, 3, Cluster(10**9)])
 def test_the_number_of_workers_does_not_change_the_result(workers, alone):
     data, model = alone
     assert_same(model, found(data, workers=workers))

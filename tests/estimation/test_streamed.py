@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from block_helpers import MORE, TERMS, VALUES, WEIGHTS, Cluster, close, motion, problem
+from block_helpers import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 from helpers import euler_lagrange, uniform_grid
-from leastaction.estimation import streamed
-from leastaction.estimation.blocks import BlockedObservations, observe
+from leastaction import systems
+from leastaction.estimation import recipes, streamed
+from leastaction.estimation.blocks import observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, ThreadCrew
 from leastaction.estimation.forces import WithPushes
@@ -29,7 +30,7 @@ from leastaction.estimation.streamed import StreamedObservations
 def crew(request, monkeypatch):
     """Whoever computes; every recording is long, and a block holds one trial or two."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(streamed, "_NUMBERS", 20 * 2 * 4 * 6)
+    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
     crew = None if request.param == "alone" else ThreadCrew(2)
     yield crew
     if crew is not None:
@@ -138,25 +139,37 @@ def test_a_stream_whose_curve_nothing_holds_fails_as_the_whole(crew):
     assert fit_joint(parts, physics, broken, control, VALUES).status == "not finite"
 
 
+def counted_looks(monkeypatch) -> list[int]:
+    """First knot intervals of blocks, each time that one is laid on its splines."""
+    looked: list[int] = []
+    observe_block = recipes.Recipe.observe
+
+    def counted(recipe):
+        looked.append(recipe.intervals.start)
+        return observe_block(recipe)
+
+    monkeypatch.setattr(recipes.Recipe, "observe", counted)
+    return looked
+
+
 def test_a_cluster_keeps_its_blocks(monkeypatch):
+    """They are laid on the splines once, and the numbers are those of a stream."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    crew = DaskCrew(Cluster(10**9))
-    crew.least = 1
-    grid, data, _, _ = problem()
-    assert isinstance(observe(grid, *data, crew), BlockedObservations)
+    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
+    grid, data, physics, control = problem()
+    alone = fit_joint(observe(grid, *data), physics, WEIGHTS, control, 1.05 * VALUES)
+    looked = counted_looks(monkeypatch)
+    parts = observe(grid, *data, DaskCrew(Cluster(10**9)))
+    away = fit_joint(parts, physics, WEIGHTS, control, 1.05 * VALUES)
+    assert sorted(looked) == [intervals.start for intervals in parts.intervals]
+    np.testing.assert_array_equal(away.coefficients, alone.coefficients)
+    np.testing.assert_array_equal(away.control_points, alone.control_points)
 
 
 def test_a_step_is_one_pass(crew, monkeypatch):
     """What a step needs of the weights that are foreseen comes from one look at every block."""
     _, parts, physics, control = both(crew)
-    looked = []
-    observe_block = streamed._Block.observe
-
-    def counted(block):
-        looked.append(block.before)
-        return observe_block(block)
-
-    monkeypatch.setattr(streamed._Block, "observe", counted)
+    looked = counted_looks(monkeypatch)
     at = linearise(parts, physics, control, VALUES, WEIGHTS)
     quadratic = at.normal(WEIGHTS).eliminate()
     quadratic.predicted(quadratic.curve_step(np.ones(4)), np.ones(4))
@@ -176,7 +189,7 @@ def peak_of(run) -> int:
 
 def test_memory_of_a_pass_does_not_grow_with_the_number_of_trials(monkeypatch):
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(streamed, "_NUMBERS", 2**14)
+    monkeypatch.setattr(recipes, "_NUMBERS", 2**14)
     physics = Physics(euler_lagrange(MORE[:5], ["x", "y"]), np.ones(5, dtype=bool), None)
     peaks = []
     for count in (4, 32):  # the trials, and what a grid lays out for them, are there before
@@ -205,3 +218,23 @@ def test_a_long_recording_is_smoothed_in_runs_as_in_one_piece(monkeypatch):
     close(found.noise_std, expected.noise_std, 1e-7)
     one, other = (s.replicates(2, np.random.default_rng(1), np.zeros(2)) for s in (expected, found))
     close(np.array(other), np.array(one), 1e-6)
+
+
+# ------------------------------------------------------------------------------------- discover()
+@pytest.fixture(scope="module")
+def just_too_long():
+    """A recording that is just too long to be searched in one piece, and its law found by this thread."""
+    data = systems.generate("single_pendulum", noise=0.1, trials=6, duration=20.0, seed=0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(streamed, "_LONG", data.n_samples - 1)
+        patch.setattr("leastaction.api.ENOUGH_SAMPLES", data.n_samples // 2)
+        patch.setattr(recipes, "_NUMBERS", 2**11)
+        yield data, la.discover(data, systems.compact_library("single_pendulum"))
+
+
+@pytest.mark.parametrize("workers", [2, 3, Cluster(10**9)])
+def test_the_law_of_a_long_recording_does_not_depend_on_who_computes(workers, just_too_long):
+    data, model = just_too_long
+    assert "confirm" in model.diagnostics.timings
+    again = la.discover(data, systems.compact_library("single_pendulum"), workers=workers)
+    assert_same(model, again, 1e-9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.interpolate import BSpline
 
 from helpers import euler_lagrange, interpolate, uniform_grid
@@ -10,7 +11,14 @@ from leastaction.data.trajectories import Rate
 from leastaction.estimation.gauss_newton import fit_joint, score_candidates
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
-from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights, update_weights
+from leastaction.estimation.weights import (
+    Start,
+    _reversal,
+    evidence,
+    fit_weights,
+    start_weights,
+    update_weights,
+)
 
 
 def oscillator(rng, *, duration=20.0, rate=50.0, noise=0.05, spectral_density=0.0, trials=2):
@@ -225,3 +233,20 @@ def test_an_equation_without_terms_has_a_weight_of_the_size_of_the_others():
     quadratic = score_candidates(observations, physics, fit, columns)
     assert np.isfinite(quadratic.matrix).all()
     assert np.all(np.diag(quadratic.matrix)[2:] > 0.0)
+
+
+@pytest.mark.parametrize("factor", [-1.0, -0.8])
+def test_a_weight_that_swings_about_its_fixed_point_is_met_half_way(factor: float):
+    """x → factor · x: without the shorter stride the rounds of −1 never end."""
+    x, stride, last = np.array([1.0, -0.5]), 1.0, np.zeros(0)
+    for _ in range(3):
+        change = (factor - 1.0) * x
+        stride, last = stride / (1.0 + _reversal(last, change)), change
+        x = x + stride * change
+    assert np.abs(x).max() < 0.05
+
+
+def test_weights_that_go_on_keep_their_stride():
+    assert _reversal(np.zeros(0), np.array([1.0])) == 0.0
+    assert _reversal(np.array([2.0, -1.0]), np.array([1.0, -0.5])) == 0.0
+    assert _reversal(np.array([1e-9]), np.array([-1.0])) == 1.0

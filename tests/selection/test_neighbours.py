@@ -8,21 +8,22 @@ import pytest
 from leastaction.selection.likelihood_search import QuadraticModel, search_subsets, term_penalty
 
 
-def model_of(n: int, seed: int, correlated: float = 0.0) -> QuadraticModel:
+def model_of(n: int, seed: int, correlated: float = 0.0, dearest: float = 0.0) -> QuadraticModel:
     rng = np.random.default_rng([n, seed])
     x = rng.standard_normal((3 * n, n))
     x[:, 1::2] += correlated * x[:, : n - n % 2 : 2]
     x *= 10.0 ** rng.uniform(-3, 3, n)
     about = rng.standard_normal(n) / np.linalg.norm(x, axis=0) * 30.0
     about[rng.random(n) < 0.5] = 0.0
-    return QuadraticModel(x.T @ x, 3.0 * x.T @ rng.standard_normal(3 * n), about)
+    gradient = 3.0 * x.T @ rng.standard_normal(3 * n)
+    return QuadraticModel(x.T @ x, gradient, about, rng.uniform(-dearest, dearest, n))
 
 
 @pytest.mark.parametrize("size", [0, 1, 4, 9])
 @pytest.mark.parametrize("correlated", [0.0, 100.0])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_prices_of_all_steps_equal_a_solve_for_each(size, correlated, seed):
-    model = model_of(11, seed, correlated)
+@pytest.mark.parametrize(("seed", "dearest"), [(0, 0.0), (1, 0.0), (2, 20.0)])
+def test_prices_of_all_steps_equal_a_solve_for_each(size, correlated, seed, dearest):
+    model = model_of(11, seed, correlated, dearest)
     members = tuple(sorted(np.random.default_rng(seed).permutation(11)[:size].tolist()))
     near = model.neighbours(members)
 
@@ -38,6 +39,17 @@ def test_prices_of_all_steps_equal_a_solve_for_each(size, correlated, seed):
     for row, fewer in zip(near.swapped, without, strict=True):
         np.testing.assert_allclose(row[rest], [cost((*fewer, k)) for k in rest], rtol=1e-6, atol=atol)
         assert np.isinf(row[list(members)]).all()
+
+
+def test_surcharges_decide_between_equals():
+    """Two columns that are the same: the support with the shorter name is the cheaper one."""
+    x = np.random.default_rng(0).standard_normal((40, 4))
+    x[:, 3] = x[:, 1]
+    for cheap, dear in ((1, 3), (3, 1)):
+        surcharges = np.where(np.arange(4) == dear, 2.0, 0.0)
+        model = QuadraticModel(x.T @ x, -50.0 * x.T @ x[:, 1], np.zeros(4), surcharges)
+        best = min(search_subsets(model, (0,), 8.0).values(), key=lambda level: level[0].criterion(8.0))[0]
+        assert best.members == (cheap,)
 
 
 def test_the_ridge_counts_where_coefficients_are_many_standard_errors():

@@ -52,9 +52,9 @@ Example:
     "--library",
     default="auto",
     show_default=True,
-    metavar="FILE|auto",
+    metavar="FILE|auto|symbolic",
     help="Candidates for L: a text file with one expression a line, # starts a comment; "
-    "auto: what mechanical systems are usually made of.",
+    "auto: what mechanical systems are usually made of; symbolic: more kinds of terms, grown by a grammar.",
 )
 @size_option
 @click.option(
@@ -234,12 +234,16 @@ def _library(
     from leastaction import Library
 
     if size is not None and source != "auto":
-        raise InputError("--size goes with --library auto; a file holds all candidates by itself")
+        raise InputError("--size goes with --library auto; neither a file nor symbolic has sizes")
     if gyroscopic and source != "auto":
-        raise InputError("--gyroscopic goes with --library auto; write the terms into the file, e.g. x*y_dot")
+        raise InputError(
+            "--gyroscopic goes with --library auto; add such terms by --term or in the file, e.g. x*y_dot"
+        )
     with blame("--library"):
         if source == "auto":
             library = Library.mechanical(options.names, options.angles, size=size, gyroscopic=gyroscopic)
+        elif source == "symbolic":
+            library = Library.symbolic(options.names, options.angles)
         else:
             library = Library.from_file(source, options.names, angles=options.angles)
     if dissipation is None:

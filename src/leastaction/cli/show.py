@@ -15,7 +15,7 @@ from leastaction.cli.text import counted, in_options, one_line
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
-    from leastaction.model.term import ModelTerm, ShapeParameter
+    from leastaction.model.term import ModelTerm
     from leastaction.simulation.forecast import ForecastResult
 
 __all__ = ["live_progress", "say", "show_forecast", "show_model", "show_table", "warn", "warn_of_doubts"]
@@ -151,38 +151,25 @@ def with_error(term: ModelTerm) -> str:
 
 def show_model(model: LagrangianModel) -> None:
     """Print Lagrangian, table, status, warnings, and what was left out before the fit."""
-    from leastaction.model.notation import plain_sum, rounded
+    from leastaction.model.notation import interval_text, plain_sum, z_text
 
     say(f"L = {plain_sum(model.terms, model.expressions)}")
     if model.dissipation:
         say(f"psi = {plain_sum(model.dissipation, model.dissipation_expressions)}")
     say()
     rows = [("term", "coefficient", "95 % interval", "z")]
-    for term in (*model.terms, *model.dissipation):
-        ends = z = ""
-        if term.standard_error > 0:
-            ends = " … ".join(rounded(end, term.standard_error) for end in (term.lower, term.upper))
-            z = f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}"
-        rows.append((term.written, with_error(term), ends, z))
+    rows += [
+        (term.written, with_error(term), interval_text(term), z_text(term.z))
+        for term in (*model.terms, *model.dissipation)
+    ]
     headings = {len(model.terms) + 1: "friction, psi:"} if model.dissipation else {}
     if model.shapes:
         headings[len(rows)] = "shape parameters:"
-    for shape in model.shapes:
-        rows.append(_shape_row(shape))
+    numbers = (shape.as_term() for shape in model.shapes)
+    rows += [(number.written, with_error(number), interval_text(number), "") for number in numbers]
     show_table(rows, headings)
     say()
     show_fit(model)
-
-
-def _shape_row(shape: ShapeParameter) -> tuple[str, str, str, str]:
-    """A shape parameter in the columns of a term."""
-    from leastaction.model.notation import rounded
-
-    error = shape.standard_error
-    if not error > 0:
-        return f"{{{shape.name}}}", rounded(shape.value, error), "", ""
-    ends = " … ".join(rounded(end, error) for end in (shape.lower, shape.upper))
-    return f"{{{shape.name}}}", f"{rounded(shape.value, error)} ± {rounded(error, error)}", ends, ""
 
 
 def show_fit(model: LagrangianModel) -> None:

@@ -200,6 +200,18 @@ class Trajectories(Sequence[Trajectory]):
             wraps.append(tuple(count))
         return self._with(items, wraps, self._names)
 
+    @classmethod
+    def with_wraps(cls, items: Iterable[Trajectory], wraps: Iterable[tuple[int, ...]]) -> Trajectories:
+        """Trajectories from which jumps were removed before: how many, for each trajectory and coordinate.
+
+        Examples
+        --------
+        >>> Trajectories.with_wraps([Trajectory([0, 1], [0.1, 0.2])], [(3,)]).wraps_removed
+        {'q1': 3}
+        """
+        items = tuple(items)
+        return cls._with(items, wraps, fill_names([item.name for item in items]))
+
     def select(self, names_or_indices: str | int | Iterable[str | int]) -> Trajectories:
         """Return some of the trajectories, in the order asked for.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,10 +21,13 @@ from leastaction.data.validation import (
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["RATES", "Rate", "Trajectory"]
+__all__ = ["FIELDS", "RATES", "Rate", "Trajectory"]
 
 RATES = ("velocities", "accelerations")
 """Fields of a trajectory that hold derivatives 1, 2, ... of the coordinates."""
+
+FIELDS = ("t", "q", "forces", *RATES)
+"""Fields of a trajectory that hold arrays."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,6 +155,23 @@ class Trajectory:
         object.__setattr__(self, "coordinates", names)
         object.__setattr__(self, "name", name)
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, FloatArray], coordinates: tuple[str, ...], name: str) -> Trajectory:
+        """The trajectory of read-only arrays that were checked before; they are shared, not copied.
+
+        Examples
+        --------
+        >>> checked = Trajectory([0.0, 1.0], [0.1, 0.2])
+        >>> Trajectory.of({"t": checked.t, "q": checked.q}, checked.coordinates, "again")
+        <Trajectory 'again': q1; 2 times, 1 s>
+        """
+        new = object.__new__(cls)
+        for field in FIELDS:
+            object.__setattr__(new, field, arrays.get(field))
+        object.__setattr__(new, "coordinates", coordinates)
+        object.__setattr__(new, "name", name)
+        return new
+
     @property
     def n_times(self) -> int:
         """Number of times."""
@@ -190,9 +210,9 @@ class Trajectory:
         >>> Trajectory([0.0, 1.0], [0.1, 0.2]).changed(name="b").name
         'b'
         """
-        names = ("t", "q", "forces", "coordinates", "name", *RATES)
+        names = (*FIELDS, "coordinates", "name")
         new = Trajectory(**{name: getattr(self, name) for name in names} | fields)
-        for name in {"t", "q", "forces", *RATES} - set(fields):  # read-only: shared, not copied
+        for name in set(FIELDS) - set(fields):  # read-only: shared, not copied
             object.__setattr__(new, name, getattr(self, name))
         return new
 
@@ -204,7 +224,7 @@ class Trajectory:
         >>> Trajectory([0.0, 1.0, 2.0], [0.1, 0.2, 0.3]).rows(slice(1, None)).t.tolist()
         [1.0, 2.0]
         """
-        arrays = {name: getattr(self, name) for name in ("t", "q", "forces", *RATES)}
+        arrays = {name: getattr(self, name) for name in FIELDS}
         return self.changed(**{k: None if array is None else array[chosen] for k, array in arrays.items()})
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -40,7 +40,7 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     candidates = columns.of([*(columns.terms[m] for m in fit.structure), *tested])
     model, base = _beside(fit, candidates)
     found, gain = _most_likely(model, base, dict(enumerate(tested, len(base))))
-    if gain <= _relevant(fit, relevance):
+    if gain <= fit.relevant_gain(relevance):
         return []
     out: list[Finding] = []
     values = model.solution((*base, *found))
@@ -144,7 +144,7 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     late = WithPushes(chosen, _Late(rates))
     model, base = _beside(fit, late)
     gain = _gain(model, base, len(base))
-    if gain <= chi_square_cutoff() + _relevant(fit, relevance):
+    if gain <= chi_square_cutoff() + fit.relevant_gain(relevance):
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < DIAGNOSIS.half_a_sample
@@ -157,11 +157,6 @@ def _beside(fit: Fit, candidates: EulerLagrange) -> tuple[QuadraticModel, tuple[
     here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
     model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
     return model, tuple(range(chosen))
-
-
-def _relevant(fit: Fit, relevance: float) -> float:
-    """What a cause has to explain of the equation error."""
-    return relevance * float(fit.weights.slack.sum())
 
 
 def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:

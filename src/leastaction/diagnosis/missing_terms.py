@@ -51,7 +51,7 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
         return []
     # the price of the terms is in the gain; an exchange for one of many others pays none
     chance = chi_square_cutoff(len(new), comb(len(common), len(new)))
-    threshold = chance + relevance * float(fit.weights.slack.sum())
+    threshold = chance + fit.relevant_gain(relevance)
     # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
     fewer = len(found.structure) <= len(fit.structure)
     holds = equations_hold(found)
@@ -65,7 +65,7 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     return [Cause(missing_term(new, columns.coordinates, **figures), gain, holds)]
 
 
-def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | None) -> Finding:
+def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | list[str] | None) -> Finding:
     """Names candidates to add; a coordinate by itself is a constant force on it.
 
     The figures are the free terms with them and, where known, without them, and the gain.

@@ -27,11 +27,12 @@ from leastaction.library import Term, make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
+__all__ = ["SmoothChange", "doubts_about_the_form", "explained", "smooth_changes"]
 
 _ALONE, _TOGETHER = 8, 5  # centres along a coordinate: of one, of each of two
 _KINETIC = 5
 _WIDTH = 1.2  # of a bump, in distances between centres
+_VISITS = 20_000  # points of the motion that are looked at: its range and its centres need no more
 _VISITED = 0.005  # share of the motion near a centre, at least
 _ENDS = (0.01, 0.99)  # quantiles of the motion that the centres span
 _DEPENDENT = 1e-7  # of the greatest eigenvalue: directions that hardly differ from others
@@ -72,10 +73,10 @@ def doubts_about_the_form(fit: Fit, relevance: float) -> list[Finding]:
     changes = smooth_changes(fit)
     out: list[Finding] = []
     for change in changes:
-        least = chi_square_cutoff(change.freedom, len(changes)) + relevance * float(fit.weights.slack.sum())
-        figures = {"kind": change.kind, "gain": change.gain, "freedom": change.freedom, "shift": change.shift}
+        least = chi_square_cutoff(change.freedom, len(changes)) + fit.relevant_gain(relevance)
         if change.gain > least and change.shift > DIAGNOSIS.form_matters:
-            out.append(find("form-imitated", **figures))
+            figures = {"gain": change.gain, "freedom": change.freedom, "shift": change.shift}
+            out.append(find("form-imitated", kind=change.kind, **figures, family=[], numbers=[]))
         elif change.open > DIAGNOSIS.form_open:
             out.append(find("form-open", kind=change.kind, open=change.open))
     return out[:1]
@@ -95,7 +96,7 @@ def smooth_changes(fit: Fit) -> list[SmoothChange]:
 def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
     """Bumps over the motion: of the plane for two coordinates, along each for others."""
     names = fit.problem.coordinates
-    motion = np.stack(fit.points().columns[: len(names)], axis=1)
+    motion = np.stack(fit.points(_VISITS).columns[: len(names)], axis=1)
     groups = [(0, 1)] if len(names) == 2 else [(i,) for i in range(len(names))]
     for group in groups:
         number = _TOGETHER if len(group) == 2 else count
@@ -120,8 +121,8 @@ def _change(fit: Fit, kind: str, terms: list[Term]) -> SmoothChange:
     quadratic = fit.score(candidates)
     scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
     matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
-    before, own = _explained(matrix[: len(base), : len(base)], gradient[: len(base)])
-    after, root = _explained(matrix, gradient)
+    before, own = explained(matrix[: len(base), : len(base)], gradient[: len(base)])
+    after, root = explained(matrix, gradient)
     shift, spread = _accelerations(
         fit, candidates, -scale * (root @ (root.T @ gradient)), scale[:, None] * root
     )
@@ -137,7 +138,7 @@ def _tangents(fit: Fit) -> list[Term]:
     return list(wide.terms[len(fit.problem.terms) :])
 
 
-def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
+def explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
     """gᵀ A⁻¹ g and a root R of A⁻¹ = R Rᵀ, over the directions that differ."""
     values, vectors = np.linalg.eigh(matrix)
     kept = values > _DEPENDENT * values[-1]

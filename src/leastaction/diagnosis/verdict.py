@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
+from leastaction.diagnosis.families import lacking_family, named_family
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
@@ -91,7 +92,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
     if look_for_causes and not search.stopped and not doubtful(found):
-        found += doubts_about_the_form(fit, search.relevance)
+        doubts = doubts_about_the_form(fit, search.relevance)
+        found += [named_family(d, search) if d.code == "form-imitated" else d for d in doubts]
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
@@ -106,7 +108,7 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
     short = fit.problem.trajectories.n_samples <= MOST_SAMPLES
     if off and short and not any(cause.holds for cause in known):
         # what needs no further term comes first
-        found = exchanged_forces(search) or search_afresh(search)
+        found = exchanged_forces(search) or search_afresh(search) or lacking_family(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.

@@ -16,20 +16,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from leastaction.curve.bspline import SplineGrid, SplineSpace
+from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
 from leastaction.estimation.crew import Alone, Crew, Task
 from leastaction.estimation.elimination import Quadratic
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations, noise_floors
+from leastaction.estimation.observations import Observations, counts_and_floors
+from leastaction.estimation.recipes import Recipe, cut
 from leastaction.estimation.streamed import StreamedObservations, is_long
 from leastaction.estimation.volume import Volume, add_volumes
-from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["BlockedObservations", "observe"]
 
@@ -41,23 +40,15 @@ def observe(
     rates: Sequence[Rate] = (),
     crew: Crew | None = None,
 ) -> Observations | BlockedObservations | StreamedObservations:
-    """Observations in one piece, in blocks of trials where a crew has something to share, or streamed."""
-    if is_long(times, values[0].shape[1]) and (crew is None or not crew.keeps):
-        return StreamedObservations(grid, times, values, rates, crew or Alone())
-    cuts = [] if crew is None else _cuts(grid, crew)
-    if crew is None or len(cuts) < 3:
-        return Observations(grid, times, values, rates)
-    return BlockedObservations(grid, (times, values, rates), crew, cuts)
-
-
-def _cuts(grid: SplineGrid, crew: Crew) -> list[int]:
-    """The trials that blocks of about equal numbers of knot intervals begin with, and the end."""
-    ends = np.cumsum([space.n_intervals for space in grid.spaces])
-    count = min(len(grid.spaces), crew.n_blocks, grid.n_intervals // crew.least)
-    wanted = grid.n_intervals * np.arange(1, count) / max(count, 1)
-    inner = 1 + np.searchsorted(ends, wanted - 1e-9)
-    inner = inner[inner < len(grid.spaces)]
-    return [0, *dict.fromkeys(inner.tolist()), len(grid.spaces)]
+    """Observations in one piece, in blocks of trials, or streamed; who computes has no say in that."""
+    counts, floors = counts_and_floors(values, rates)
+    recipes = cut(grid, (times, values, rates), floors)
+    crew = crew or Alone()
+    if is_long(times, values[0].shape[1]):
+        return StreamedObservations(grid, recipes, counts, crew)
+    if len(recipes) == 1:
+        return Observations(grid, times, values, rates, floors)
+    return BlockedObservations(grid, recipes, counts, crew)
 
 
 class BlockedObservations:
@@ -71,34 +62,15 @@ class BlockedObservations:
         Control points and knot intervals of each block.
     """
 
-    def __init__(
-        self,
-        grid: SplineGrid,
-        data: tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]],
-        crew: Crew,
-        cuts: Sequence[int],
-    ) -> None:
-        times, values, rates = data
-        self.grid, self.crew, self.n_dof = grid, crew, values[0].shape[1]
-        self.floors = noise_floors(values, rates)
+    def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
+        values, rates = recipes[0].samples[1:]
+        self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]
+        self.floors = recipes[0].floors
         self.noise_floor = self.floors[: self.n_dof]
         self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
-        ends = np.concatenate([[0], np.cumsum([space.n_intervals for space in grid.spaces])])
-        parts = [slice(a, b) for a, b in pairwise(cuts)]
-        self.points = tuple(slice(int(grid.offsets[p.start]), int(grid.offsets[p.stop])) for p in parts)
-        self.intervals = tuple(slice(int(ends[p.start]), int(ends[p.stop])) for p in parts)
-        self.blocks = tuple(
-            crew.task(
-                _observe_block,
-                (grid.spaces[p], grid.n_quadrature, int(ends[p.start]), grid.n_intervals),
-                (times[p], values[p], [replace(rate, values=rate.values[p]) for rate in rates]),
-                self.floors,
-            )
-            for p in parts
-        )
-        positions = np.sum([np.isfinite(q).sum(axis=0) for q in values], axis=0)
-        others = [sum(int(np.isfinite(x).sum()) for x in rate.values) for rate in rates]
-        self.counts = np.array([*positions, *others])
+        self.points = tuple(recipe.points for recipe in recipes)
+        self.intervals = tuple(recipe.intervals for recipe in recipes)
+        self.blocks = tuple(crew.task(_observe, recipe) for recipe in recipes)
 
     def linearise(
         self,
@@ -112,8 +84,7 @@ class BlockedObservations:
             self.crew.task(
                 _linearise,
                 seen,
-                physics.columns.from_interval(intervals.start),
-                (physics.free, None if physics.forces is None else physics.forces[intervals]),
+                physics.within(intervals),
                 control_points[points],
                 coefficients,
             )
@@ -238,18 +209,14 @@ class BlockedFactor:
 
 
 # ---------------------------------------------------------------- what is computed with a block
-def _observe_block(place: tuple[Any, ...], data: tuple[Any, ...], floors: np.ndarray) -> Observations:
-    spaces: tuple[SplineSpace, ...] = place[0]
-    grid = SplineGrid(spaces, place[1], before=place[2], total=place[3])
-    times, values, rates = data
-    return Observations(grid, times, values, rates, floors)
+def _observe(recipe: Recipe) -> Observations:
+    return recipe.observe()
 
 
 def _linearise(
-    seen: Observations, columns: EulerLagrange, given: tuple[Any, ...], points: np.ndarray, values: np.ndarray
+    seen: Observations, physics: Physics, points: np.ndarray, coefficients: np.ndarray
 ) -> Linearisation:
-    free, forces = given
-    return linearise(seen, Physics(columns, free, forces), points, values)
+    return linearise(seen, physics, points, coefficients)
 
 
 def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:

@@ -13,6 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
+from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
@@ -119,14 +120,35 @@ def build_problem(
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     scales = lay_knots(searched, request.degree)
     library, known, smoothed = _smooth_friction(library, known, scales.rates)
+    states = _states(library.coordinates, scales)
+    undefined = undefined_along(library, states, known)
+    if undefined:
+        library = library.replace(terms=[term for term in library.terms if term not in undefined])
+        findings.append(find("undefined-candidates", [term.text for term in undefined]))
     library = library.reduced(keep=list(known), prescribed=[library.coordinates[i] for i in places])
     terms = (*library.terms, *library.dissipation)
     coefficients = _coefficients(terms, known)
-    ranges = shape_ranges(terms, _states(library.coordinates, scales), request.shapes)
+    ranges = shape_ranges(terms, states, request.shapes)
     numbers = {name: where.at(_FIRST) for name, where in ranges.items()}
     candidates = EulerLagrange([term.at(numbers) for term in terms], library.coordinates, places)
-    problem = Problem(trajectories, candidates, coefficients, request.degree, ranges=ranges)
+    problem = Problem(
+        trajectories,
+        candidates,
+        coefficients,
+        request.degree,
+        ranges=ranges,
+        lengths=_lengths(library),
+        forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
+    )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _lengths(library: Library) -> np.ndarray | None:
+    """Of all candidates; those of the dissipation are as long as any other."""
+    lengths = [*library.lengths, *(None for _ in library.dissipation)]
+    if all(length is None for length in lengths):
+        return None
+    return np.array([np.nan if length is None else length for length in lengths])
 
 
 def _states(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
@@ -225,17 +247,19 @@ def _is_smoothed(term: Term, velocity: str) -> bool:
 
 def _check_data(trajectories: Trajectories) -> None:
     for i, name in enumerate(trajectories.coordinates):
-        values = np.concatenate([t.q[:, i] for t in trajectories])
-        values = values[np.isfinite(values)]
-        if values.size < FEWEST_SAMPLES:
+        parts = [t.q[:, i] for t in trajectories]
+        count = sum(int(np.isfinite(part).sum()) for part in parts)
+        if count < FEWEST_SAMPLES:
             raise DataError(
-                f"coordinate {name!r} has {values.size} samples; at least {FEWEST_SAMPLES} are needed, "
+                f"coordinate {name!r} has {count} samples; at least {FEWEST_SAMPLES} are needed, "
                 "and a few periods of the motion to find anything"
             )
-        _check_range([values], f"coordinate {name!r}")
-        if np.ptp(values) <= 1e-12 * np.abs(values).max():
+        _check_range(parts, f"coordinate {name!r}")
+        seen = [part for part in parts if np.isfinite(part).any()]
+        low, high = (float(f([f(part) for part in seen])) for f in (np.nanmin, np.nanmax))
+        if high - low <= 1e-12 * max(abs(low), abs(high)):
             raise DataError(
-                f"coordinate {name!r} is constant ({values[0]:g}): nothing about its motion can be learnt; "
+                f"coordinate {name!r} is constant ({low:g}): nothing about its motion can be learnt; "
                 "leave it out or record a run in which it moves"
             )
         if trajectories.driven:

@@ -26,8 +26,6 @@ __all__ = ["Alone", "Crew", "DaskCrew", "Task", "ThreadCrew", "employ"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
 _LOOK = 1.0  # seconds between two looks at the cluster
-_LEAST_HERE = 256  # knot intervals a block: a task costs 0.1 ms, the work on an interval 12 µs a step
-_LEAST_AWAY = 1024  # a task on a cluster costs some milliseconds
 
 
 @dataclass(eq=False)
@@ -62,8 +60,6 @@ class Task:
 class Crew(Protocol):
     """Computes tasks."""
 
-    n_blocks: int
-    least: int
     keeps: bool
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
@@ -78,7 +74,7 @@ class Crew(Protocol):
 class Alone:
     """The thread that asks: a task is computed when its result is asked for."""
 
-    n_blocks, least, keeps = 1, 1, False
+    keeps = False
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         return Task(function, given)
@@ -92,10 +88,6 @@ class ThreadCrew:
 
     Attributes
     ----------
-    n_blocks : int
-        Into how many blocks long data are cut, at most: more than workers, so that none waits for long.
-    least : int
-        Knot intervals below which a block is not worth its overhead.
     keeps : bool
         Whether blocks of long recordings are kept, because the memory that holds them is not this machine's.
     """
@@ -104,7 +96,6 @@ class ThreadCrew:
 
     def __init__(self, workers: int) -> None:
         self._pool = ThreadPoolExecutor(workers, thread_name_prefix="leastaction")
-        self.n_blocks, self.least = 2 * workers, _LEAST_HERE
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
@@ -131,8 +122,6 @@ class DaskCrew:
 
     def __init__(self, client: Any) -> None:
         self._client, self._alone = client, False
-        self.n_blocks = 2 * max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
-        self.least = _LEAST_AWAY
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)

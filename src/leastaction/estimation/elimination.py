@@ -136,8 +136,7 @@ class NormalEquations(NamedTuple):
         numpy.linalg.LinAlgError
             When H is not positive definite, or not finite.
         """
-        factor, half = self._half(damping)
-        products = half.T @ half
+        factor, _, products = self._halves(damping)
         return Quadratic(
             self.gradient - products[1:, 0],
             self.corner - products[1:, 1:],
@@ -155,8 +154,7 @@ class NormalEquations(NamedTuple):
         numpy.linalg.LinAlgError
             When H is not positive definite, or not finite.
         """
-        factor, half = self._half(damping)
-        products = half.T @ half
+        factor, half, products = self._halves(damping)
         return Condensed(
             self.gradient - products[1:, 0],
             self.corner - products[1:, 1:],
@@ -170,9 +168,10 @@ class NormalEquations(NamedTuple):
         """Itself: nothing was computed ahead."""
         return self
 
-    def _half(self, damping: float) -> tuple[BandedFactor, np.ndarray]:
-        """L and L⁻¹[g, C]."""
+    def _halves(self, damping: float) -> tuple[BandedFactor, np.ndarray, np.ndarray]:
+        """L, X = L⁻¹[g, C], and XᵀX."""
         factor = BandedFactor.of(self.rows, damping)
         if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
             raise np.linalg.LinAlgError("the normal matrix is not finite")
-        return factor, factor.forward(self.border)
+        half = factor.forward(self.border)
+        return factor, half, half.T @ half

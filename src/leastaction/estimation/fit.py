@@ -205,6 +205,10 @@ class Fit:
         share[none], rms[none] = 0.0, np.nan
         return share, rms
 
+    def relevant_gain(self, relevance: float) -> float:
+        """What lowers −2 log likelihood by this explains a share ``relevance`` of the equation error."""
+        return relevance * float(self.weights.slack.sum())
+
     def score(self, candidates: EulerLagrange | None = None) -> Quadratic:
         """Quadratic model of the cost in candidates about this fit, by default in all that are free."""
         physics, index = self.grid.physics(self.structure)

@@ -7,6 +7,11 @@ the dense Schur complement
 
 whose inverse is the covariance of λ (Golub & Pereyra 2003, Inverse Problems 19:R1).
 
+Nearly exact equations are nearly constraints. A step that is right to first order leaves them by its second
+order, and the cost rises although the step is good (Maratos effect). Then the step from there is taken, too,
+if it promises to bring the cost down, and both are judged together (second-order correction; Nocedal & Wright
+2006, Numerical Optimization, sec. 15.4).
+
 A trial step may leave the range of floating point, with exp(x) or a high power far from the data.
 NumPy's warnings are off there and the numbers are tested instead: such a step is rejected, and a fit
 that cannot leave this region ends as "not finite".
@@ -15,6 +20,7 @@ that cannot leave this region ends as "not finite".
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -28,6 +34,8 @@ __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates",
 
 _LARGEST_DAMPING = 1e8
 _MOST_IDLE = 3
+_KEPT = 0.5  # of the fall of the cost that a step promised, which a correction must promise to save
+_SETTLED = 0.1  # of what a step promised by moving the coefficients, which a correction may promise
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +141,13 @@ def fit_joint(
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
         return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
+    moved = partial(_moved, observations, physics, weights)
     normal, here = here.normal(weights), here.lean()
     while step < max_steps:
         step += 1
         try:
             quadratic = normal.eliminate(damping)
-            shift, delta, predicted = _step(quadratic, damping)
+            shift, delta, predicted, own = _step(quadratic, damping)
             del quadratic  # as large as the motion is long
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
@@ -146,11 +155,15 @@ def fit_joint(
                 status = "not finite"
                 break
             continue
-        new_points = control_points + shift.reshape(control_points.shape)
-        new_coefficients = coefficients.copy()
-        new_coefficients[physics.free] += delta
         normal = normal.lean()
-        there = linearise(observations, physics, new_points, new_coefficients, weights)
+        new_points, new_coefficients, there = moved((control_points, coefficients), shift, delta)
+        if not damping and there.cost(weights) > cost:
+            least = there.cost(weights) - cost + _KEPT * predicted
+            correction = _correction(there.normal(weights), least, _SETTLED * own)
+            if correction is not None:
+                step += 1
+                del there
+                new_points, new_coefficients, there = moved((new_points, new_coefficients), *correction)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < tolerance else 0
@@ -178,7 +191,7 @@ def fit_joint(
 
 
 def _step(quadratic: Eliminated, damping: float):
-    """Steps of curve and coefficients, and how much they should lower the cost.
+    """Steps of curve and coefficients, how much they should lower the cost, and the coefficients' own part.
 
     Raises LinAlgError when they are not finite.
     """
@@ -188,7 +201,33 @@ def _step(quadratic: Eliminated, damping: float):
     predicted = quadratic.predicted(shift, delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
-    return shift, delta, predicted
+    return shift, delta, predicted, -float(quadratic.gradient @ delta)
+
+
+def _moved(
+    observations: Measurements,
+    physics: Physics,
+    weights: Weights,
+    start: tuple[np.ndarray, np.ndarray],
+    shift: np.ndarray,
+    delta: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, Linearised]:
+    """Curve and coefficients after a step, and the problem linearised there."""
+    points, coefficients = start[0] + shift.reshape(start[0].shape), start[1].copy()
+    coefficients[physics.free] += delta
+    return points, coefficients, linearise(observations, physics, points, coefficients, weights)
+
+
+def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """The step from a point where the cost has risen, if it promises to lower it by ``least``.
+
+    It is a correction of the curve: what it promises by moving the coefficients is ``most`` at most.
+    """
+    try:
+        shift, delta, predicted, own = _step(normal.eliminate(), 0.0)
+    except np.linalg.LinAlgError:
+        return None
+    return (shift, delta) if predicted >= least and own <= most else None
 
 
 def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np.ndarray, CurveFactor | None]:

@@ -91,6 +91,11 @@ class Physics:
     def n_free(self) -> int:
         return int(self.free.sum())
 
+    def within(self, intervals: slice) -> Physics:
+        """The same for a part of the motion, given by its knot intervals."""
+        forces = None if self.forces is None else self.forces[intervals]
+        return Physics(self.columns.from_interval(intervals.start), self.free, forces)
+
 
 @dataclass(frozen=True, eq=False)
 class Equations:

@@ -12,7 +12,7 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
 
-__all__ = ["RELATIVE_FLOOR", "Observations", "noise_floors"]
+__all__ = ["Observations", "counts_and_floors"]
 
 RELATIVE_FLOOR = 1e-6
 
@@ -69,7 +69,7 @@ class Observations:
                 whole[nu] = self._channels[-1]
         self.counts = np.array([c.y.size for c in self._channels])
         self.coordinates = np.array([c.coordinate for c in self._channels])
-        self.floors = noise_floors(values, rates) if floors is None else floors
+        self.floors = counts_and_floors(values, rates)[1] if floors is None else floors
         self.noise_floor = self.floors[: self.n_dof]
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
@@ -94,8 +94,16 @@ class Observations:
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
 
 
-def noise_floors(values: Sequence[np.ndarray], rates: Sequence[Rate] = ()) -> np.ndarray:
-    """(n_channels,) a millionth of the spread of each channel."""
-    spread = [*np.nanstd(np.concatenate(values), axis=0)]
-    spread += [np.nanstd(np.concatenate(rate.values)) for rate in rates]
-    return RELATIVE_FLOOR * np.array(spread)
+def counts_and_floors(
+    values: Sequence[np.ndarray], rates: Sequence[Rate] = ()
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n_channels,) samples of each channel, and a millionth of its spread, trial by trial."""
+    channels: list[Sequence[np.ndarray]] = [[q[:, i] for q in values] for i in range(values[0].shape[1])]
+    channels += [rate.values for rate in rates]
+    counts, floors = np.zeros(len(channels), dtype=int), np.zeros(len(channels))
+    for k, parts in enumerate(channels):
+        counts[k] = sum(int(np.isfinite(part).sum()) for part in parts)
+        mean = sum(float(part[np.isfinite(part)].sum()) for part in parts) / max(counts[k], 1)
+        squares = sum(float(((part[np.isfinite(part)] - mean) ** 2).sum()) for part in parts)
+        floors[k] = RELATIVE_FLOOR * np.sqrt(squares / max(counts[k], 1))
+    return counts, floors

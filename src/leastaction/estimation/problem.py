@@ -21,7 +21,7 @@ from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.shape_ranges import ShapeRange
-from leastaction.library import Term, shape_names
+from leastaction.library import Dropped, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["Problem"]
@@ -49,6 +49,10 @@ class Problem:
     ranges : mapping of str to ShapeRange
         Where each shape parameter of the candidates is looked for. The numbers that they have now are those
         of the candidates themselves.
+    lengths : (n_candidates,) array or None
+        Description lengths of the candidates in nats, NaN where as long as any other; None: everywhere.
+    forms : tuple of Dropped
+        Terms with a description length that are no candidates, as sums of candidates up to null terms.
     """
 
     trajectories: Trajectories
@@ -58,6 +62,8 @@ class Problem:
     excluded: frozenset[int] = frozenset()
     crew: Crew | None = None
     ranges: Mapping[str, ShapeRange] = field(default_factory=dict[str, ShapeRange])
+    lengths: np.ndarray | None = None
+    forms: tuple[Dropped, ...] = ()
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)
@@ -92,6 +98,14 @@ class Problem:
         allowed = ~self.is_known
         allowed[list(self.excluded)] = False
         return np.flatnonzero(allowed)
+
+    @cached_property
+    def surcharges(self) -> np.ndarray:
+        """(n_candidates,) what each costs in a search beyond the usual log n + 2 log K, in units of χ²."""
+        if self.lengths is None:
+            return np.zeros(self.known.size)
+        alike = np.log(max(np.count_nonzero(~self.is_known), 1))
+        return np.where(np.isnan(self.lengths), 0.0, 2.0 * (self.lengths - alike))
 
     @cached_property
     def shape_values(self) -> dict[str, float]:
@@ -131,8 +145,19 @@ class Problem:
 
     def wider(self, terms: Sequence[Term]) -> Problem:
         """The problem with further candidates, behind the others."""
-        known = np.append(self.known, np.full(len(terms), np.nan))
-        return replace(self, candidates=self.candidates.of([*self.terms, *terms]), known=known)
+        more = np.full(len(terms), np.nan)
+        lengths = None if self.lengths is None else np.append(self.lengths, more)
+        candidates = self.candidates.of([*self.terms, *terms])
+        return replace(self, candidates=candidates, known=np.append(self.known, more), lengths=lengths)
+
+    def exchanged(self, forms: Mapping[int, Dropped]) -> Problem:
+        """The problem with forms in the places of some candidates; the other forms are forgotten."""
+        terms, lengths = list(self.terms), np.full(self.known.size, np.nan)
+        if self.lengths is not None:
+            lengths[:] = self.lengths
+        for k, form in forms.items():
+            terms[k], lengths[k] = form.term, np.nan if form.length is None else form.length
+        return replace(self, candidates=self.candidates.of(terms), lengths=lengths, forms=())
 
     def on(self, trajectories: Trajectories) -> Problem:
         """The same questions asked of other data."""

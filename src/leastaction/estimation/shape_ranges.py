@@ -7,18 +7,19 @@ tried; only a range from the user is a bound.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import sympy as sp
+from scipy.stats import qmc
 
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.library import Term, is_constant, shape_names, shape_symbol
 
-__all__ = ["ShapeRange", "shape_ranges"]
+__all__ = ["ShapeRange", "shape_ranges", "shape_starts"]
 
 _DECADE = 10.0  # either side of a scale
 _WIDER = 0.5  # of the spread, on both sides of what a location is compared with
@@ -71,6 +72,23 @@ class ShapeRange:
         size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
         moved = value + float(np.clip(step, -_FARTHEST * size, _FARTHEST * size))
         return float(np.clip(moved, self.low, self.high)) if self.bounded else moved
+
+
+def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[str, float]]:
+    """About ``count`` numbers over the ranges: even for one parameter, a Sobol sequence for several.
+
+    Examples
+    --------
+    >>> list(shape_starts({"a": ShapeRange(1.0, 4.0, "log")}, 3))
+    [{'a': 1.0}, {'a': 2.0}, {'a': 4.0}]
+    """
+    if len(ranges) == 1:
+        ((name, only),) = ranges.items()
+        yield from ({name: x} for x in only.starts(count).tolist())
+        return
+    shares = qmc.Sobol(len(ranges), seed=0).random_base2(int(np.ceil(np.log2(count))))
+    for row in shares[:count]:
+        yield {name: r.at(x) for (name, r), x in zip(ranges.items(), row.tolist(), strict=True)}
 
 
 def shape_ranges(

@@ -13,28 +13,27 @@ blocks do not depend on the number of workers, and so neither do the results.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from leastaction.curve.bspline import SplineGrid, SplineSpace
-from leastaction.data.trajectories import Rate
+from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.elimination import Condensed
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import RELATIVE_FLOOR, Observations
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.recipes import Recipe
 from leastaction.estimation.volume import Volume, add_volumes
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["StreamedObservations", "is_long"]
 
 _LONG = 100_000  # samples: structures are searched on fewer
-_NUMBERS = 2**20  # in the Jacobian of a block: 8 MB
 
 
 def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
@@ -42,19 +41,8 @@ def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
     return n_dof * sum(len(t) for t in times) > _LONG
 
 
-class _Block(NamedTuple):
-    """What the observations of some successive trials are made from."""
-
-    spaces: tuple[SplineSpace, ...]
-    n_quadrature: int
-    before: int
-    total: int
-    data: tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]]
-    floors: np.ndarray
-
-    def observe(self) -> Observations:
-        grid = SplineGrid(self.spaces, self.n_quadrature, before=self.before, total=self.total)
-        return Observations(grid, *self.data, self.floors)
+_Block = Recipe | Observations
+"""How a block is given to whoever computes: its observations, or how to make them."""
 
 
 class _Point(NamedTuple):
@@ -84,40 +72,45 @@ class StreamedObservations:
         Control points and knot intervals of each block.
     """
 
-    def __init__(
-        self,
-        grid: SplineGrid,
-        times: Sequence[np.ndarray],
-        values: Sequence[np.ndarray],
-        rates: Sequence[Rate],
-        crew: Crew,
-    ) -> None:
-        self.grid, self.crew, self.n_dof = grid, crew, values[0].shape[1]
-        channels = [[q[:, i] for q in values] for i in range(self.n_dof)]
-        channels += [list(rate.values) for rate in rates]
-        self.counts, self.floors = _counts_and_floors(channels)
+    def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
+        values, rates = recipes[0].samples[1:]
+        self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]
+        self.floors = recipes[0].floors
         self.noise_floor = self.floors[: self.n_dof]
         self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
-        ends = np.concatenate([[0], np.cumsum([space.n_intervals for space in grid.spaces])])
-        parts = [slice(a, b) for a, b in pairwise(_cuts(grid, self.n_dof, ends))]
-        self.points = tuple(slice(int(grid.offsets[p.start]), int(grid.offsets[p.stop])) for p in parts)
-        self.intervals = tuple(slice(int(ends[p.start]), int(ends[p.stop])) for p in parts)
-        self._blocks = tuple(
-            _Block(
-                grid.spaces[p],
-                grid.n_quadrature,
-                int(ends[p.start]),
-                grid.n_intervals,
-                (times[p], values[p], [replace(rate, values=rate.values[p]) for rate in rates]),
-                self.floors,
-            )
-            for p in parts
-        )
+        self.points = tuple(recipe.points for recipe in recipes)
+        self.intervals = tuple(recipe.intervals for recipe in recipes)
+        # on a cluster samples are sent, and laid on the splines, once: the memory is not this machine's
+        self._blocks = [crew.task(_observe, recipe) if crew.keeps else recipe for recipe in recipes]
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Apply a function to every block, with what it is given there."""
-        crew = self.crew
-        return crew.results([crew.task(function, b, *g) for b, g in zip(self._blocks, given, strict=True)])
+        return list(self._one_by_one(function, given))
+
+    def _one_by_one(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+        """The same, where a result may be dropped before the next one is looked at."""
+        tasks = deque(self.crew.task(function, b, *g) for b, g in zip(self._blocks, given, strict=True))
+        while tasks:
+            yield self.crew.results([tasks.popleft()])[0]
+
+    def passed(self, given: Sequence[tuple[Any, ...]]) -> list[_Passed]:
+        """One pass; the X of the blocks end up in one array.
+
+        Arrays of some hundred kilobytes that stay, among larger ones that go, would leave memory in pieces.
+        """
+        out: list[_Passed] = []
+        whole = np.empty((0, 0))
+        for part, points in zip(self._one_by_one(_pass, given), self.points, strict=True):
+            if part.system is None:
+                out.append(part)
+                continue
+            solution = part.system.solution
+            if not whole.size:
+                whole = np.empty((self.grid.n_ctrl * self.n_dof, solution.shape[1]))
+            own = whole[points.start * self.n_dof : points.stop * self.n_dof]
+            own[:] = solution
+            out.append(part._replace(system=part.system._replace(solution=own)))
+        return out
 
     def linearise(
         self,
@@ -128,26 +121,17 @@ class StreamedObservations:
     ) -> StreamedLinearisation:
         """The joint problem linearised, and with weights its system eliminated, in one pass."""
         at = tuple(
-            _Point(
-                Physics(
-                    physics.columns.from_interval(intervals.start),
-                    physics.free,
-                    None if physics.forces is None else physics.forces[intervals],
-                ),
-                control_points[points],
-                coefficients,
-            )
+            _Point(physics.within(intervals), control_points[points], coefficients)
             for points, intervals in zip(self.points, self.intervals, strict=True)
         )
-        found = self.each(_pass, [(point, weights, 0.0) for point in at])
-        squares, equation, terms = (_total(part[k] for part in found) for k in range(3))
+        found = self.passed([(point, weights, 0.0) for point in at])
         out = StreamedLinearisation(
             self,
             at,
-            squares,
-            equation,
-            terms,
-            add_volumes(p.volume for p in found),
+            _total(part.squares for part in found),
+            _total(part.equation for part in found),
+            _total(part.terms for part in found),
+            add_volumes(part.volume for part in found),
             physics.columns.prescribed,
         )
         if weights is None:
@@ -230,7 +214,7 @@ class StreamedSystem:
         parts = None if damping else self.ready
         if parts is None:
             given = [(point, self.weights, damping) for point in self.at.at]
-            parts = tuple(p.system for p in self.at.observations.each(_pass, given))
+            parts = tuple(p.system for p in self.at.observations.passed(given))
         whole = [part for part in parts if part is not None]
         if len(whole) < len(parts):
             raise np.linalg.LinAlgError("the normal matrix of a block is not positive definite")
@@ -288,32 +272,17 @@ def _total(parts: Iterable[np.ndarray]) -> np.ndarray:
     return np.sum(list(parts), axis=0)
 
 
-def _counts_and_floors(channels: Sequence[Sequence[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Samples and noise floor of each channel, trial by trial; see `noise_floors`."""
-    counts: list[int] = []
-    floors: list[float] = []
-    for parts in channels:
-        seen = [part[np.isfinite(part)] for part in parts]
-        count = sum(part.size for part in seen)
-        mean = sum(float(part.sum()) for part in seen) / max(count, 1)
-        counts.append(count)
-        floors.append(np.sqrt(sum(float(((part - mean) ** 2).sum()) for part in seen) / max(count, 1)))
-    return np.array(counts), RELATIVE_FLOOR * np.array(floors)
-
-
-def _cuts(grid: SplineGrid, n_dof: int, ends: np.ndarray) -> list[int]:
-    """The trials that blocks begin with, and the end: a block is as large as it may be, or one trial."""
-    most = _NUMBERS // (grid.n_quadrature * n_dof**2 * (grid.degree + 1))
-    cuts = [0]
-    for k in range(1, len(grid.spaces)):
-        if ends[k + 1] - ends[cuts[-1]] > most:
-            cuts.append(k)
-    return [*cuts, len(grid.spaces)]
-
-
 # ---------------------------------------------------------------- what is computed with a block
+def _observe(recipe: Recipe) -> Observations:
+    return recipe.observe()
+
+
+def _seen(block: _Block) -> Observations:
+    return block.observe() if isinstance(block, Recipe) else block
+
+
 def _linearised(block: _Block, point: _Point) -> Linearisation:
-    return linearise(block.observe(), *point)
+    return linearise(_seen(block), *point)
 
 
 def _pass(block: _Block, point: _Point, weights: Weights | None, damping: float) -> _Passed:
@@ -327,7 +296,7 @@ def _pass(block: _Block, point: _Point, weights: Weights | None, damping: float)
 
 
 def _residuals(block: _Block, points: np.ndarray) -> list[np.ndarray]:
-    return block.observe().residuals(points)
+    return _seen(block).residuals(points)
 
 
 def _freedom(block: _Block, point: _Point, weights: Weights) -> tuple[np.ndarray, np.ndarray]:

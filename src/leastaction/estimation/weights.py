@@ -154,7 +154,7 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, stride = best.n_steps, 1.0
+    steps, stride, last = best.n_steps, 1.0, np.zeros(0)
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
             break
@@ -162,6 +162,8 @@ def fit_weights(
             update = _accelerate(best.weights, update_weights(observations, best))
         except np.linalg.LinAlgError:  # at the limit of rounding H is not positive definite for other weights
             break
+        change = _change(best.weights, update)
+        stride, last = stride / (1.0 + _reversal(last, change)), change
         for _ in range(_HALVINGS):
             weights = _part_of_the_way(best.weights, update, stride)
             fit = fit_joint(
@@ -187,6 +189,22 @@ def fit_weights(
         if settled:
             break
     return best
+
+
+def _change(old: Weights, new: Weights) -> np.ndarray:
+    """By how much the logarithms of all weights change."""
+    pairs = ((old.physics, new.physics), (old.noise_std, new.noise_std))
+    return np.concatenate([np.log(b / a) for a, b in pairs])
+
+
+def _reversal(last: np.ndarray, change: np.ndarray) -> float:
+    """The share ρ of the last change that the next one takes back, at most all; 0 if it goes on.
+
+    Equations that compete for one error take it from each other in turn, round after round.  Where a step of
+    a fixed-point iteration is followed by −ρ of it, 1 / (1 + ρ) of a step meets the fixed point (the secant
+    rule).
+    """
+    return min(max(0.0, -float(last @ change) / float(last @ last)), 1.0) if last.any() else 0.0
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:

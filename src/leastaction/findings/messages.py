@@ -34,7 +34,9 @@ def _missing_term(f: dict[str, Any]) -> str:
     by = f", -2 log likelihood {gain:.0f}, the price of the terms included" if gain is not None else ""
     better = " better" if instead else ""
     lacking = fill("the library seems to lack {subject}", f)
-    return f"{lacking} (with {it}, {f['free_terms']} free terms{instead} explain the motion{better}{by})"
+    it += fill(", {numbers}", f) if f.get("numbers") else ""
+    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
+    return f"{lacking} (with {it}, {f['free_terms']} free {terms}{instead} {explain} the motion{better}{by})"
 
 
 def _missing_term_remedy(f: dict[str, Any]) -> str:
@@ -145,6 +147,12 @@ def _undetermined_remedy(f: dict[str, Any]) -> str:
     return "record motions of another size, write a simpler term, or give a number" + other
 
 
+def _imitated_remedy(f: dict[str, Any]) -> str:
+    if not f.get("family"):
+        return "offer other candidates; unknown numbers in them stand in braces, as in exp(-{a}*x)"
+    return fill("add {family} to the candidates; the motion agrees with {numbers}", f)
+
+
 CODES: dict[str, Message] = {
     # the equations do not hold
     "not-converged": Message(
@@ -189,7 +197,7 @@ CODES: dict[str, Message] = {
         "the candidates seem to imitate a law that they cannot write: a smooth change of the {kind} energy "
         "explains the motion better (-2 log likelihood {gain:.0f}, for {freedom} numbers more) and changes "
         "the accelerations by {shift:.1f%}",
-        "offer other candidates; unknown numbers in them stand in braces, as in exp(-{{a}}*x)",
+        _imitated_remedy,
     ),
     "form-open": Message(
         "warning",
@@ -304,6 +312,9 @@ CODES: dict[str, Message] = {
         "the motion and alone there; they are left out",
     ),
     "friction-smoothed": Message("note", _smoothed),
+    "undefined-candidates": Message(
+        "note", "candidates that are undefined somewhere along the data were left out: {subject}"
+    ),
     # what is worth knowing
     "scatter-of-forces": Message(
         "note",

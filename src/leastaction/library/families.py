@@ -41,7 +41,17 @@ from leastaction.errors import InputError
 from leastaction.library.chains import chain_kinetic, chain_potentials, runs, runs_after
 from leastaction.library.parser import normalise
 
-__all__ = ["ALL_SIZES", "MAX_TERMS", "SIZES", "check_angles", "choose_size", "mechanical_terms"]
+__all__ = [
+    "ALL_SIZES",
+    "MAX_TERMS",
+    "SIZES",
+    "check_angles",
+    "check_count",
+    "choose_size",
+    "mechanical_terms",
+    "monomial",
+    "velocity_product",
+]
 
 SIZES = ("compact", "standard", "large")
 ALL_SIZES = ("auto", "compact", "chain", "standard", "large")
@@ -97,7 +107,7 @@ def mechanical_terms(
     degree = _DEGREES[size] if degree is None else degree
     lengths = [name for name in coordinates if name not in angles]
     kinetic = [
-        _product(f"{a}_dot", f"{b}_dot") + ("" if factor == "1" else f"*{factor}")
+        velocity_product(a, b) + ("" if factor == "1" else f"*{factor}")
         for a, b, factor in _kinetic(coordinates, lengths, angles, size)
     ]
     turned = coordinates if gyroscopic else lengths if size == "large" else ()
@@ -147,8 +157,23 @@ def check_angles(angles: Iterable[object] | str, coordinates: tuple[str, ...]) -
     return tuple(name for name in coordinates if name in wanted)
 
 
-def _product(a: str, b: str) -> str:
-    return f"{a}**2" if a == b else f"{a}*{b}"
+def check_count(count: int, library: str, cure: str) -> None:
+    """Refuse a generated library that is too large to search.
+
+    Raises
+    ------
+    InputError
+    """
+    if count > MAX_TERMS:
+        raise InputError(
+            f"{library} would have {count} terms; expected at most {MAX_TERMS}: {cure}, or write the "
+            "candidates down by hand"
+        )
+
+
+def velocity_product(a: str, b: str) -> str:
+    """The velocities of two coordinates, multiplied."""
+    return f"{a}_dot**2" if a == b else f"{a}_dot*{b}_dot"
 
 
 def _kinetic(
@@ -233,12 +258,13 @@ def _potentials(lengths: Sequence[str], angles: Sequence[str], size: str, degree
         for total in sums:
             yield from (f"{x}*cos({total})", f"{x}*sin({total})")
     for total in range(1, degree + 1):
-        yield from (_monomial(names) for names in combinations_with_replacement(lengths, total))
+        yield from (monomial(names) for names in combinations_with_replacement(lengths, total))
     if large:
         for x in lengths:
             yield from (f"1/{x}", f"log({x})")
 
 
-def _monomial(names: Sequence[str]) -> str:
+def monomial(names: Sequence[str]) -> str:
+    """The product of names, repeated ones as a power."""
     powers = {name: names.count(name) for name in names}
     return "*".join(name if n == 1 else f"{name}**{n}" for name, n in powers.items())

@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, overload
 
 from leastaction.errors import InputError
-from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, quoted
-from leastaction.library.families import MAX_TERMS, check_angles, mechanical_terms
+from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
+from leastaction.library.collect import collect
+from leastaction.library.families import check_angles, check_count, mechanical_terms
 from leastaction.library.file import read_terms
-from leastaction.library.lookup import listing_of, place_among_all, place_of, summary_of
+from leastaction.library.grammar import description_lengths, grown_terms
+from leastaction.library.lookup import listing_of, place_among_all, place_within, summary_of
 from leastaction.library.parser import normalise
 from leastaction.library.reduction import find_redundant
-from leastaction.library.shapes import check_numbers, check_shapes, shape_names, term_somewhere
-from leastaction.library.term import Candidate, Dropped, Kind, Term, make_term
+from leastaction.library.shapes import check_numbers, shape_names, term_somewhere
+from leastaction.library.term import Candidate, Dropped, Kind, Term
 
 __all__ = ["Library"]
-
-_Some = Iterable[Candidate] | Candidate
-_Numbers = Mapping[str, float] | None
 
 
 class Library(Sequence[Term]):
@@ -77,28 +77,12 @@ class Library(Sequence[Term]):
         clash = {normalise(str(name)) for name in parameters or ()} & {*names, *FUNCTION_NAMES, "pi"}
         if clash:
             raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
-        self._dropped: tuple[Dropped, ...] = ()
-        self._terms = self._collect(terms, names, parameters, "lagrangian")
-        self._dissipation = self._collect(dissipation, names, parameters, "dissipation")
+        self._terms, repeated = collect(terms, names, parameters, "lagrangian")
+        self._dissipation, again = collect(dissipation, names, parameters, "dissipation")
+        self._dropped: tuple[Dropped, ...] = (*repeated, *again)
+        self._lengths: Mapping[Term, float] = {}
         if not self._terms:
             raise InputError("the library has no terms; give expressions such as 'theta_dot**2'")
-
-    def _collect(
-        self, sources: _Some, names: list[str], parameters: _Numbers, kind: Kind
-    ) -> tuple[Term, ...]:
-        if not isinstance(sources, Iterable) or isinstance(sources, Candidate):
-            raise InputError(f"expected a list of {kind} terms, got {quoted(sources)}")
-        found: dict[object, Term] = {}
-        repeated: list[Dropped] = []
-        for source in sources:
-            term = make_term(source, names, parameters, kind)
-            check_shapes(term)
-            if term.expr in found:
-                repeated.append(Dropped(term, "duplicate", f"equals {found[term.expr].text}"))
-            else:
-                found[term.expr] = term
-        self._dropped += tuple(repeated)
-        return tuple(found.values())
 
     @classmethod
     def from_file(
@@ -180,11 +164,7 @@ class Library(Sequence[Term]):
         """
         names = check_coordinate_names(coordinates)
         terms = mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic)
-        if len(terms) > MAX_TERMS:
-            raise InputError(
-                f"the {size} library over {len(names)} coordinates would have {len(terms)} terms; expected "
-                f"at most {MAX_TERMS}: choose a smaller size, or write the candidates down by hand"
-            )
+        check_count(len(terms), f"the {size} library over {len(names)} coordinates", "choose a smaller size")
         return cls(terms, names, angles=angles, dissipation=dissipation)
 
     @staticmethod
@@ -205,6 +185,29 @@ class Library(Sequence[Term]):
         """
         names = check_coordinate_names(coordinates)
         return len(mechanical_terms(names, check_angles(angles, names), size, degree, gyroscopic))
+
+    @classmethod
+    def symbolic(cls, coordinates: Iterable[str] | str, angles: Iterable[str] | str = ()) -> Library:
+        """Grow the candidates from nothing but the names of the coordinates, by a grammar.
+
+        More kinds of terms than `mechanical` has (at most 1500), and their `lengths`, so that short ones are
+        preferred.  `discover` leaves out those that are undefined somewhere along the data, and says so.
+
+        Examples
+        --------
+        >>> Library.symbolic(["r", "phi"], angles=["phi"]).reduced().summary()
+        '69 terms in r, phi (angles: phi): 45 with velocities, 24 without; 36 left out'
+        """
+        names = check_coordinate_names(coordinates)
+        terms = grown_terms(names, check_angles(angles, names))
+        library = cls(terms, names, angles=angles)
+        library._lengths = description_lengths(library.terms)
+        return library
+
+    @property
+    def lengths(self) -> tuple[float | None, ...]:
+        """Description length of each term in nats; None, but in `symbolic`: as long as that of any other."""
+        return tuple(self._lengths.get(term) for term in self._terms)
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -293,10 +296,7 @@ class Library(Sequence[Term]):
         >>> Library(["x_dot**2", "(x-1)**2"], ["x"]).index("x**2 - 2*x + 1")
         1
         """
-        names = [*self._coordinates, *self.velocities]
-        kind = expression.kind if isinstance(expression, Term) else kind
-        terms = self._terms if kind == "lagrangian" else self._dissipation
-        return place_of(make_term(expression, names, kind=kind), terms, self._coordinates)
+        return place_within(self, expression, kind)
 
     def replace(
         self,
@@ -318,6 +318,7 @@ class Library(Sequence[Term]):
             dissipation=self._dissipation if dissipation is None else dissipation,
         )
         new._dropped = self._dropped + new._dropped
+        new._lengths = self._lengths
         return new
 
     def with_dissipation(self, expressions: Iterable[Candidate]) -> Library:
@@ -357,15 +358,16 @@ class Library(Sequence[Term]):
         (['x_dot**2', 'x'], ['1: constant', 'x*x_dot: total time derivative', '2*x: equals 2*x'])
         """
         both = (*self._terms, *self._dissipation)
-        places = [self._coordinates.index(name) for name in prescribed]
         held = {place_among_all(self, k) for k in ((keep,) if isinstance(keep, Candidate) else keep)}
+        places = [self._coordinates.index(name) for name in prescribed]
         found = find_redundant([term_somewhere(t) for t in both], self._coordinates, held, places)
         left = [term for k, term in enumerate(both) if k not in found]
         terms = [term for term in left if term.kind == "lagrangian"]
         if not terms:
             raise InputError("no term of the library has an effect on the motion; add kinetic terms")
         new = self.replace(terms=terms, dissipation=[term for term in left if term.kind == "dissipation"])
-        new._dropped = self._dropped + tuple(Dropped(both[k], d.reason, d.because) for k, d in found.items())
+        lengths = ((d, both[k], self._lengths.get(both[k])) for k, d in found.items())
+        new._dropped = self._dropped + tuple(replace(d, term=t, length=length) for d, t, length in lengths)
         return new
 
     def at(self, values: Mapping[str, float]) -> Library:

@@ -10,12 +10,12 @@ import sympy
 
 from leastaction.errors import InputError
 from leastaction.library.reduction import same_functions
-from leastaction.library.term import Candidate, Term
+from leastaction.library.term import Candidate, Kind, Term, make_term
 
 if TYPE_CHECKING:
     from leastaction.library.library import Library
 
-__all__ = ["listing_of", "place_among_all", "place_of", "summary_of"]
+__all__ = ["listing_of", "place_among_all", "place_of", "place_within", "summary_of"]
 
 _SHOWN = 6
 
@@ -42,6 +42,14 @@ def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) ->
     raise InputError(
         f"{wanted.text!r} is not among the {len(terms)} {wanted.kind} terms of the library{hint}"
     )
+
+
+def place_within(library: Library, expression: Candidate, kind: Kind) -> int:
+    """Return the place of an expression in one of the two lists of a library; a term's own kind decides."""
+    names = [*library.coordinates, *library.velocities]
+    kind = expression.kind if isinstance(expression, Term) else kind
+    terms = library.terms if kind == "lagrangian" else library.dissipation
+    return place_of(make_term(expression, names, kind=kind), terms, library.coordinates)
 
 
 def place_among_all(library: Library, item: Candidate) -> int:

@@ -230,7 +230,8 @@ class _Search:
         else:
             because = f"equals {text} up to a null term"
         reason = "duplicate" if len(coefficients) == 1 else "dependent"
-        self.found[k] = Dropped(self.terms[k], reason, because)
+        combination = tuple((float(c), self.terms[a]) for a, c in coefficients.items())
+        self.found[k] = Dropped(self.terms[k], reason, because, combination)
 
 
 class _ExactColumns:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import sympy
@@ -88,6 +89,7 @@ def check_numbers(terms: Sequence[Term], values: Mapping[str, float]) -> None:
         raise InputError(f"no number for the shape parameter {min(lacking)!r} of the library; give one")
 
 
+@lru_cache(maxsize=1024)  # a library is made anew many times of the same terms
 def check_shapes(term: Term) -> None:
     """Refuse a shape parameter that only scales its term: the coefficient does that already.
 

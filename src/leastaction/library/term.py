@@ -122,12 +122,15 @@ class Dropped:
     """A candidate that was left out of a library, and why.
 
     ``reason`` is ``"null"`` (no effect on the equations of motion), ``"duplicate"`` (a multiple of one
-    other term) or ``"dependent"`` (a sum of several); ``because`` is text for people.
+    other term) or ``"dependent"`` (a sum of several); ``because`` is text for people.  ``combination`` holds
+    the factors and terms of that sum, which is equal up to a null term; ``length`` is the description length.
     """
 
     term: Term
     reason: Literal["null", "duplicate", "dependent"]
     because: str
+    combination: tuple[tuple[float, Term], ...] = field(default=(), compare=False, repr=False)
+    length: float | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         return f"{self.term.text}: {self.because}"

@@ -15,12 +15,14 @@ from leastaction.model.term import ModelTerm, ShapeParameter
 
 __all__ = [
     "coefficient_text",
+    "interval_text",
     "latex_number",
     "latex_sum",
     "latex_symbols",
     "plain_sum",
     "rounded",
     "shape_symbols",
+    "z_text",
 ]
 
 _SMALL = """alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau
@@ -100,6 +102,29 @@ def plain_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> str
         text = f"({written})" if expr.is_Add or written.startswith("-") else written
         pieces.append(f"{coefficient_text(term)}*{text}")
     return " + ".join(pieces).replace("+ -", "- ") or "0"
+
+
+def interval_text(term: ModelTerm) -> str:
+    """Ends of the 95 % interval to the second digit of the error; empty where there is none.
+
+    Examples
+    --------
+    >>> interval_text(ModelTerm("x**2", 2.0, 0.1))
+    '1.80 … 2.20'
+    """
+    error = term.standard_error
+    return " … ".join(rounded(end, error) for end in (term.lower, term.upper)) if error > 0 else ""
+
+
+def z_text(z: float) -> str:
+    """A coefficient in standard errors; empty for NaN.
+
+    Examples
+    --------
+    >>> z_text(-3.14159), z_text(271.8), z_text(float("nan"))
+    ('-3.1', '272', '')
+    """
+    return "" if math.isnan(z) else f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}"
 
 
 def latex_symbols(coordinates: Sequence[str]) -> dict[sp.Symbol, str]:

@@ -172,6 +172,16 @@ class ShapeParameter:
         """Upper end of the 95 % interval."""
         return self.value + _Z95 * self.standard_error
 
+    def as_term(self) -> ModelTerm:
+        """Name and number in the columns of a table of terms.
+
+        Examples
+        --------
+        >>> ShapeParameter("a", 0.8, 0.1).as_term().written
+        '{a}'
+        """
+        return ModelTerm(f"{{{self.name}}}", self.value, self.standard_error)
+
 
 @dataclass(frozen=True, init=False)
 class FitSummary:

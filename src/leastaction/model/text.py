@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from leastaction.errors import InputError, MissingPackageError
@@ -11,12 +12,14 @@ from leastaction.identifiers import quoted
 from leastaction.library import parse_expression, shape_symbol
 from leastaction.model.notation import (
     coefficient_text,
+    interval_text,
     latex_number,
     latex_sum,
     latex_symbols,
     plain_sum,
     rounded,
     shape_symbols,
+    z_text,
 )
 
 if TYPE_CHECKING:
@@ -34,21 +37,18 @@ _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
     """Header and one row of text for each term."""
     out: list[tuple[str, ...]] = [_HEADER]
-    for kind, terms in (("lagrangian", model.terms), ("dissipation", model.dissipation)):
-        for term in terms:
-            error = term.standard_error
-            if error > 0:
-                ends = " … ".join(rounded(end, error) for end in (term.lower, term.upper))
-                rest = (f"{error:.2g}", ends, f"{term.z:.1f}" if abs(term.z) < 100 else f"{term.z:.0f}")
-            else:
-                rest = ("known" if term.known else "", "", "")
-            out.append((term.written, kind, coefficient_text(term), *rest))
-    for shape in model.shapes:
-        error = shape.standard_error
-        ends = " … ".join(rounded(end, error) for end in (shape.lower, shape.upper)) if error > 0 else ""
-        shown = f"{error:.2g}" if error > 0 else ""
-        out.append((f"{{{shape.name}}}", "shape", rounded(shape.value, error), shown, ends, ""))
+    for kind, term in _estimates(model):
+        error = f"{term.standard_error:.2g}" if term.standard_error > 0 else "known" if term.known else ""
+        z = "" if kind == "shape" else z_text(term.z)
+        out.append((term.written, kind, coefficient_text(term), error, interval_text(term), z))
     return out
+
+
+def _estimates(model: LagrangianModel) -> Iterator[tuple[str, ModelTerm]]:
+    """Terms and shape parameters with their kinds, in the sequence of a table."""
+    yield from (("lagrangian", term) for term in model.terms)
+    yield from (("dissipation", term) for term in model.dissipation)
+    yield from (("shape", shape.as_term()) for shape in model.shapes)
 
 
 def table(model: LagrangianModel) -> str:
@@ -128,13 +128,12 @@ def frame(model: LagrangianModel) -> pd.DataFrame:
 
     names = ("standard_error", "lower", "upper")
     found = [
-        (t.written, kind, t.coefficient, *(getattr(t, name) for name in names), t.z, t.known)
-        for terms, kind in ((model.terms, "lagrangian"), (model.dissipation, "dissipation"))
-        for t in terms
-    ]
-    found += [
-        (f"{{{s.name}}}", "shape", s.value, *(getattr(s, name) for name in names), math.nan, False)
-        for s in model.shapes
+        (
+            *(t.written, kind, t.coefficient),
+            *(getattr(t, name) for name in names),
+            *(math.nan if kind == "shape" else t.z, t.known),
+        )
+        for kind, t in _estimates(model)
     ]
     columns = ("expression", "kind", "coefficient", *names, "z", "known")
     return pd.DataFrame(found, columns=list(columns)).set_index("expression")

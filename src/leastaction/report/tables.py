@@ -54,8 +54,8 @@ def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[
 
 def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
     """Rows of the shape parameters, in the columns of coefficients."""
-    alike = [ModelTerm(f"{{{s.name}}}", s.value, s.standard_error) for s in model.shapes]
-    rows = [{**_coefficient_row(t, notation, f"shape{k}"), "z": ""} for k, t in enumerate(alike)]
+    numbers = [shape.as_term() for shape in model.shapes]
+    rows = [{**_coefficient_row(t, notation, f"shape{k}"), "z": ""} for k, t in enumerate(numbers)]
     return [{"symbol": "", "name": "shape parameters", "rows": rows}] if rows else []
 
 

@@ -7,6 +7,7 @@ solved for q̈ along the motion are kept.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -14,12 +15,13 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.structure import Structure
 from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, value
-from leastaction.selection.likelihood_search import trade_off
+from leastaction.selection.likelihood_search import Choice, trade_off
 from leastaction.selection.strategies.irrelevant_terms import price_of_terms
 
 __all__ = ["Alternative", "find_alternatives"]
 
 _FITTED = 3  # of those that the quadratic model prefers to the fit
+_EXCHANGED = 64  # structures that are tested, where no other of the fit's size can be solved
 _GAIN = 1e-3  # of −2 log likelihood: less is rounding
 
 
@@ -61,22 +63,25 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[Alternative, ...]:
     near, price, share = Neighbourhood.of(fit), penalty(fit.grid), price_of_terms(fit, relevance)
     levels = trade_off(near.model, near.here)
     base = next(c.cost for c in levels[len(near.here)] if c.members == near.here)
+    surcharges = near.model.surcharges
     out: list[Alternative] = []
     unfitted = _FITTED
-    for _, level in sorted(levels.items()):
-        for choice in level:
-            if choice.members != near.here and not near.regular(choice.members):
-                continue
+    for size, level in sorted(levels.items()):
+        solvable = [c for c in level if c.members == near.here or near.regular(c.members)]
+        if size == len(near.here) and len(solvable) == 1:
+            solvable += _exchanged(near)
+        for choice in solvable:
             cost, more = choice.cost - base, len(choice.members) - len(near.here)
             reason = _reason(near, choice.members, cost, more, price, share)
             if reason == "" and unfitted:
                 reason, unfitted = _outcome(near, choice.members), unfitted - 1
             index = list(choice.members)
+            dearer = float(surcharges[index].sum() - surcharges[list(near.here)].sum())
             inverse = symmetric_inverse(near.quadratic.matrix[np.ix_(index, index)])
             out.append(
                 Alternative(
                     near.structure(choice.members),
-                    cost,
+                    cost - dearer,
                     cost + price * more,
                     near.coefficients(choice.members),
                     np.sqrt(np.diag(inverse)),
@@ -84,6 +89,16 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[Alternative, ...]:
                 )
             )
     return tuple(out)
+
+
+def _exchanged(near: Neighbourhood) -> list[Choice]:
+    """Structures with one term exchanged, cheapest first.
+
+    Terms that cancel the known ones explain any data with L = 0. Where the motion is small they take all
+    places among the best of a size.
+    """
+    ranked = near.model.best(near.model.neighbours(near.here).exchanged(_EXCHANGED), _EXCHANGED)
+    return list(islice((c for c in ranked if near.regular(c.members)), _FITTED))
 
 
 def _reason(

@@ -33,7 +33,7 @@ _PROPOSED = 2  # structures fitted a round, at most
 
 
 def penalty(grid: Grid) -> float:
-    """Price of a term in units of χ²."""
+    """Price of a term in units of χ², but for the surcharges of its problem."""
     searched = int(np.count_nonzero(~grid.problem.is_known))
     return term_penalty(int(grid.observations.counts.sum()), searched)
 
@@ -49,7 +49,8 @@ def value(fit: Fit) -> float:
     if np.all(np.abs(fit.estimates) < SELECTION.scale_lost * fit.standard_errors):
         return -np.inf
     n_parameters = len(fit.structure) + len(fit.problem.shapes_of(fit.structure))
-    return fit.evidence - 0.5 * penalty(fit.grid) * n_parameters
+    surcharge = float(fit.problem.surcharges[list(fit.structure)].sum())
+    return fit.evidence - 0.5 * penalty(fit.grid) * n_parameters - 0.5 * surcharge
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +72,9 @@ class Neighbourhood:
     def of(cls, fit: Fit) -> Neighbourhood:
         """Score every candidate about a fit."""
         quadratic = fit.score()
-        here = fit.coefficients[fit.problem.free]
-        return cls(fit, quadratic, QuadraticModel(quadratic.matrix, quadratic.gradient, here))
+        free = fit.problem.free
+        about = quadratic.matrix, quadratic.gradient, fit.coefficients[free]
+        return cls(fit, quadratic, QuadraticModel(*about, fit.problem.surcharges[free]))
 
     @property
     def here(self) -> tuple[int, ...]:

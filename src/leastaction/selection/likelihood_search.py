@@ -10,7 +10,8 @@ A support S sets δ = −λ₀ outside of S, which is u, and is free to choose �
 
 so thousands of supports are compared without a refit; relative to the fit itself, because the whole cost is
 so large without noise that its last digits would decide.  Each free term costs log n + 2 log K
-(extended BIC, Chen & Chen 2008, Biometrika 95:759), which accounts for having searched K candidates.
+(extended BIC, Chen & Chen 2008, Biometrika 95:759), which accounts for having searched K candidates; where
+the candidates have description lengths ℓ, log n + 2 ℓ, of which 2 (ℓ − log K) is in the cost of a support.
 
 One inverse P = A_SS⁻¹ prices every step to a neighbour.  With h = g + A δ at the optimum of S, c = λ₀ + δ,
 W = A_{·S} P and s_k = A_kk − W_k A_Sk,
@@ -53,7 +54,10 @@ def term_penalty(n_samples: int, n_candidates: int) -> float:
 
 @dataclass(frozen=True)
 class Choice:
-    """A support (sorted candidate numbers) and its cost, relative to the fit that the model is about."""
+    """A support (sorted candidate numbers) and its cost, relative to the fit that the model is about.
+
+    The surcharges of its members are in the cost.
+    """
 
     members: tuple[int, ...]
     cost: float
@@ -114,20 +118,30 @@ class QuadraticModel:
     gradient : (n,) array
         Half gradient of the cost at ``coefficients``.
     coefficients : (n,) array
+    surcharges : (n,) array, optional
+        What each candidate costs beyond the price of a term.
     """
 
-    def __init__(self, matrix: np.ndarray, gradient: np.ndarray, coefficients: np.ndarray) -> None:
+    def __init__(
+        self,
+        matrix: np.ndarray,
+        gradient: np.ndarray,
+        coefficients: np.ndarray,
+        surcharges: np.ndarray | None = None,
+    ) -> None:
         scale = 1.0 / np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
         self.scale = scale
         self.matrix = matrix * np.outer(scale, scale)
         self.gradient = gradient * scale
         self.here = coefficients / scale
         self.n = len(scale)
+        self.surcharges = np.zeros(self.n) if surcharges is None else surcharges
 
     def costs(self, supports: np.ndarray) -> np.ndarray:
         """Costs of many supports of one size, (n_supports, size)."""
         away, right = self._outside(supports)
         costs = away @ self.gradient + np.einsum("bk,bk->b", away, right)
+        costs += self.surcharges[supports].sum(axis=1)
         if supports.shape[1]:
             matrix = self.matrix[supports[:, :, None], supports[:, None, :]] + _RIDGE * np.eye(
                 supports.shape[1]
@@ -160,12 +174,12 @@ class QuadraticModel:
         border = self.matrix[:, index]
         inverse = np.linalg.inv(border[index] + _RIDGE * np.eye(len(index)))
         inside = -inverse @ right[index]
-        cost = away @ self.gradient + away @ right + inside @ right[index]
+        cost = away @ self.gradient + away @ right + inside @ right[index] + self.surcharges[index].sum()
         gradient = right + border @ inside
         turned = border @ inverse
         pivot = np.maximum(np.diag(self.matrix) + _RIDGE - np.einsum("kj,kj->k", turned, border), _RIDGE)
         # the ridge holds the steps δ_S: a candidate that enters brings its own, one that leaves takes it
-        held = _RIDGE * self.here**2
+        held = _RIDGE * self.here**2 + self.surcharges
         pull = gradient - _RIDGE * self.here
         added = cost - pull**2 / pivot + held
         step = (self.here[index] + inside) / np.diag(inverse)

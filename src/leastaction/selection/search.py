@@ -26,6 +26,7 @@ from leastaction.selection.strategies import (
     kinetic_restart,
     shape_fit,
     shape_start,
+    shortest_form,
     simulation_error,
     terms_again,
     weak_start,
@@ -67,6 +68,7 @@ def _on_data(search: Search) -> Search:
     runs: tuple[Callable[[Search], Search], ...] = (
         restart,
         all_data.run,
+        shortest_form.run,
         exact_equations.run,
         shape_fit.run,
     )

@@ -91,6 +91,11 @@ class Search:
         """The search with another fit, and its grid."""
         return replace(self, fit=fit, grid=fit.grid, **changes)
 
+    def at(self, shapes: Mapping[str, float]) -> Search:
+        """The search with other numbers for its shape parameters."""
+        whole, searched, gridded = (p.at(shapes) for p in (self.problem, self.searched, self.grid.problem))
+        return replace(self, problem=whole, searched=searched, grid=self.grid.posed(gridded))
+
 
 def begin_search(
     setup: Setup,

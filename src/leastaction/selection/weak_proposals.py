@@ -106,7 +106,7 @@ def _best_support(
     first = None
     error, ranked = _EQUATION_ERRORS[0], list[Support]()
     for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
-        ranked = _ranked(gram, error, price, n_rows, bases)
+        ranked = _ranked(gram, error, price, n_rows, bases, problem.surcharges[free])
         if ranked[0].ratio < SELECTION.rows_explained:
             break
     for support in ranked[:_TRIED]:
@@ -121,7 +121,12 @@ def _best_support(
 
 
 def _ranked(
-    gram: WeakGram, error: float, price: float, n_rows: float, bases: list[tuple[int, ...]] | None
+    gram: WeakGram,
+    error: float,
+    price: float,
+    n_rows: float,
+    bases: list[tuple[int, ...]] | None,
+    surcharges: np.ndarray,
 ) -> list[Support]:
     """Supports in rising score.
 
@@ -136,8 +141,11 @@ def _ranked(
     else:
         levels = backward_search(gram, error, price, n_rows)
         noise = noise_ratio(levels[-1][0].ratio, size, n_rows)
-    supports = (s for level in levels for s in level)
-    return sorted(supports, key=lambda s: support_score(s, price, n_rows, noise))
+
+    def score(support: Support) -> float:
+        return support_score(support, price, n_rows, noise) + float(surcharges[list(support.members)].sum())
+
+    return sorted((s for level in levels for s in level), key=score)
 
 
 def _settle(grid: Grid, curve: Smooth, structure: Structure, coefficients: np.ndarray) -> Proposal:

@@ -11,8 +11,8 @@ import gzip
 import io
 import re
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,9 @@ from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["peek_csv", "read_csv_table"]
+__all__ = ["csv_tables", "peek_csv", "read_csv_table"]
 
+_PIECE = 8_000_000  # characters of a long file that are read at once
 _DELIMITERS = (",", ";", "\t")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
@@ -56,17 +57,66 @@ def read_csv_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     InputError
         If the file cannot be read, is no UTF-8 table with a header, lacks a column, or a cell is no number.
     """
-    text = _split_header(_decode(_content(path), str(path)), str(path), layout)
+    text, found = _opened(_decode(_content(path), str(path)), str(path), layout)
+    return found, _table_of(text, found)
+
+
+def csv_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
+    """The same in pieces of some megabytes, one after the other; only one of them is in memory.
+
+    Raises
+    ------
+    InputError
+        As `read_csv_table`; for what is wrong in a piece, when it is reached.
+    """
+    pieces = _text_pieces(path)
+    text, found = _opened(next(pieces, ""), str(path), layout)
+
+    def tables() -> Iterator[Table]:
+        yield _table_of(text, found)
+        line = text.first_line + text.body.count("\n")
+        for body in pieces:
+            if body.strip():
+                yield _table_of(replace(text, body=body, first_line=line), found)
+            line += body.count("\n")
+
+    return found, tables()
+
+
+def _text_pieces(path: Path) -> Iterator[str]:
+    """Runs of whole lines; a line that is in quotes stays whole, too."""
+    compressed = read_bytes(path, 2) == b"\x1f\x8b"
+    try:
+        with gzip.open(path, "rb") if compressed else path.open("rb") as file:
+            stream = io.TextIOWrapper(file, encoding="utf-8-sig")
+            while body := stream.read(_PIECE):
+                body += stream.readline()
+                while body.count('"') % 2 and (more := stream.readline()):
+                    body += more
+                yield body
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not UTF-8 text; save the table as CSV text in UTF-8") from None
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(f"{path} cannot be read to its end ({error}); copy it again") from None
+
+
+def _opened(content: str, source: str, layout: Layout) -> tuple[_Text, Layout]:
+    """Data lines, and the layout with the names of the header."""
+    text = _split_header(content, source, layout)
     if len(text.header) == 1:
         raise InputError(
-            f"{path}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
+            f"{source}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
             "separate columns by comma, semicolon or tab"
         )
-    found = layout.find(text.header, str(path))
+    found = layout.find(text.header, source)
     if not text.body.strip():
-        raise InputError(f"{path} has a header, but no data lines; at least 5 samples are needed")
-    table = _read_fast(text, found)
-    return found, table if table is not None else _read_slowly(text, found)
+        raise InputError(f"{source} has a header, but no data lines; at least 5 samples are needed")
+    return text, found
+
+
+def _table_of(text: _Text, layout: Layout) -> Table:
+    table = _read_fast(text, layout)
+    return table if table is not None else _read_slowly(text, layout)
 
 
 def peek_csv(path: Path, n_rows: int = 50) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:

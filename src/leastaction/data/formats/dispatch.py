@@ -17,7 +17,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["StrPath", "combined_trajectories", "reader_for", "stem"]
+__all__ = ["StrPath", "combined_trajectories", "free_name", "listed_paths", "reader_for", "stem"]
 
 StrPath = str | os.PathLike[str]
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
@@ -72,14 +72,7 @@ def combined_trajectories(
     InputError
         If there is no path, or two paths are the same file.
     """
-    paths = [check_path(item) for item in _listed(path)]
-    if not paths:
-        raise InputError("there is no file to read; give at least one path")
-    seen: set[str] = set()
-    for file in paths:
-        if os.path.realpath(file) in seen:
-            raise InputError(f"{file} is given twice; give each file once")
-        seen.add(os.path.realpath(file))
+    paths = listed_paths(path)
     if len(paths) == 1:
         read = reader or reader_for(paths[0])
         return to_trajectories(*read(paths[0], layout), name=stem(paths[0]))
@@ -90,18 +83,38 @@ def combined_trajectories(
     for file in paths:
         found, table = (reader or reader_for(file))(file, wrapped)
         for item in to_trajectories(found, table):
-            name = _free_name(stem(file) + (f"/{item.name}" if table.trials is not None else ""), taken)
+            name = free_name(stem(file) + (f"/{item.name}" if table.trials is not None else ""), taken)
             taken.add(name)
             items.append(item.changed(name=name))
     together = Trajectories(items)
     return together.unwrap(layout.angles) if layout.angles else together
 
 
-def _free_name(name: str, taken: set[str]) -> str:
+def free_name(name: str, taken: set[str]) -> str:
+    """Return a name that is not taken: the given one, or with the first number behind it that is free."""
     number, free = 2, name
     while free in taken:
         free, number = f"{name}-{number}", number + 1
     return free
+
+
+def listed_paths(path: StrPath | Iterable[StrPath]) -> list[Path]:
+    """Return one path or several as a list.
+
+    Raises
+    ------
+    InputError
+        If there is no path, or two paths are the same file.
+    """
+    paths = [check_path(item) for item in _listed(path)]
+    if not paths:
+        raise InputError("there is no file to read; give at least one path")
+    seen: set[str] = set()
+    for file in paths:
+        if os.path.realpath(file) in seen:
+            raise InputError(f"{file} is given twice; give each file once")
+        seen.add(os.path.realpath(file))
+    return paths
 
 
 def _listed(path: StrPath | Iterable[StrPath]) -> list[StrPath]:

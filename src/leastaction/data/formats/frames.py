@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,13 @@ from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
 
-__all__ = ["frame_table", "read_parquet_table", "trial_name"]
+__all__ = ["frame_table", "parquet_tables", "read_parquet_table", "trial_name"]
 
 
-def frame_table(frame: Any, layout: Layout, source: str = "data frame") -> tuple[Layout, Table]:
-    """Take the columns of `layout` from a data frame.
+def frame_table(
+    frame: Any, layout: Layout, source: str = "data frame", before: int = 0
+) -> tuple[Layout, Table]:
+    """Take the columns of `layout` from a data frame, which may follow ``before`` rows of others.
 
     Raises
     ------
@@ -42,7 +45,7 @@ def frame_table(frame: Any, layout: Layout, source: str = "data frame") -> tuple
     found = layout.find(table.columns, source)
 
     def place(row: int) -> str:
-        return f"row {row} (counted from 0)"
+        return f"row {before + row} (counted from 0)"
 
     numbers = {name: _numbers(table.get_column(name), name, source) for name in found.numbers}
     trials = None
@@ -63,6 +66,43 @@ def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     InputError
         If pyarrow is not installed, the file cannot be read, or as `frame_table`.
     """
+    with _parquet(path) as file:
+        found = layout.find(file.schema_arrow.names, str(path))
+        table = file.read(columns=_wanted(found))
+    return frame_table(table, found, str(path))
+
+
+def parquet_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
+    """The same by row groups, one after the other; only one of them is in memory.
+
+    Raises
+    ------
+    InputError
+        As `read_parquet_table`; for what is wrong in a row group, when it is reached.
+    """
+    with _parquet(path) as file:
+        found = layout.find(file.schema_arrow.names, str(path))
+
+    def tables() -> Iterator[Table]:
+        before = 0
+        with _parquet(path) as file:
+            for k in range(file.num_row_groups):
+                group = file.read_row_group(k, columns=_wanted(found))
+                table = frame_table(group, found, str(path), before)[1]
+                before += group.num_rows
+                if group.num_rows:
+                    yield table
+
+    return found, tables()
+
+
+def _wanted(layout: Layout) -> list[str]:
+    return [*layout.numbers, *([] if layout.trial is None else [layout.trial])]
+
+
+@contextmanager
+def _parquet(path: Path) -> Generator[Any]:
+    """An open Parquet file."""
     try:
         import pyarrow.parquet as parquet
     except ImportError:
@@ -71,15 +111,12 @@ def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
         raise InputError(f"{path} is not a Parquet file; check what wrote it")
     try:
         with parquet.ParquetFile(path) as file:
-            found = layout.find(file.schema_arrow.names, str(path))
-            wanted = [*found.numbers, *([] if found.trial is None else [found.trial])]
-            table = file.read(columns=wanted)
-    except InputError:
+            yield file
+    except (InputError, GeneratorExit):
         raise
     except Exception as error:  # a damaged file can fail in many ways
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path} is a damaged Parquet file ({reason}); write it again") from None
-    return frame_table(table, found, str(path))
 
 
 def trial_name(value: object) -> str:

@@ -21,7 +21,7 @@ __all__ = ["price_of_terms", "run"]
 
 def price_of_terms(fit: Fit, relevance: float) -> float:
     """What a term must lower −2 log likelihood by: its price, and its share of the equation error."""
-    return penalty(fit.grid) + relevance * float(fit.weights.slack.sum())
+    return penalty(fit.grid) + fit.relevant_gain(relevance)
 
 
 def run(search: Search) -> Search:

@@ -13,9 +13,8 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.shapes import fit_shapes
 from leastaction.selection.likelihood_refinement import penalty, refine, value
 from leastaction.selection.search_state import Search
-from leastaction.selection.strategies.shape_start import posed
 
-__all__ = ["run", "settle"]
+__all__ = ["run"]
 
 _ROUNDS = 4
 
@@ -31,12 +30,7 @@ def run(search: Search) -> Search:
         if better is None:
             break
         fit = better
-    return settle(search, fit)
-
-
-def settle(search: Search, fit: Fit) -> Search:
-    """The search with a fit, and with its numbers of the shape parameters."""
-    return posed(search.now(fit), fit.problem.shape_values)
+    return search.now(fit).at(fit.problem.shape_values)
 
 
 def _smaller(fit: Fit) -> Fit | None:

@@ -10,17 +10,14 @@ Skipped where no candidate has shape parameters.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
-
-import numpy as np
-from scipy.stats import qmc
+from collections.abc import Iterable, Sequence
 
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.shape_ranges import shape_starts
 from leastaction.selection.search_state import Search
 from leastaction.selection.shape_profile import Profile, ProfilePoint
 
-__all__ = ["run"]
+__all__ = ["place", "run"]
 
 _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
 _MOST_STARTS = 512
@@ -35,21 +32,17 @@ def run(search: Search) -> Search:
     if not problem.ranges:
         return search
     search.report("shapes", {})
+    point = place(search)
+    return search if point is None else search.at(point.values)
+
+
+def place(search: Search, most: int = _MOST_STARTS) -> ProfilePoint | None:
+    """All shape parameters of the grid's problem, those of one candidate after those of another.
+
+    Of each candidate with shape parameters ``most`` starts are tried; None where it is undefined at all.
+    """
+    problem = search.grid.problem
     profile = Profile(search.grid, search.curve, search.seed)
-    point = _placed(profile, problem)
-    if point is None:
-        return search
-    return posed(search, dict(point.values))
-
-
-def posed(search: Search, values: dict[str, float]) -> Search:
-    """The search with other numbers for its shape parameters."""
-    whole, searched, gridded = (p.at(values) for p in (search.problem, search.searched, search.grid.problem))
-    return replace(search, problem=whole, searched=searched, grid=search.grid.posed(gridded))
-
-
-def _placed(profile: Profile, problem: Problem) -> ProfilePoint | None:
-    """All shape parameters, those of one candidate after those of another."""
     values: dict[str, float] = {}
     best: ProfilePoint | None = None
     groups = _groups(problem)
@@ -57,7 +50,9 @@ def _placed(profile: Profile, problem: Problem) -> ProfilePoint | None:
         for group in groups:
             others = {n: v for n, v in values.items() if n not in group}
             bearers = _determined(problem, {*others, *group})
-            found = _best(profile, bearers, others, _starts(problem, group))
+            count = min(_STARTS.get(len(group), _MOST_STARTS), most)
+            starts = shape_starts({name: problem.ranges[name] for name in group}, count)
+            found = _best(profile, bearers, others, starts)
             complete = best is not None and set(best.values) == {*others, *group}
             if found is not None and not (complete and best is not None and best.score <= found.score):
                 best, values = found, dict(found.values)
@@ -79,18 +74,6 @@ def _groups(problem: Problem) -> list[tuple[str, ...]]:
 def _determined(problem: Problem, names: set[str]) -> list[int]:
     """Candidates all of whose shape parameters have numbers."""
     return [k for k, term in enumerate(problem.terms) if term.shapes and names.issuperset(term.shapes)]
-
-
-def _starts(problem: Problem, group: Sequence[str]) -> Iterator[dict[str, float]]:
-    """Numbers over the ranges: even for one parameter, a Sobol sequence for several."""
-    ranges = [problem.ranges[name] for name in group]
-    count = _STARTS.get(len(group), _MOST_STARTS)
-    if len(group) == 1:
-        yield from ({group[0]: x} for x in ranges[0].starts(count).tolist())
-        return
-    shares = qmc.Sobol(len(group), seed=0).random_base2(int(np.ceil(np.log2(count))))
-    for row in shares[:count]:
-        yield {n: r.at(x) for n, r, x in zip(group, ranges, row.tolist(), strict=True)}
 
 
 def _best(

@@ -1,0 +1,174 @@
+"""Files read piece by piece, trial by trial, into a temporary file that stands in for memory.
+
+Text is slow to read, and a fit goes along a motion some dozens of times. So every trial is read once, checked
+as by the other readers, and put down as plain numbers in a temporary file, which is mapped into memory: the
+operating system fetches what is looked at, and lets go of it when memory is short.
+"""
+
+from __future__ import annotations
+
+import mmap
+import tempfile
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from leastaction.data.formats.csv import csv_tables
+from leastaction.data.formats.dispatch import StrPath, free_name, listed_paths, stem
+from leastaction.data.formats.frames import parquet_tables
+from leastaction.data.formats.layout import Layout, Table, to_trajectories
+from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectory import FIELDS, Trajectory
+from leastaction.data.validation import FloatArray
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+__all__ = ["streamed_trajectories"]
+
+
+def streamed_trajectories(path: StrPath | Iterable[StrPath], layout: Layout) -> Trajectories:
+    """Read files trial by trial; the samples end up in a temporary file.
+
+    Raises
+    ------
+    InputError, DataError
+        As the readers of whole files; also for a suffix that cannot be read in pieces.
+    """
+    paths = listed_paths(path)
+    taken: set[str] = set()
+    with tempfile.TemporaryFile(prefix="leastaction-") as file:
+        store = _Store(file)
+        for source in paths:
+            found, pieces = _pieces(source, layout)
+            for table in _trials(pieces, found.trial):
+                part = to_trajectories(found, table, name=stem(source))
+                name = part[0].name
+                if len(paths) > 1:
+                    name = free_name(stem(source) + (f"/{name}" if table.trials is not None else ""), taken)
+                taken.add(name)
+                store.add(part, name)
+        return store.trajectories()
+
+
+def _pieces(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
+    """The layout with the names of a file, and its rows, some at a time."""
+    name = path.name.lower()
+    suffix = Path(name.removesuffix(".gz")).suffix
+    if suffix in (".csv", ".tsv", ".txt", ".dat"):
+        return csv_tables(path, layout)
+    if name.endswith((".parquet", ".pq")):
+        return parquet_tables(path, layout)
+    raise InputError(
+        f"{path}: the suffix {quoted(path.suffix)} cannot be read in pieces; use CSV text (.csv, .tsv, .txt "
+        "or .dat, also with .gz) or .parquet, or read the file as a whole"
+    )
+
+
+def _trials(pieces: Iterable[Table], column: str | None) -> Iterator[Table]:
+    """One table for each trial; its rows may be in several pieces."""
+    waiting: list[Table] = []
+    began: dict[str, str] = {}
+    for piece in pieces:
+        for part in _runs(piece):
+            if waiting and _label(part) != _label(waiting[0]):
+                yield _joined(waiting)
+                waiting = []
+            if not waiting:
+                label, place = _label(part), part.place(0)
+                if label in began:
+                    raise InputError(
+                        f"{part.source}, {place}, column {quoted(column)}: trial {quoted(label)} goes on "
+                        f"after another trial (it began at {began[label]}); keep the rows of a trial together"
+                    )
+                began[label] = place
+            waiting.append(part)
+    if waiting:
+        yield _joined(waiting)
+
+
+def _label(table: Table) -> str:
+    return "" if table.trials is None else table.trials[0]
+
+
+def _runs(table: Table) -> Iterator[Table]:
+    """Parts of a table that belong to one trial each."""
+    size = len(next(iter(table.numbers.values())))
+    cuts = [0, size]
+    if table.trials is not None:
+        labels = np.asarray(table.trials, dtype=object)
+        cuts = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1).tolist(), size]
+    for a, b in pairwise(cuts):
+        if a < b:
+            yield _rows(table, a, b)
+
+
+def _rows(table: Table, start: int, stop: int) -> Table:
+    def place(row: int) -> str:
+        return table.place(start + row)
+
+    numbers = {name: values[start:stop] for name, values in table.numbers.items()}
+    trials = None if table.trials is None else table.trials[start:stop]
+    return Table(table.source, numbers, trials, place)
+
+
+def _joined(tables: list[Table]) -> Table:
+    """The rows of successive tables of one trial."""
+    if len(tables) == 1:
+        return tables[0]
+    first = tables[0]
+    starts = np.cumsum([0] + [len(next(iter(table.numbers.values()))) for table in tables]).tolist()
+
+    def place(row: int) -> str:
+        k = bisect_right(starts, row) - 1
+        return tables[k].place(row - starts[k])
+
+    numbers = {name: np.concatenate([table.numbers[name] for table in tables]) for name in first.numbers}
+    trials = None if first.trials is None else [_label(first)] * starts[-1]
+    return Table(first.source, numbers, trials, place)
+
+
+class _Store:
+    """Trajectories whose arrays are put down in a file."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self._kept: list[_Kept] = []
+        self._end = 0
+
+    def add(self, part: Trajectories, name: str) -> None:
+        """Put down the arrays of a single trajectory."""
+        places: dict[str, tuple[int, tuple[int, ...]]] = {}
+        for field in FIELDS:
+            array: FloatArray | None = getattr(part[0], field)
+            if array is not None:
+                self._file.write(array.tobytes())
+                places[field] = (self._end, array.shape)
+                self._end += array.size
+        self._kept.append(_Kept(name, part.coordinates, tuple(part.wraps_removed.values()), places))
+
+    def trajectories(self) -> Trajectories:
+        """All of them, with arrays that are mapped."""
+        self._file.flush()
+        # the arrays keep the map, and the map the file, although that is closed and has no name any more
+        numbers = np.frombuffer(mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.float64)
+        items: list[Trajectory] = []
+        for kept in self._kept:
+            arrays: dict[str, FloatArray] = {
+                field: numbers[start : start + int(np.prod(shape))].reshape(shape)
+                for field, (start, shape) in kept.places.items()
+            }
+            items.append(Trajectory.of(arrays, kept.coordinates, kept.name))
+        return Trajectories.with_wraps(items, [kept.wraps for kept in self._kept])
+
+
+class _Kept(NamedTuple):
+    """A trajectory whose numbers are in the file: where they begin, and their shapes."""
+
+    name: str
+    coordinates: tuple[str, ...]
+    wraps: tuple[int, ...]
+    places: dict[str, tuple[int, tuple[int, ...]]]

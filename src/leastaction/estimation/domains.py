@@ -1,0 +1,62 @@
+"""Candidates that a grammar offers and these data leave undefined: log x where x is not positive, 1/0."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+import numpy as np
+import sympy as sp
+
+from leastaction.library import Library, Term
+
+__all__ = ["undefined_along"]
+
+
+def undefined_along(
+    library: Library, states: Mapping[str, np.ndarray], keep: Collection[Term] = ()
+) -> tuple[Term, ...]:
+    """Terms with a description length, which nobody wrote down, whose domain the motion leaves.
+
+    What is under a fraction, root or logarithm must not change its sign along the motion, and be positive
+    for roots and logarithms.
+
+    Parameters
+    ----------
+    library : Library
+    states : mapping of str to (n_points,) array
+        Coordinates and velocities along a motion.
+    keep : collection of Term
+        Terms that somebody did write down.
+
+    Examples
+    --------
+    >>> motion = {"x": np.linspace(-1.0, 1.0, 5), "x_dot": np.ones(5)}
+    >>> [term.text for term in undefined_along(Library.symbolic(["x"]), motion)]
+    ['1/x', 'log(x)', 'sqrt(x)', '1/x**2']
+    """
+    grown = [t for t, length in zip(library.terms, library.lengths, strict=True) if length is not None]
+    cache: dict[sp.Expr, tuple[float, float]] = {}
+
+    def span(inside: sp.Expr) -> tuple[float, float]:
+        if inside not in cache:
+            symbols = sorted(inside.free_symbols, key=str)
+            function = sp.lambdify(symbols, inside, modules="numpy", dummify=True)
+            with np.errstate(all="ignore"):
+                values = np.asarray(function(*(states[str(s)] for s in symbols)))
+            cache[inside] = float(values.min()), float(values.max())
+        return cache[inside]
+
+    def defined(term: Term) -> bool:
+        spans = ((span(inside), positive) for inside, positive in _conditions(term.expr))
+        return all(low > 0.0 or (high < 0.0 and not positive) for (low, high), positive in spans)
+
+    return tuple(term for term in grown if term not in keep and not defined(term))
+
+
+def _conditions(expr: sp.Expr) -> Iterator[tuple[sp.Expr, bool]]:
+    """What must not vanish, and whether it must be positive."""
+    for part in sp.preorder_traversal(expr):
+        if isinstance(part, sp.log):
+            yield part.args[0], True
+        elif isinstance(part, sp.Pow) and not (part.exp.is_Integer and int(part.exp) > 0):
+            yield part.base, not part.exp.is_Integer

@@ -1,0 +1,94 @@
+"""Equal laws: the one that is reported has the fewest terms, then the shortest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from leastaction import systems
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.structure import Structure
+from leastaction.selection.likelihood_refinement import value
+from leastaction.selection.search_state import begin_search
+from leastaction.selection.strategies import shortest_form
+
+SPHERICAL = systems.get("spherical_pendulum")
+LAW = {"theta_dot**2", "cos(theta)", "phi_dot**2*sin(theta)**2"}
+# the search knows cos 2θ and not sin² θ: earlier terms stay
+LONG = ["theta_dot**2", "cos(theta)", "phi_dot**2", "phi_dot**2*cos(2*theta)", "phi_dot**2*sin(theta)**2"]
+
+
+def library(texts: list[str], system=SPHERICAL) -> la.Library:
+    """Some terms of the grammar in a sequence of our own."""
+    grown = la.Library.symbolic(system.coordinates, system.angles)
+    return grown.replace(terms=[grown[grown.index(text)] for text in texts])
+
+
+@pytest.fixture(scope="module")
+def data() -> la.Trajectories:
+    return systems.generate(SPHERICAL, noise=0.02, trials=2, duration=6.0, seed=3)
+
+
+def test_two_terms_that_are_one_are_written_as_one(data):
+    model = la.discover(data, library(LONG))
+    assert {term.expression for term in model.terms} == LAW
+    assert all(
+        abs(t.coefficient - SPHERICAL.lagrangian[t.expression]) < 4.5 * t.standard_error for t in model.terms
+    )
+    # the model is that of its own terms
+    again = la.discover(data, library([*LONG[:2], LONG[-1]]))
+    of = {term.expression: term for term in again.terms}
+    for term in model.terms:
+        assert term.coefficient == pytest.approx(
+            of[term.expression].coefficient, abs=0.05 * term.standard_error
+        )
+        assert term.standard_error == pytest.approx(of[term.expression].standard_error, rel=0.02)
+    assert model.fit.status == "ok"
+
+
+def test_a_product_of_sines_is_two_cosines():
+    """The arm on a turning base, its masses along the joints given: sin α sin β stands for two cosines."""
+    texts = ["a_dot**2*cos(a-b)", "a_dot**2*cos(a+b)", "a_dot**2*sin(a)*sin(b)", "a_dot**2*cos(a)*cos(b)"]
+    small = la.Library.symbolic(["a", "b"], ["a", "b"]).reduced()
+    forms = {d.term.text: {t.text: c for c, t in d.combination} for d in small.dropped if d.combination}
+    assert forms["a_dot**2*sin(a)*sin(b)"] == pytest.approx({texts[0]: 0.5, texts[1]: -0.5})
+    assert forms["a_dot**2*cos(a)*cos(b)"] == pytest.approx({texts[0]: 0.5, texts[1]: 0.5})
+    assert all(form.length is not None for form in small.dropped if form.combination)
+
+
+def test_libraries_without_lengths_are_left_alone(data):
+    setup = build_problem(data, Request(LONG, {}))
+    search = begin_search(setup)
+    fit = search.grid.fit(*_start(search))
+    search = search.now(fit)
+    assert shortest_form.run(search) is search
+
+
+def test_the_candidates_stay_independent_and_the_value_rises(data):
+    """In the place of a member is a form; what could be written before can be written still."""
+    setup = build_problem(data, Request(library([*LONG, "phi_dot**2*cos(theta)**2"]), {}))
+    search = begin_search(setup)
+    search = search.now(search.grid.fit(*_start(search)))
+    assert {form.term.text for form in search.problem.forms} == {
+        "phi_dot**2*sin(theta)**2",
+        "phi_dot**2*cos(theta)**2",
+    }
+    after = shortest_form.run(search)
+    assert value(after.found) > value(search.found)
+    assert {after.problem.terms[m].text for m in after.found.structure} == LAW
+    assert len(after.problem.terms) == len(search.problem.terms)
+    texts = [term.text for term in after.problem.terms]
+    assert len(la.Library(texts, SPHERICAL.coordinates).reduced()) == len(texts)
+    assert after.problem.surcharges.shape == after.problem.known.shape
+    assert after.grid.problem is after.found.problem
+
+
+def _start(search):
+    """All candidates, from the smooth curve and what a fit without choice makes of them."""
+    structure = Structure(search.problem.free)
+    guess = {"theta_dot**2": 0.5, "cos(theta)": 9.81, "phi_dot**2": 0.25, "phi_dot**2*cos(2*theta)": -0.25}
+    coefficients = np.array([guess.get(term.text, 0.0) for term in search.problem.terms])
+    return structure, search.grid.start(
+        structure, search.curve.control_points, coefficients, search.curve.noise_std
+    )
