@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.interpolate import make_lsq_spline
 
 from leastaction import systems
@@ -264,6 +265,29 @@ def assert_same_model(a, b, factors=None, *, rtol=2e-3, of_error=0.05) -> None:
         assert abs(other.coefficient - factor * term.coefficient) <= slack, term.expression
         assert other.standard_error == pytest.approx(abs(factor) * term.standard_error, rel=0.02, abs=0.0)
     assert a.fit.status == b.fit.status
+
+
+def free_motions(
+    force: Callable[[float], float],
+    starts: Iterable[float] = (0.5, 0.9, 1.3),
+    noise: float = 0.02,
+    seed: int = 0,
+) -> list[Trajectory]:
+    """Measured motions of ẍ = force(x) from rest, with noise relative to the spread of each."""
+    rng, times = np.random.default_rng(seed), np.linspace(0.0, 15.0, 751)
+    out: list[Trajectory] = []
+    for start in starts:
+        run = solve_ivp(
+            lambda t, y: [y[1], force(y[0])],
+            (0.0, times[-1]),
+            [start, 0.0],
+            t_eval=times,
+            rtol=1e-9,
+            atol=1e-9,
+        )
+        x = run.y[0][:, None]
+        out.append(Trajectory(times, x + noise * x.std() * rng.normal(size=x.shape), coordinates=["x"]))
+    return out
 
 
 # ------------------------------------------------------------------------------- measured rates

@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import leastaction as la
-
-_T = np.linspace(0.0, 15.0, 751)
-
-
-def _runs(force, starts, noise: float = 0.02, seed: int = 0) -> list[la.Trajectory]:
-    """Free motions of ẍ = force(x)."""
-    rng, out = np.random.default_rng(seed), []
-    for start in starts:
-        run = solve_ivp(
-            lambda t, y: [y[1], force(y[0])], (0.0, _T[-1]), [start, 0.0], t_eval=_T, rtol=1e-9, atol=1e-9
-        )
-        x = run.y[0][:, None]
-        out.append(la.Trajectory(_T, x + noise * x.std() * rng.normal(size=x.shape), coordinates=["x"]))
-    return out
+from tests.helpers import free_motions
 
 
 def _named(model: la.LagrangianModel) -> tuple[str, ...]:
@@ -51,7 +37,7 @@ def _named(model: la.LagrangianModel) -> tuple[str, ...]:
     ids=["Morse", "soft Coulomb"],
 )
 def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers):
-    runs, powers = _runs(force, starts), ["x_dot**2", "x", "x**2", "x**3", "x**4"]
+    runs, powers = free_motions(force, starts), ["x_dot**2", "x", "x**2", "x**3", "x**4"]
     doubtful = la.discover(runs, powers, known={"x_dot**2": 0.5})
     assert doubtful.fit.status == "doubtful"
     assert _named(doubtful) == texts
@@ -67,7 +53,7 @@ def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers)
 
 def test_nothing_is_named_where_no_family_helps():
     """A step in the force is none of the dictionary."""
-    runs = _runs(lambda x: -2.0 * x - 3.0 * np.tanh(30.0 * (x - 0.2)), (0.5, 0.9, 1.3))
+    runs = free_motions(lambda x: -2.0 * x - 3.0 * np.tanh(30.0 * (x - 0.2)), (0.5, 0.9, 1.3))
     model = la.discover(runs, ["x_dot**2", "x", "x**2"], known={"x_dot**2": 0.5})
     assert model.fit.status == "doubtful"
     assert not _named(model)

@@ -4,25 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import leastaction as la
 from leastaction.diagnosis import smooth_changes
 from leastaction.estimation.fit import Fit
-
-_T = np.linspace(0.0, 15.0, 751)
-
-
-def _runs(force, noise: float, starts=(0.5, 0.9, 1.3), seed: int = 0) -> list[la.Trajectory]:
-    """Free motions of ẍ = force(x)."""
-    rng, out = np.random.default_rng(seed), []
-    for start in starts:
-        run = solve_ivp(
-            lambda t, y: [y[1], force(y[0])], (0.0, _T[-1]), [start, 0.0], t_eval=_T, rtol=1e-9, atol=1e-9
-        )
-        x = run.y[0][:, None]
-        out.append(la.Trajectory(_T, x + noise * x.std() * rng.normal(size=x.shape), coordinates=["x"]))
-    return out
+from tests.helpers import free_motions
 
 
 def _codes(model: la.LagrangianModel) -> list[str]:
@@ -31,7 +17,7 @@ def _codes(model: la.LagrangianModel) -> list[str]:
 
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_a_right_law_passes(noise):
-    runs = _runs(lambda x: -2.0 * x - 4.0 * x**3, noise)
+    runs = free_motions(lambda x: -2.0 * x - 4.0 * x**3, noise=noise)
     model = la.discover(runs, la.Library.mechanical("x"), known={"x_dot**2": 0.5})
     assert {t.expression for t in model.terms} == {"x_dot**2", "x**2", "x**4"}
     assert model.fit.status == "ok", model.fit.warnings
@@ -39,14 +25,14 @@ def test_a_right_law_passes(noise):
 
 def test_an_imitation_is_not_ok():
     """√|x| cannot be written by powers: they imitate it."""
-    runs = _runs(lambda x: -4.5 * np.sign(x) * np.sqrt(abs(x)), 0.03)
+    runs = free_motions(lambda x: -4.5 * np.sign(x) * np.sqrt(abs(x)), noise=0.03)
     model = la.discover(runs, ["x_dot**2", "x**2", "x**4"], known={"x_dot**2": 0.5})
     assert model.fit.status == "doubtful"
 
 
 def test_data_that_leave_the_form_open_are_told(monkeypatch: pytest.MonkeyPatch):
     """The whole motion is within the noise of a parabola: what the force is beyond it, nobody knows."""
-    runs = _runs(lambda x: -np.sin(3.0 * x), 0.1, starts=(0.9,))
+    runs = free_motions(lambda x: -np.sin(3.0 * x), noise=0.1, starts=(0.9,))
     held: list[Fit] = []
     real = smooth_changes.smooth_changes
     monkeypatch.setattr(smooth_changes, "smooth_changes", lambda fit: (held.append(fit), real(fit))[1])
@@ -54,7 +40,7 @@ def test_data_that_leave_the_form_open_are_told(monkeypatch: pytest.MonkeyPatch)
     few = real(held[0])[0]
     held.clear()
     la.discover(
-        _runs(lambda x: -np.sin(3.0 * x), 0.001, starts=(0.5, 0.7, 0.9)),
+        free_motions(lambda x: -np.sin(3.0 * x), noise=0.001, starts=(0.5, 0.7, 0.9)),
         ["x_dot**2", "cos(3*x)"],
         known={"x_dot**2": 0.5},
     )
@@ -67,7 +53,7 @@ def test_for_the_true_law_the_gain_is_no_more_than_chance():
     gains, freedom = [], []
     held: list[Fit] = []
     for seed in range(6):
-        runs = _runs(lambda x: -2.0 * x, 0.05, starts=(1.0,), seed=seed)
+        runs = free_motions(lambda x: -2.0 * x, noise=0.05, starts=(1.0,), seed=seed)
         held.clear()
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
@@ -85,7 +71,7 @@ def test_for_the_true_law_the_gain_is_no_more_than_chance():
 
 def test_a_shape_parameter_takes_up_a_change_of_its_own_kind():
     """With the right family no smooth change is left, however many bumps are offered."""
-    runs = _runs(lambda x: -3.0 * (np.exp(-x) - np.exp(-2.0 * x)), 0.03)
+    runs = free_motions(lambda x: -3.0 * (np.exp(-x) - np.exp(-2.0 * x)), noise=0.03)
     terms = ["x_dot**2", "exp(-{a}*x)", "exp(-2*{a}*x)"]
     model = la.discover(runs, terms, known={"x_dot**2": 0.5})
     assert model.fit.status == "ok", model.fit.warnings

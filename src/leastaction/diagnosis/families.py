@@ -11,23 +11,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import ModuleType
 
 import numpy as np
 
+from leastaction.diagnosis.beside import beside, gain_of
 from leastaction.diagnosis.missing_terms import missing_term
-from leastaction.diagnosis.smooth_changes import doubts_about_the_form, explained
+from leastaction.diagnosis.smooth_changes import doubts_about_the_form
+from leastaction.diagnosis.wider_search import MOST_SAMPLES, searched_with
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges, shape_starts
 from leastaction.findings import Finding, find
 from leastaction.library import Term, make_term, shape_names
 from leastaction.selection.likelihood_refinement import penalty, value
 from leastaction.selection.progress import silent
-from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit, weak_start
 from leastaction.selection.strategies.shape_start import place
 
-__all__ = ["Family", "families", "lacking_family", "named_family"]
+__all__ = ["lacking_family", "named_family"]
 
 _STARTS = 64  # numbers tried of a family with several shape parameters
 _PROFILED = 5  # families whose numbers are looked for on the weak form
@@ -49,20 +50,25 @@ _BOTH_SIGNS = (("abs(X)**{n}",),)
 
 
 @dataclass(frozen=True)
-class Family:
-    """Terms with unknown numbers that belong together, and where to look for these.
+class _Offer:
+    """Terms with unknown numbers that belong together.
 
     Attributes
     ----------
-    terms : tuple of Term
+    terms : list of Term
+        With the best of their numbers.
     ranges : mapping of str to ShapeRange
+        Where to look for better ones.
+    worth : float
+        By how much −2 log likelihood falls with them, less what they cost.
     """
 
-    terms: tuple[Term, ...]
+    terms: list[Term]
     ranges: Mapping[str, ShapeRange]
+    worth: float
 
 
-def families(fit: Fit, kinetic: bool = False) -> Iterator[Family]:
+def _offers(fit: Fit, kinetic: bool) -> Iterator[_Offer]:
     """The dictionary for the one coordinate of a fit; with ``kinetic``, masses that depend on it."""
     (name,), points = fit.problem.coordinates, fit.points()
     states = dict(zip((name, f"{name}_dot"), map(np.asarray, points.columns), strict=False))
@@ -75,7 +81,7 @@ def families(fit: Fit, kinetic: bool = False) -> Iterator[Family]:
         ranges = shape_ranges(terms, states, {})
         if texts in _BOTH_SIGNS:  # negative powers are infinite where the coordinate changes its sign
             ranges = {n: replace(found, low=_LOWEST, bounded=True) for n, found in ranges.items()}
-        yield Family(tuple(terms), ranges)
+        yield _offer(fit, terms, ranges)
 
 
 def named_family(doubt: Finding, search: Search) -> Finding:
@@ -109,18 +115,20 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
     fit = search.found
     if len(fit.problem.coordinates) > 1 or fit.problem.candidates.turning:
         return None
+    if fit.problem.trajectories.n_samples > MOST_SAMPLES:
+        return None
     if not (fit.converged and np.isfinite(fit.evidence)):
         return None
-    offers = sorted((_offer(fit, f) for f in families(fit, kinetic)), key=lambda offer: -offer.worth)
+    offers = sorted(_offers(fit, kinetic), key=lambda offer: -offer.worth)
     posed = [_posed(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
     points = [(point.score, at.at(point.values)) for at in posed if (point := place(at, _STARTS)) is not None]
     begun = [at for _, at in sorted(points, key=lambda pair: pair[0])[:_SEARCHED]]
-    searched = [_through(at, weak_start, shape_fit) for at in begun]
+    searched = [searched_with(at, weak_start, shape_fit) for at in begun]
     for at in sorted(searched, key=lambda at: -value(at.found)):
         if value(at.found) <= value(fit):
             break
         # on knots for the motion of another law, the right one may be off
-        found = _through(at, finer_knots, shape_fit, feeding_friction).found
+        found = searched_with(at, finer_knots, shape_fit, feeding_friction).found
         used = {*found.problem.shapes_of(found.structure)} - {*fit.problem.ranges}
         holds = found.converged and equations_hold(found)
         if used and holds and not doubts_about_the_form(found, search.relevance):
@@ -128,45 +136,20 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
     return None
 
 
-def _through(search: Search, *strategies: ModuleType) -> Search:
-    for strategy in strategies:
-        search = strategy.run(search)
-    return search
-
-
-@dataclass(frozen=True)
-class _Offer:
-    """A family with the best of its numbers, and by how much it should help."""
-
-    family: Family
-    terms: list[Term]
-    worth: float
-
-
-def _offer(fit: Fit, family: Family) -> _Offer:
+def _offer(fit: Fit, terms: list[Term], ranges: Mapping[str, ShapeRange]) -> _Offer:
     """The numbers with which −2 log likelihood falls the most, and by how much, less what they cost."""
-    starts = [[t.at(numbers) for t in family.terms] for numbers in shape_starts(family.ranges, _STARTS)]
+    starts = [[t.at(numbers) for t in terms] for numbers in shape_starts(ranges, _STARTS)]
     base = [fit.problem.terms[m] for m in fit.structure]
     flat = [term for start in starts for term in start]
-    quadratic = fit.score(fit.problem.candidates.of([*base, *flat]))
-    scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
-    matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
-    here, count = list(range(len(base))), len(family.terms)
-    before = explained(matrix[np.ix_(here, here)], gradient[here])[0]
-    gains: list[float] = []
-    for k in range(len(starts)):
-        index = [*here, *range(len(base) + k * count, len(base) + (k + 1) * count)]
-        gains.append(explained(matrix[np.ix_(index, index)], gradient[index])[0] - before)
+    model, here = beside(fit, fit.problem.candidates.of([*base, *flat]))
+    places = range(len(base), len(base) + len(flat), len(terms))
+    gains = [gain_of(model, here, *range(place, place + len(terms))) for place in places]
     best = int(np.argmax(gains))
-    price = penalty(fit.grid) * (count + len(family.ranges))
-    return _Offer(family, starts[best], gains[best] - price)
+    return _Offer(starts[best], ranges, gains[best] - penalty(fit.grid) * (len(terms) + len(ranges)))
 
 
 def _posed(search: Search, offer: _Offer) -> Search:
     """A search on the grid of the fit that has the offer among its candidates."""
     before = search.found.problem
-    ranges = {**before.ranges, **offer.family.ranges}
-    problem = replace(before.wider(offer.terms), ranges=ranges)
-    grid = search.found.grid.posed(problem)
-    posed = replace(search, problem=problem, searched=problem, grid=grid, curve=grid.smooth())
-    return replace(posed, fit=None, feeding=(), report=silent)
+    problem = replace(before.wider(offer.terms), ranges={**before.ranges, **offer.ranges})
+    return restarted(replace(search, report=silent), search.found.grid.posed(problem))

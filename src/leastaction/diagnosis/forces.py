@@ -11,7 +11,6 @@ both have been freed of what the terms of the model could take up.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -52,7 +51,7 @@ def exchanged_forces(search: Search) -> list[Finding]:
         exchanged = [None if f is None else f[:, order] for f in given]
         if all(f is None or np.array_equal(f, f[:, order]) for f in given):
             continue
-        found = begun_anew(replace(search, grid=fit.grid.pushed(exchanged), curve=curve))
+        found = begun_anew(search, fit.grid.pushed(exchanged), curve)
         if found is not None and value(found) - value(fit) > most:
             best, most = (i, j), value(found) - value(fit)
     if best is None:

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
+from leastaction.diagnosis.beside import beside, gain_of
 from leastaction.diagnosis.cause import Cause
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
@@ -38,7 +39,7 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     if not tested:
         return []
     candidates = columns.of([*(columns.terms[m] for m in fit.structure), *tested])
-    model, base = _beside(fit, candidates)
+    model, base = beside(fit, candidates)
     found, gain = _most_likely(model, base, dict(enumerate(tested, len(base))))
     if gain <= fit.relevant_gain(relevance):
         return []
@@ -46,7 +47,7 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     values = model.solution((*base, *found))
     for k in found:
         term, value = candidates.terms[k], float(values[k])
-        gain = _gain(model, (*base, *(other for other in found if other != k)), k)
+        gain = gain_of(model, (*base, *(other for other in found if other != k)), k)
         if value > 0.0:
             out.append(unmodelled_friction(term, coefficient=value, gain=gain))
         else:
@@ -69,7 +70,7 @@ def _most_likely(
     prices = {k: chi_square_cutoff(1 if _viscous(term) else 2, count) for k, term in tested.items()}
 
     def value(chosen: tuple[int, ...]) -> float:
-        return _gain(model, base, *chosen) - sum(prices[k] for k in chosen)
+        return gain_of(model, base, *chosen) - sum(prices[k] for k in chosen)
 
     chosen: tuple[int, ...] = ()
     while True:
@@ -142,26 +143,13 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     rates = force_rates(fit.grid.spline, fit.grid.times, given)
     chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(rates))
-    model, base = _beside(fit, late)
-    gain = _gain(model, base, len(base))
+    model, base = beside(fit, late)
+    gain = gain_of(model, base, len(base))
     if gain <= chi_square_cutoff() + fit.relevant_gain(relevance):
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < DIAGNOSIS.half_a_sample
     return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
-
-
-def _beside(fit: Fit, candidates: EulerLagrange) -> tuple[QuadraticModel, tuple[int, ...]]:
-    """Quadratic model of the chosen terms and those behind them, and places of the chosen."""
-    quadratic, chosen = fit.score(candidates), len(fit.structure)
-    here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
-    model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
-    return model, tuple(range(chosen))
-
-
-def _gain(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
-    """By how much further terms lower −2 log likelihood."""
-    return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost
 
 
 def wrong_known(fit: Fit) -> list[Cause]:

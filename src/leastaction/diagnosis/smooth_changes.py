@@ -27,7 +27,7 @@ from leastaction.library import Term, make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["SmoothChange", "doubts_about_the_form", "explained", "smooth_changes"]
+__all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
 
 _ALONE, _TOGETHER = 8, 5  # centres along a coordinate: of one, of each of two
 _KINETIC = 5
@@ -121,8 +121,8 @@ def _change(fit: Fit, kind: str, terms: list[Term]) -> SmoothChange:
     quadratic = fit.score(candidates)
     scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
     matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
-    before, own = explained(matrix[: len(base), : len(base)], gradient[: len(base)])
-    after, root = explained(matrix, gradient)
+    before, own = _explained(matrix[: len(base), : len(base)], gradient[: len(base)])
+    after, root = _explained(matrix, gradient)
     shift, spread = _accelerations(
         fit, candidates, -scale * (root @ (root.T @ gradient)), scale[:, None] * root
     )
@@ -138,7 +138,7 @@ def _tangents(fit: Fit) -> list[Term]:
     return list(wide.terms[len(fit.problem.terms) :])
 
 
-def explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
+def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
     """gᵀ A⁻¹ g and a root R of A⁻¹ = R Rᵀ, over the directions that differ."""
     values, vectors = np.linalg.eigh(matrix)
     kept = values > _DEPENDENT * values[-1]

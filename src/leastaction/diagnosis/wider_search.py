@@ -8,30 +8,38 @@ again.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 import sympy as sp
 
+from leastaction.curve.smoothing import Smooth
 from leastaction.diagnosis.friction import unmodelled_friction, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
 from leastaction.selection.progress import silent
-from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, weak_start
 
-__all__ = ["MOST_SAMPLES", "begun_anew", "search_afresh"]
+__all__ = ["MOST_SAMPLES", "begun_anew", "search_afresh", "searched_with"]
 
 MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
-def begun_anew(search: Search) -> Fit | None:
-    """What is found on the grid of the search, if its equations hold and every term is certain."""
-    search = replace(search, fit=None, feeding=(), report=silent)
-    for strategy in (weak_start, feeding_friction):
+def searched_with(search: Search, *strategies: ModuleType) -> Search:
+    """What a few strategies find, one after another."""
+    for strategy in strategies:
         search = strategy.run(search)
-    found = search.found
+    return search
+
+
+def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit | None:
+    """What is found on a grid of all data, if its equations hold and every term is certain."""
+    begun = restarted(replace(search, report=silent), grid, curve)
+    found = searched_with(begun, weak_start, feeding_friction).found
     if not (found.converged and equations_hold(found)):
         return None
     certain = np.abs(found.estimates) >= DIAGNOSIS.certain * found.standard_errors
@@ -46,8 +54,7 @@ def search_afresh(search: Search) -> list[Finding]:
     more = [*common_terms(fit.problem.candidates, "standard"), *friction]
     if not more:
         return []
-    grid = fit.grid.posed(fit.problem.wider(more))
-    found = begun_anew(replace(search, grid=grid, curve=grid.smooth()))
+    found = begun_anew(search, fit.grid.posed(fit.problem.wider(more)))
     if found is None:
         return []
     new = [m for m in found.structure if m >= len(fit.problem.candidates)]

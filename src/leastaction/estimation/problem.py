@@ -102,10 +102,13 @@ class Problem:
     @cached_property
     def surcharges(self) -> np.ndarray:
         """(n_candidates,) what each costs in a search beyond the usual log n + 2 log K, in units of χ²."""
-        if self.lengths is None:
-            return np.zeros(self.known.size)
+        return np.zeros(self.known.size) if self.lengths is None else self.surcharges_of(self.lengths)
+
+    def surcharges_of(self, lengths: Iterable[float | None]) -> np.ndarray:
+        """2 (ℓ − log K) for terms of description length ℓ; 0 where there is none, NaN or None."""
+        found = np.array([np.nan if length is None else length for length in lengths])
         alike = np.log(max(np.count_nonzero(~self.is_known), 1))
-        return np.where(np.isnan(self.lengths), 0.0, 2.0 * (self.lengths - alike))
+        return np.where(np.isnan(found), 0.0, 2.0 * (found - alike))
 
     @cached_property
     def shape_values(self) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 from leastaction.findings import because
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.model import LagrangianModel
-from leastaction.model.notation import rounded
+from leastaction.model.notation import interval_text
 from leastaction.model.term import ModelTerm
 from leastaction.report.mathml import Notation, number_parts
 from leastaction.report.series import Series
@@ -62,14 +62,13 @@ def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, A
 def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str, Any]:
     error = term.standard_error
     number = number_parts(term.coefficient, error)
-    ends = [typeset(rounded(end, error)) for end in (term.lower, term.upper)] if error > 0 else []
     return {
         "term": notation.term(term.written),
         "text": term.written,
         "value": number.text,
         "error": number.error_text,
         "whisker": whisker(term, key),
-        "interval": " … ".join(ends),
+        "interval": " … ".join(map(typeset, interval_text(term).split(" … "))),
         "z": _z_text(term.z),
         "known": term.known,
     }

@@ -22,6 +22,7 @@ __all__ = ["Alternative", "find_alternatives"]
 
 _FITTED = 3  # of those that the quadratic model prefers to the fit
 _EXCHANGED = 64  # structures that are tested, where no other of the fit's size can be solved
+_SHOWN = 3  # of those that can be
 _GAIN = 1e-3  # of −2 log likelihood: less is rounding
 
 
@@ -98,7 +99,7 @@ def _exchanged(near: Neighbourhood) -> list[Choice]:
     places among the best of a size.
     """
     ranked = near.model.best(near.model.neighbours(near.here).exchanged(_EXCHANGED), _EXCHANGED)
-    return list(islice((c for c in ranked if near.regular(c.members)), _FITTED))
+    return list(islice((c for c in ranked if near.regular(c.members)), _SHOWN))
 
 
 def _reason(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -91,10 +91,14 @@ class Search:
         """The search with another fit, and its grid."""
         return replace(self, fit=fit, grid=fit.grid, **changes)
 
+    def posed(self, change: Callable[[Problem], Problem]) -> Search:
+        """The same search for a problem that is changed, on all of its data."""
+        whole, searched, gridded = map(change, (self.problem, self.searched, self.grid.problem))
+        return replace(self, problem=whole, searched=searched, grid=self.grid.posed(gridded))
+
     def at(self, shapes: Mapping[str, float]) -> Search:
         """The search with other numbers for its shape parameters."""
-        whole, searched, gridded = (p.at(shapes) for p in (self.problem, self.searched, self.grid.problem))
-        return replace(self, problem=whole, searched=searched, grid=self.grid.posed(gridded))
+        return self.posed(lambda problem: problem.at(shapes))
 
 
 def begin_search(
@@ -128,10 +132,16 @@ def begin_search(
     )
 
 
-def restarted(search: Search, problem: Problem) -> Search:
-    """The search before it found anything, for another problem on the same data, all of them."""
-    grid = Grid.lay(problem, search.scales.per_second)
-    return replace(search, problem=problem, searched=problem, grid=grid, curve=search.scales.smooth, fit=None)
+def restarted(search: Search, grid: Grid, curve: Smooth | None = None) -> Search:
+    """The search before it found anything, for the problem of another grid on all data.
+
+    Parameters
+    ----------
+    curve : Smooth, optional
+        The smooth curve on that grid; by default it is made.
+    """
+    curve, problem = curve or grid.smooth(), grid.problem
+    return replace(search, problem=problem, searched=problem, grid=grid, curve=curve, fit=None, feeding=())
 
 
 def equations_hold(fit: Fit) -> bool:

@@ -17,7 +17,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["StrPath", "combined_trajectories", "free_name", "listed_paths", "reader_for", "stem"]
+__all__ = ["StrPath", "combined_trajectories", "listed_paths", "reader_for", "stem", "trial_name"]
 
 StrPath = str | os.PathLike[str]
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
@@ -83,18 +83,21 @@ def combined_trajectories(
     for file in paths:
         found, table = (reader or reader_for(file))(file, wrapped)
         for item in to_trajectories(found, table):
-            name = free_name(stem(file) + (f"/{item.name}" if table.trials is not None else ""), taken)
-            taken.add(name)
-            items.append(item.changed(name=name))
+            items.append(item.changed(name=trial_name(file, table, item, taken)))
     together = Trajectories(items)
     return together.unwrap(layout.angles) if layout.angles else together
 
 
-def free_name(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken: the given one, or with the first number behind it that is free."""
+def trial_name(file: Path, table: Table, item: Trajectory, taken: set[str]) -> str:
+    """Name a trial of one file of several, and add the name to those taken.
+
+    Where the name of the file is taken, a number follows it.
+    """
+    name = stem(file) + (f"/{item.name}" if table.trials is not None else "")
     number, free = 2, name
     while free in taken:
         free, number = f"{name}-{number}", number + 1
+    taken.add(free)
     return free
 
 

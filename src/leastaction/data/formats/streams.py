@@ -18,7 +18,7 @@ from typing import IO, NamedTuple
 import numpy as np
 
 from leastaction.data.formats.csv import csv_tables
-from leastaction.data.formats.dispatch import StrPath, free_name, listed_paths, stem
+from leastaction.data.formats.dispatch import StrPath, listed_paths, stem, trial_name
 from leastaction.data.formats.frames import parquet_tables
 from leastaction.data.formats.layout import Layout, Table, to_trajectories
 from leastaction.data.trajectories import Trajectories
@@ -46,11 +46,8 @@ def streamed_trajectories(path: StrPath | Iterable[StrPath], layout: Layout) -> 
             found, pieces = _pieces(source, layout)
             for table in _trials(pieces, found.trial):
                 part = to_trajectories(found, table, name=stem(source))
-                name = part[0].name
-                if len(paths) > 1:
-                    name = free_name(stem(source) + (f"/{name}" if table.trials is not None else ""), taken)
-                taken.add(name)
-                store.add(part, name)
+                several = len(paths) > 1
+                store.add(part, trial_name(source, table, part[0], taken) if several else part[0].name)
         return store.trajectories()
 
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.estimation.force_splines import fit_with_forces
+from leastaction.estimation.grid import Grid
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_refinement import penalty
 from leastaction.selection.search_state import Search, restarted
@@ -31,8 +32,8 @@ def run(search: Search, again: Callable[[Search], Search]) -> Search:
     found = again(replace(search, thorough=False))
     while not found.stopped and (bias := found.bias.followed(found.found)) is not None:
         search.report("drift", bias.size)
-        problem = search.problem.with_forces(bias.forces)
-        found = again(replace(restarted(search, problem), bias=bias))
+        grid = Grid.lay(search.problem.with_forces(bias.forces), search.scales.per_second)
+        found = again(replace(restarted(search, grid, search.scales.smooth), bias=bias))
     return found if found.stopped else _settled(found)
 
 

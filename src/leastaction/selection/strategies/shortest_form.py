@@ -18,7 +18,6 @@ Without it (`docs/ablations.md`) laws come out right, but in more terms than the
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -82,15 +81,12 @@ def _better(fit: Fit, forms: Sequence[Dropped]) -> list[_Writing]:
     """Ways to write the law that the quadratic model prefers, the best first."""
     members, mixing = fit.structure.members, _mixing(fit, forms)
     quadratic = fit.score(fit.problem.candidates.subset(list(members)))
-    known = np.count_nonzero(~fit.problem.is_known)
-    surcharges = [form.length or 0.0 for form in forms]
+    dearer = fit.problem.surcharges_of([form.length for form in forms])
     model = QuadraticModel(
         mixing.T @ quadratic.matrix @ mixing,
         mixing.T @ quadratic.gradient,
         np.concatenate([fit.estimates, np.zeros(len(forms))]),
-        np.concatenate(
-            [fit.problem.surcharges[list(members)], 2.0 * (np.array(surcharges) - np.log(max(known, 1)))]
-        ),
+        np.concatenate([fit.problem.surcharges[list(members)], dearer]),
     )
     price, now = penalty(fit.grid), tuple(range(len(members)))
     levels = search_subsets(model, now, price)
@@ -135,10 +131,7 @@ def _places(fit: Fit, writing: _Writing) -> list[int]:
 def _posed(search: Search, writing: _Writing) -> Search:
     """The search with the forms among the candidates, in the places of members that they make redundant."""
     forms = dict(zip(_places(search.found, writing), writing.forms, strict=True))
-    whole, searched, gridded = (
-        p.exchanged(forms) for p in (search.problem, search.searched, search.grid.problem)
-    )
-    return replace(search, problem=whole, searched=searched, grid=search.grid.posed(gridded))
+    return search.posed(lambda problem: problem.exchanged(forms))
 
 
 def _fitted(search: Search, before: Fit, writing: _Writing) -> Fit:
