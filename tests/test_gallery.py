@@ -13,7 +13,7 @@ import pytest
 resource = pytest.importorskip("resource", reason="processor time of a child is a matter of POSIX")
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
-SECONDS = 20.0  # of one core; double that ends the test on slow machines
+SECONDS = 30.0  # of one core; double that ends the test on slow machines
 
 # Counts figures where a person would look at them.
 _RUN = """

@@ -23,7 +23,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Rate
 from leastaction.estimation.crew import Alone, Crew, Task
-from leastaction.estimation.elimination import Quadratic
+from leastaction.estimation.elimination import NormalEquations, Quadratic
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations, counts_and_floors
 from leastaction.estimation.recipes import Recipe, cut
@@ -123,8 +123,10 @@ class BlockedLinearisation(Costs):
         return self
 
     def normal(self, weights: Weights) -> BlockedNormal:
-        """The Gauss–Newton system, which is formed where it is eliminated."""
-        return BlockedNormal(self, weights)
+        """The Gauss–Newton system, block by block."""
+        crew = self.observations.crew
+        blocks = tuple(crew.task(_normal, block, weights) for block in self.blocks)
+        return BlockedNormal(self.observations, blocks)
 
     def freedom(self, weights: Weights, factor: BlockedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Linearisation.freedom`."""
@@ -167,8 +169,8 @@ class BlockedLinearisation(Costs):
 class BlockedNormal:
     """The Gauss–Newton system in blocks; see `NormalEquations`."""
 
-    at: BlockedLinearisation
-    weights: Weights
+    observations: BlockedObservations
+    blocks: tuple[Task, ...]
 
     def lean(self) -> BlockedNormal:
         """Itself: nothing was computed ahead."""
@@ -176,8 +178,8 @@ class BlockedNormal:
 
     def eliminate(self, damping: float = 0.0) -> Quadratic:
         """See :meth:`NormalEquations.eliminate`."""
-        seen = self.at.observations
-        tasks = [seen.crew.task(_eliminate, block, self.weights, damping) for block in self.at.blocks]
+        seen = self.observations
+        tasks = [seen.crew.task(_eliminate, block, damping) for block in self.blocks]
         small = seen.crew.results([seen.crew.task(_small, task) for task in tasks])
         gradient, matrix, held, logdet = (_sum(s[k] for s in small) for k in range(4))
         factor = BlockedFactor(seen, tuple(tasks), float(logdet))
@@ -231,8 +233,12 @@ def _freedom(at: Linearisation, weights: Weights, found: Any) -> tuple[np.ndarra
     return at.freedom(weights, None if found is None else found.factor)
 
 
-def _eliminate(at: Linearisation, weights: Weights, damping: float) -> Quadratic:
-    return at.normal(weights).eliminate(damping)
+def _normal(at: Linearisation, weights: Weights) -> NormalEquations:
+    return at.normal(weights)
+
+
+def _eliminate(normal: NormalEquations, damping: float) -> Quadratic:
+    return normal.eliminate(damping)
 
 
 def _small(part: Quadratic) -> tuple[Any, ...]:
