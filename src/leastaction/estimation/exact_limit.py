@@ -14,12 +14,14 @@ cannot follow exact equations any more, and the likelihood falls steeply.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Linearised
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.weights import evidence
 
@@ -31,8 +33,14 @@ _TOLERANCE = 1e-3  # of −2 log likelihood: a thirtieth of a standard error
 _LAST_TOLERANCE = 1e-4
 
 
-_Here = tuple[Weights, np.ndarray, np.ndarray, float]
-"""Weights, control points, coefficients and log likelihood of a fit."""
+class _Here(NamedTuple):
+    """Weights, and the fit from which one for them begins, with its log likelihood."""
+
+    weights: Weights
+    control_points: np.ndarray
+    coefficients: np.ndarray
+    linearisation: Linearised
+    value: float
 
 
 def towards_exact(fit: Fit) -> Fit:
@@ -48,12 +56,11 @@ def towards_exact(fit: Fit) -> Fit:
         return fit
     physics, index = fit.grid.physics(fit.structure)
     trial = _Trial(fit, physics)
-    here = fit.weights, fit.control_points, fit.coefficients[index], fit.evidence
+    here = _Here(fit.weights, fit.control_points, fit.coefficients[index], fit.linearisation, fit.evidence)
     best, share = fit.evidence, ESTIMATION.as_likely / np.count_nonzero(hardly)
     for count, equation in enumerate(np.flatnonzero(hardly), start=1):
         here, best = _raise(trial, here, int(equation), best, count * share)
-    weights, points, values, _ = here
-    found, value = trial.at(weights, points, values, _LAST_TOLERANCE)
+    found, value = trial.at(here.weights, here, _LAST_TOLERANCE)
     if not np.isfinite(value):
         return fit
     coefficients = fit.coefficients.copy()
@@ -68,28 +75,34 @@ class _Trial:
     fit: Fit
     physics: Physics
 
-    def at(
-        self, weights: Weights, points: np.ndarray, values: np.ndarray, tolerance: float
-    ) -> tuple[JointFit, float]:
+    def at(self, weights: Weights, start: _Here, tolerance: float) -> tuple[JointFit, float]:
         observations = self.fit.grid.observations
-        found = fit_joint(observations, self.physics, weights, points, values, tolerance=tolerance)
+        found = fit_joint(
+            observations,
+            self.physics,
+            weights,
+            start.control_points,
+            start.coefficients,
+            linearisation=start.linearisation,
+            tolerance=tolerance,
+        )
         return found, evidence(observations, found) if found.converged else -np.inf
 
 
 def _raise(trial: _Trial, here: _Here, equation: int, best: float, allowed: float) -> tuple[_Here, float]:
     """Raise the weight of one equation until the log likelihood is ``allowed`` below the best one met."""
     for _ in range(_MOST_STEPS):
-        weights, points, values, value = here
-        higher = _raised(weights, equation, _STEP)
-        found, next_value = trial.at(higher, points, values, _TOLERANCE)
+        higher = _raised(here.weights, equation, _STEP)
+        found, next_value = trial.at(higher, here, _TOLERANCE)
         if next_value >= best - allowed:
             best = max(best, next_value)
-            here = higher, found.control_points, found.coefficients, next_value
+            here = _Here(higher, found.control_points, found.coefficients, found.linearisation, next_value)
             continue
         if np.isfinite(next_value):  # where between the two the likelihood has fallen that far
-            part = np.clip((value - best + allowed) / max(value - next_value, 1e-300), 0.0, 1.0)
-            weights = _raised(weights, equation, _STEP ** float(part))
-            here = weights, points, values, best - allowed
+            fallen = max(here.value - next_value, 1e-300)
+            part = np.clip((here.value - best + allowed) / fallen, 0.0, 1.0)
+            weights = _raised(here.weights, equation, _STEP ** float(part))
+            here = here._replace(weights=weights, value=best - allowed)
         break
     return here, best
 

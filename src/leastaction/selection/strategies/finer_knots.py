@@ -24,6 +24,8 @@ from leastaction.selection.settings import SELECTION
 __all__ = ["run"]
 
 _CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured: docs/method.md)
+_APPROACH = 3.0  # what is ahead falls no faster than with this one, weights and all
+_LONGEST = 3.0  # knots of one grid over those of the grid before
 _DIGITS = 1e-6
 _FASTEST_GROWTH = 10.0
 _MOST_ROUNDS = 6
@@ -65,9 +67,9 @@ def run(search: Search) -> Search:
         fit = finer
         if ahead < 1.0:
             return search.now(fit, knots_settled=True, vibrates=False)
-        # the next round would not do
-        skip = ahead > SELECTION.finer**_CONVERGENCE and np.all(off <= SELECTION.holds)
-        factor = SELECTION.finer**2 if skip else SELECTION.finer
+        # as many as should do, where the equations hold
+        needed = min(ahead ** (1.0 / _APPROACH), _LONGEST) if np.all(off <= SELECTION.holds) else 1.0
+        factor = max(needed, SELECTION.finer)
     return search.now(fit, knots_settled=False, vibrates=False)
 
 
