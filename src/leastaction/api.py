@@ -120,7 +120,7 @@ def discover(
     workers : int or distributed.Client, optional
         Compute with so many threads, or with the workers of a Dask cluster; by default in this thread. Trials
         are shared out, and so are the pieces that a long recording is searched on; the fit to all data of
-        one single trial is not. The result is the same to rounding. A worker that is lost costs time only.
+        one single trial is not. The result is the same. A worker that is lost costs time only.
 
     Returns
     -------
@@ -189,9 +189,7 @@ def discover(
         alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
         verdict = verify(search, alternatives)
         clock.stop()
-        given = {"method": method, **_given(request, setup, search)}
-        if descent:
-            given["adam"] = asdict(settings)
+        given = _given(method, request, setup, search, settings if descent else None)
         return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
 
 
@@ -226,10 +224,13 @@ def _refuse_nothing(fit: Fit) -> None:
         )
 
 
-def _given(request: Request, setup: Setup, search: Search) -> dict:
+def _given(
+    method: str, request: Request, setup: Setup, search: Search, descent: AdamOptions | None
+) -> dict[str, Any]:
     """What the user asked for, as the model's provenance keeps it."""
     angles = setup.library.angles if request.angles is None else request.angles
     return {
+        "method": method,
         "degree": request.degree,
         "relevance": float(search.relevance),
         "seed": int(search.seed),
@@ -240,6 +241,7 @@ def _given(request: Request, setup: Setup, search: Search) -> dict:
         "force_offset": {**dict.fromkeys(request.force_offset), **search.bias.seconds_of},
         "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
+        **({} if descent is None else {"adam": asdict(descent)}),
     }
 
 

@@ -1,15 +1,13 @@
 """Measured data in, files out: nothing else in the package touches the disk.
 
-Every reader returns `Trajectories` and takes the same arguments: which columns are coordinates, time,
-known forces, trial, and measured velocities and accelerations. Names of columns need not be valid names of
-coordinates: ``coordinates`` may map one to the other, ``{"theta": "Angle (rad)"}``.
+Every reader returns `Trajectories` and takes the same arguments: which columns are coordinates, time, forces,
+trial, and measured velocities and accelerations. Names of columns need not be valid names of coordinates:
+``coordinates`` may map one to the other, ``{"theta": "Angle (rad)"}``.
 
-Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT files every column is a
-variable of its own, with one value for each time; or the coordinates are the columns of one matrix ``q`` of
-shape (n_times, n_dof), in the order of ``coordinates``, beside the time ``t``.
-
-A missing sample of a coordinate is an empty cell, NaN or NA; times and forces must be there. A file without
-a trial column is one trial. Times increase within a trial; from one to the next they may run on or restart.
+Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT files every column is a variable
+of its own; or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the order of
+``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA; times and forces must be
+there. A file without a trial column is one trial. Times increase within a trial.
 """
 
 from __future__ import annotations
@@ -91,8 +89,7 @@ def read_csv(
     Raises
     ------
     InputError
-        If the file cannot be used; the text names file, line and column. If there is no path, or one is
-        given twice.
+        If the file cannot be used: the text names file, line and column. If no path, or one twice, is given.
     DataError
         If a coordinate has fewer than 5 samples in a trial.
 
@@ -327,16 +324,15 @@ def stream(
 ) -> Trajectories:
     r"""Read recordings that are longer than memory, CSV or Parquet.
 
-    The files are read in pieces, one trial after the other, and checked as by `read`. The samples go to a
-    temporary file and are fetched from there when they are needed; it takes 8 bytes a number, lies where the
-    environment variable ``TMPDIR`` says, and goes when the trajectories go. `leastaction.discover` searches a
-    structure on pieces of long recordings, and goes along all of it once for each step of the fit.
+    The files are read trial by trial and checked as by `read`. The samples go to a temporary file, 8 bytes a
+    number, which lies where the environment variable ``TMPDIR`` says and goes when the trajectories go.
+    `leastaction.discover` searches a structure on pieces, and goes along all samples in each step of a fit.
 
     Parameters
     ----------
     path : path, or iterable of paths
-        ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), or ``.parquet``, which is read by
-        row groups. One trial at a time must fit into memory: a long file needs a column of trials.
+        CSV text (each suffix also with ``.gz``), or ``.parquet``, which is read by row groups. One trial at a
+        time must fit into memory: a long file needs a column of trials.
     coordinates, time, forces, trial, angles, velocities, accelerations
         As for `read_csv`.
 
@@ -367,14 +363,13 @@ def stream(
 def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:
     """Write trajectories to a CSV file that `read_csv` reads back exactly.
 
-    The columns are ``trial``, ``t``, the coordinates; if any force is not zero, ``<coordinate>_force`` for
-    every coordinate; and ``<coordinate>_dot`` and ``<coordinate>_ddot`` where velocities and accelerations
-    were measured. Missing samples are empty cells. The suffix ``.gz`` gives a compressed file.
+    The columns are ``trial``, ``t``, the coordinates, ``<coordinate>_force`` if any force is not zero, and
+    ``<coordinate>_dot``, ``<coordinate>_ddot`` where they were measured. With the suffix ``.gz``: compressed.
 
     Parameters
     ----------
     path : path
-        File to write; replaced in one step if it exists. Missing directories are made.
+        Replaced in one step if it exists. Missing directories are made.
     trajectories : Trajectory, Trajectories or sequence of Trajectory
         What to write. Trajectories without a name get their number.
 
@@ -399,8 +394,6 @@ def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) ->
     first,0.0,1.0
     first,0.5,
     """
-    target = check_path(path)
-    data = csv_bytes(Trajectories.coerce(trajectories))
-    if target.suffix.lower() == ".gz":
-        data = gzip.compress(data, mtime=0)
-    return write_bytes(target, data)
+    target, data = check_path(path), csv_bytes(Trajectories.coerce(trajectories))
+    zipped = target.suffix.lower() == ".gz"
+    return write_bytes(target, gzip.compress(data, mtime=0) if zipped else data)

@@ -247,11 +247,15 @@ def test_validate(work, model, tmp_path):
     assert "theta" in without.stdout
 
 
+def _data_options(data, coordinates, forces, angles=None, force_delay=None):
+    given = {"data": [str(data)], "coordinates": coordinates, "forces": forces, "angles": angles}
+    others = {"time": "t", "trial": None, "velocity": (), "acceleration": ()}
+    return _options.DataOptions.of({**given, **others, "force_delay": force_delay})
+
+
 def test_force_delay_shifts_the_forces(work):
     def options(delay):
-        return _options.DataOptions.of(
-            [str(work / "run.csv")], "theta", "t", None, "theta_force", None, force_delay=delay
-        ).read()
+        return _data_options(work / "run.csv", "theta", "theta_force", force_delay=delay).read()
 
     shifted = la.delay.shift_forces(options(None), 0.02)
     for ours, theirs in zip(options("0.02"), shifted, strict=True):
@@ -260,9 +264,7 @@ def test_force_delay_shifts_the_forces(work):
 
 
 def test_validate_puts_coordinates_in_the_order_of_the_model():
-    options = _options.DataOptions.of(["f.csv"], "b, a = col", "t", None, "tau_b", None).in_order_of(
-        ("a", "b")
-    )
+    options = _data_options("f.csv", "b, a = col", "tau_b").in_order_of(("a", "b"))
     assert list(options.coordinates.items()) == [("a", "col"), ("b", "b")]
     assert options.forces == {"b": "tau_b"}
 
@@ -511,7 +513,7 @@ def test_parsers_of_options():
     assert _options.column_map("a=tau 1, b = x=y") == {"a": "tau 1", "b": "x=y"}
     assert _options.assignments("theta=1, theta_dot=-.5e1") == {"theta": 1.0, "theta_dot": -5.0}
     assert _options.known_coefficients(["cos(theta)=9.81", "x = 2"]) == {"cos(theta)": 9.81, "x": 2.0}
-    options = _options.DataOptions.of(["f.csv"], "a,b", "t", None, ",tau", "b")
+    options = _data_options("f.csv", "a,b", ",tau", "b")
     assert (options.forces, options.angles) == ({"b": "tau"}, ("b",))
     assert _text.shown("a\x1bb\n") == "a?b?"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -168,11 +168,7 @@ def discover(
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
     with blame("--known"):
         check_known(given, candidates)
-    if not given and not fitted.driven:
-        raise InputError(
-            "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
-            f'coefficient, which sets the units of L, e.g. --known "{candidates[0].text}=1", or --forces'
-        )
+    _check_scale(given, fitted, candidates)
     import leastaction
 
     with live_progress("prepare") as shown_progress, stoppable(shown_progress) as progress:
@@ -196,6 +192,14 @@ def discover(
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
     _show(folder, model, forecast)
+
+
+def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
+    if not known and not fitted.driven:
+        raise InputError(
+            "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
+            f'coefficient, which sets the units of L, e.g. --known "{candidates[0].text}=1", or --forces'
+        )
 
 
 def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:

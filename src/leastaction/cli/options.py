@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial, wraps
@@ -216,22 +216,11 @@ class DataOptions:
     force_delay: float = 0.0
 
     @classmethod
-    def of(
-        cls,
-        data: Sequence[str],
-        coordinates: str | None,
-        time: str,
-        trial: str | None,
-        forces: str | None,
-        angles: str | None,
-        default: Sequence[str] = (),
-        velocity: Sequence[str] = (),
-        acceleration: Sequence[str] = (),
-        force_delay: str | None = None,
-    ) -> DataOptions:
-        """Check the texts of the options; `default` are the coordinates where none are given."""
+    def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
+        """Check the texts of the options by name; `default` are the coordinates where none are given."""
         from leastaction.identifiers import check_coordinate_names
 
+        coordinates, angles, forces = given["coordinates"], given["angles"], given["forces"]
         with blame("--coordinates"):
             columns = _by_name(coordinates) if coordinates is not None else {c: c for c in default}
             names = check_coordinate_names(columns)
@@ -242,15 +231,16 @@ class DataOptions:
         with blame("--forces"):
             driving = _force_columns(forces, names) if forces else {}
         rates = []
-        for option, texts in (("--velocity", velocity), ("--acceleration", acceleration)):
-            with blame(option):
-                rates.append(dict(_pairs(texts, "NAME=COLUMN, e.g. theta=gyro")))
+        for option in ("velocity", "acceleration"):
+            with blame(f"--{option}"):
+                rates.append(dict(_pairs(given[option], "NAME=COLUMN, e.g. theta=gyro")))
                 _check_are_coordinates(rates[-1], names)
         with blame("--force-delay"):
-            delay = 0.0 if force_delay is None else number(force_delay)
+            delay = 0.0 if given["force_delay"] is None else number(given["force_delay"])
             if delay and not driving:
                 raise InputError("there are no forces to shift; name their columns with --forces")
-        return cls(tuple(data), columns, time, trial, driving, turning, rates[0], rates[1], delay)
+        files, time, trial = tuple(given["data"]), given["time"], given["trial"]
+        return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -380,7 +370,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
         @wraps(command)
         def with_data(*args: Any, **given: Any) -> Any:
             own = {name: given.pop(name) for name in _DATA_PARAMETERS}
-            return command(*args, data=partial(DataOptions.of, **own), **given)
+            return command(*args, data=partial(DataOptions.of, own), **given)
 
         for decorator in reversed(decorators):
             with_data = decorator(with_data)

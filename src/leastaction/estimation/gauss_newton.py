@@ -146,9 +146,7 @@ def fit_joint(
     while step < max_steps:
         step += 1
         try:
-            quadratic = normal.eliminate(damping)
-            shift, delta, predicted, own = _step(quadratic, damping)
-            del quadratic  # as large as the motion is long
+            shift, delta, predicted, own = _step(normal, damping)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -157,9 +155,9 @@ def fit_joint(
             continue
         normal = normal.lean()
         new_points, new_coefficients, there = moved((control_points, coefficients), shift, delta)
-        if not damping and there.cost(weights) > cost:
-            least = there.cost(weights) - cost + _KEPT * predicted
-            correction = _correction(there.normal(weights), least, _SETTLED * own)
+        risen = there.cost(weights) - cost
+        if not damping and risen > 0.0:
+            correction = _correction(there.normal(weights), risen + _KEPT * predicted, _SETTLED * own)
             if correction is not None:
                 step += 1
                 del there
@@ -190,11 +188,12 @@ def fit_joint(
     return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
 
 
-def _step(quadratic: Eliminated, damping: float):
+def _step(normal: System, damping: float) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Steps of curve and coefficients, how much they should lower the cost, and the coefficients' own part.
 
     Raises LinAlgError when they are not finite.
     """
+    quadratic = normal.eliminate(damping)
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = -quadratic.curve_step(delta)
@@ -224,7 +223,7 @@ def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, 
     It is a correction of the curve: what it promises by moving the coefficients is ``most`` at most.
     """
     try:
-        shift, delta, predicted, own = _step(normal.eliminate(), 0.0)
+        shift, delta, predicted, own = _step(normal, 0.0)
     except np.linalg.LinAlgError:
         return None
     return (shift, delta) if predicted >= least and own <= most else None
