@@ -211,7 +211,7 @@ def _metric(results: Results, kind: _Kind) -> Table:
 _COVERAGE_NOTE = (
     "How many of the 95 % intervals of true terms hold the true value, over all trials. The coefficients of "
     "a run err together, so that these few runs say little; 200 runs of each system and level are in "
-    "studies/tables/calibration.md."
+    "studies/tables.md."
 )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from studies._names_tables import tables as names
+from studies import names, unlisted
 from studies._tables import (
     Records,
     Table,
@@ -23,7 +23,6 @@ from studies._tables import (
     support_table,
     title_of,
 )
-from studies._unlisted_tables import tables as unlisted
 from studies.faults import FAULTS
 from studies.said import causes_in, codes_in, sentences_in
 
@@ -36,7 +35,7 @@ _RIGHT = 0.05
 def tables(study: str, records: Records) -> list[Table]:
     """Return all tables of a study."""
     special = {"calibration": _calibration, "faults": _faults, "noise": _noise}
-    special |= {"unlisted": unlisted, "names": names}
+    special |= {"unlisted": unlisted.tables, "names": names.tables}
     return list(special.get(study, _structure)(records))
 
 

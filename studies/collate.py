@@ -1,4 +1,4 @@
-"""Records of a study → its tables: printed, and written to studies/tables/<study>.md.
+"""Records of a study → its tables: printed, and written to its section of studies/tables.md.
 
 python -m studies.collate structure
 python -m studies.collate            # every study that has records
@@ -6,7 +6,9 @@ python -m studies.collate            # every study that has records
 
 from __future__ import annotations
 
+import re
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
@@ -19,7 +21,8 @@ from studies.case import Case
 from studies.plans import PLANS
 from studies.run import RESULTS
 
-TABLES = ROOT / "studies" / "tables"
+TABLES = ROOT / "studies" / "tables.md"
+_HEADING = "# Study: "
 
 
 def read(results: Path, study: str) -> list[dict]:
@@ -34,9 +37,9 @@ def read(results: Path, study: str) -> list[dict]:
     return sorted(Store(results, Case.from_dict).read(study), key=key)
 
 
-def page(study: str, records: list[dict]) -> str:
-    """Return the Markdown page of a study."""
-    parts = [f"# Study: {study}", _origin(records)]
+def section(study: str, records: list[dict]) -> str:
+    """Return the section of a study in Markdown."""
+    parts = [f"{_HEADING}{study}", _origin(records)]
     parts += [table.markdown() for table in tables(study, records)]
     return "\n\n".join(parts) + "\n"
 
@@ -60,12 +63,19 @@ def _origin(records: list[dict]) -> str:
     )
 
 
+def updated(page: str, sections: Mapping[str, str]) -> str:
+    """Return a page with new sections of some studies; those of the others stay as they are."""
+    kept = [part.strip() + "\n" for part in re.split(f"^(?={_HEADING})", page, flags=re.MULTILINE) if part]
+    named = {part.splitlines()[0].removeprefix(_HEADING): part for part in kept} | dict(sections)
+    return "\n".join(named[study] for study in PLANS if study in named)
+
+
 @click.command(help=__doc__.split("\n\n")[0])
 @click.argument("studies", nargs=-1, type=click.Choice(list(PLANS)))
 @click.option("--results", type=click.Path(file_okay=False, path_type=Path), default=RESULTS)
-@click.option("--output", type=click.Path(file_okay=False, path_type=Path), default=TABLES)
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), default=TABLES)
 def main(studies: tuple[str, ...], results: Path, output: Path) -> None:
-    made = 0
+    made: dict[str, str] = {}
     for study in studies or PLANS:
         try:
             records = read(results, study)
@@ -73,14 +83,14 @@ def main(studies: tuple[str, ...], results: Path, output: Path) -> None:
             raise click.ClickException(str(error)) from None
         if not records:
             continue
-        text = page(study, records)
-        la.io.write_text(output / f"{study}.md", text)
-        click.echo(text)
-        made += 1
+        made[study] = section(study, records)
+        click.echo(made[study])
     if not made:
         raise click.ClickException(
             f"{results} holds no such records; make some by python -m studies.run STUDY"
         )
+    before = output.read_text(encoding="utf-8") if output.exists() else ""
+    la.io.write_text(output, updated(before, made))
 
 
 if __name__ == "__main__":

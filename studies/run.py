@@ -8,23 +8,44 @@ The same command goes on where it was interrupted.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from functools import partial
+import os
+from collections.abc import Generator, Mapping, Sequence
+from datetime import UTC, datetime
+from functools import cache, partial
 from pathlib import Path
 
 import click
 from rich.console import Console
 
 from runner.course import carry_out
-from runner.origin import ROOT
+from runner.origin import ROOT, commit, machine, versions
 from runner.store import Store
 from studies._pool import Options, solved
-from studies._record import record
 from studies._tables import number
 from studies.case import Case
 from studies.plans import PLANS, cases
 
 RESULTS = ROOT / "studies" / "results"
+_CODE = ":(glob)studies/*.py"
+
+
+@cache
+def _origin() -> dict:
+    # of the moment when the first run ended: a study should not be run while its code is being changed
+    return {"versions": versions(), "machine": machine(), "commit": commit(_CODE)}
+
+
+def record(case: Case, result: Mapping, parallel: int) -> dict:
+    """Return what is kept of a run."""
+    origin = _origin()
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    return {
+        "config": case.as_dict(),
+        "result": dict(result),
+        **origin,
+        "machine": origin["machine"] | {"parallel_runs": parallel, "load_after": load},
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
 
 
 def recorded(wanted: Sequence[Case], options: Options) -> Generator[tuple[Case, dict], None, None]:

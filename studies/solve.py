@@ -11,9 +11,9 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies import names, unlisted
-from studies._friction import COULOMB, friction_candidates
 from studies.case import Case
 from studies.faults import FAULTS, Question
+from studies.names import COULOMB, friction_candidates
 from studies.noises import measured
 
 __all__ = ["pose", "solve"]

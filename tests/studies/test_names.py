@@ -7,7 +7,7 @@ import pytest
 
 import leastaction as la
 from leastaction import systems
-from studies import _names_tables
+from studies import names
 from studies.case import Case
 from studies.names import is_exact, pose
 from studies.solve import solve
@@ -59,7 +59,7 @@ def test_the_tables_count_what_is_ok_and_not_exact():
         *(entry("a_law", "ok", 0.001), entry("a_law", "ok", 0.2), entry("a_law", "doubtful", None)),
         entry("another", "ok", 0.001, terms=4),
     ]
-    first, wrong = _names_tables.tables(records)
+    first, wrong = names.tables(records)
     assert first.rows[0][3:6] == ("1/3", "2/3", "1")
     assert first.rows[1][3:7] == ("0/1", "1/1", "1", "4, 3")
     assert first.rows[2][:6] == ("all", "10 %", "", "1/4", "3/4", "2")

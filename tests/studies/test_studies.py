@@ -22,7 +22,6 @@ from runner.origin import ROOT
 from runner.store import Store
 from studies import collate, run
 from studies._pool import Options, solved
-from studies._record import record
 from studies._study_tables import tables
 from studies.case import Case
 from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
@@ -362,8 +361,8 @@ def test_a_worker_ends_with_its_master(fake):
 def test_what_has_a_record_is_not_run_again(tmp_path):
     first, second, third = named("a", "b", "c")
     store = Store(tmp_path, Case.from_dict)
-    store.append(record(first, {"finished": True}, 1))
-    store.append(record(second, {"finished": False}, 1))
+    store.append(run.record(first, {"finished": True}, 1))
+    store.append(run.record(second, {"finished": False}, 1))
     assert open_cases([first, second, third], store) == [third]
     assert open_cases([first, second, third], store, retry_failed=True) == [second, third]
     kept = json.loads((tmp_path / "single.jsonl").read_text().splitlines()[0])
@@ -410,19 +409,23 @@ def records(tmp_path_factory) -> Path:
     ]
     store = Store(folder, Case.from_dict)
     for case in wanted:
-        store.append(record(case, {"finished": True, **solve(case)}, 1))
+        store.append(run.record(case, {"finished": True, **solve(case)}, 1))
     lost = {"finished": False, "status": "timed out", "reason": "no result after 1 s"}
     case = Case("faults", "cart_spring_pendulum", 0.01, "columns", **shape)
-    store.append(record(case, lost, 1))
+    store.append(run.record(case, lost, 1))
     return folder
 
 
 def test_tables_say_what_the_records_hold(records, tmp_path):
-    answer = CliRunner().invoke(
-        collate.main, ["faults", "--results", str(records), "--output", str(tmp_path)], catch_exceptions=False
-    )
+    page = tmp_path / "tables.md"
+    page.write_text("# Study: faults\n\nof before\n\n# Study: further\n\nof others\n")
+    arguments = ["faults", "--results", str(records), "--output", str(page)]
+    answer = CliRunner().invoke(collate.main, arguments, catch_exceptions=False)
     assert answer.exit_code == 0
-    text = (tmp_path / "faults.md").read_text()
+    text = page.read_text()
+    assert text.startswith("# Study: faults\n\n3 runs, ")
+    assert "of before" not in text
+    assert text.endswith("|\n\n# Study: further\n\nof others\n")
     rows = {
         cells[1]: cells
         for cells in ([c.strip() for c in x.split("|")] for x in text.split("\n## ")[1].splitlines())

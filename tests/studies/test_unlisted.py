@@ -10,7 +10,7 @@ import pytest
 
 import leastaction as la
 from leastaction import systems
-from studies import _unlisted_tables
+from studies import unlisted
 from studies.case import Case
 from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, left_by, motions
 from studies.solve import solve
@@ -148,7 +148,7 @@ def test_the_tables_count_what_is_ok_and_wrong():
         *(entry(seen, "usable", 0.2), entry(seen, "doubtful", 0.2), entry(seen, "doubtful", 0.01)),
         entry(seen, "timed out"),
     ]
-    totals, of_seen, of_aside, wrong = _unlisted_tables.tables(records)
+    totals, of_seen, of_aside, wrong = unlisted.tables(records)
     # n, ok, ok and off, usable, usable and off, doubtful, doubtful and not off, no model, failed
     assert totals.rows[-1][3:12] == ("7", "3", "2", "1", "1", "2", "1", "0", "1")
     assert of_seen.rows[0][2:11] == ("4", "0", "0", "1", "1", "2", "1", "0", "1")
