@@ -207,7 +207,7 @@ def _value(given: Any) -> Any:
 def _large_arguments() -> AbstractContextManager[Any]:
     """Dask warns of arguments above 10 MB; data of a block are sent once, and are larger."""
     try:
-        import dask.config  # pyright: ignore[reportMissingModuleSource]
+        import dask  # pyright: ignore[reportMissingModuleSource]
     except ImportError:  # something else with the methods of its client
         return nullcontext()
     return dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 
 import sympy
-from sympy.printing.str import StrPrinter
 
 from leastaction.errors import InputError
 from leastaction.library.scanner import MAX_DEPTH, Source, scan
@@ -351,7 +350,7 @@ def _unsupported(expr: sympy.Expr) -> str:
     return ""
 
 
-class _Printer(StrPrinter):
+class _Printer(sympy.StrPrinter):
     """SymPy's own text, except where our grammar spells things in another way."""
 
     def _print_Abs(self, expr: sympy.Expr) -> str:

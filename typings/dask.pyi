@@ -2,4 +2,6 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-def set(arg: Mapping[str, Any]) -> AbstractContextManager[Any]: ...
+class config:
+    @staticmethod
+    def set(arg: Mapping[str, Any]) -> AbstractContextManager[Any]: ...

@@ -1,3 +1,0 @@
-from sympy.printing.printer import Printer
-
-class StrPrinter(Printer): ...
