@@ -68,7 +68,7 @@ docs: $(STAMPS)/docs
 	@echo "open docs/_build/html/index.html"
 
 gallery: $(STAMPS)/test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m slow tests/test_gallery.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m slow tests/test_docs.py
 
 bench: $(STAMPS)/core
 	$(BIN)/python benchmarks/run.py

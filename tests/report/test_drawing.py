@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 from leastaction.report.axes import HALF, THIRD, Axes
 from leastaction.report.svg import COLOURS, corners, dot_path, line_path, number
 from leastaction.report.ticks import Folded, Linear
-from svg_helpers import Figure, pieces
+from report_helpers import Figure, pieces
 
 _DIGIT = 0.051  # px: half of the last digit that is written
 
