@@ -10,8 +10,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from reproduction._plots import COLOURS, STYLE, Sheet
-from reproduction._solved import label, solved
+from reproduction._plots import COLOURS, STYLE, Sheet, label, solved
 from reproduction.basins import (
     MAGNETS,
     UNDECIDED,

@@ -1,8 +1,12 @@
-"""How the figures look, and how they are written: the same bytes for the same numbers."""
+"""What the figures share: cases solved once, how they look, and how they are written.
+
+The same numbers give the same bytes.
+"""
 
 from __future__ import annotations
 
 import io
+from functools import lru_cache
 from pathlib import Path
 
 import matplotlib
@@ -11,7 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-__all__ = ["COLOURS", "STYLE", "Sheet", "letter", "write_png", "write_svg"]
+from reproduction import methods
+from reproduction.problem import Answer, Case, Problem, pose
+
+__all__ = ["COLOURS", "STYLE", "TITLES", "Sheet", "label", "letter", "solved", "write_png", "write_svg"]
+
+TITLES = {"ours": "leastaction", "adam": "paper's method"}
 
 # Colours that stay apart for all kinds of colour vision: Okabe & Ito, Color Universal Design (2008).
 COLOURS = {
@@ -45,6 +54,17 @@ STYLE = {
     "figure.facecolor": "white",
     "svg.hashsalt": "reproduction",
 }
+
+
+@lru_cache(maxsize=8)
+def solved(case: Case) -> tuple[Problem, Answer]:
+    """Pose a case and solve it by its method."""
+    problem = pose(case)
+    return problem, methods.load(case.method).solve(problem)
+
+
+def label(method: str, noise: float) -> str:
+    return f"{TITLES[method]}, {100 * noise:g} % noise"
 
 
 class Sheet:

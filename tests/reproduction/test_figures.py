@@ -14,8 +14,7 @@ from scipy.integrate import solve_ivp
 
 from leastaction import systems
 from reproduction import _figure_ablation, _figure_basins, _figure_magnetic, basins, methods, problem
-from reproduction._plots import write_png, write_svg
-from reproduction._solved import label, solved
+from reproduction._plots import label, solved, write_png, write_svg
 from reproduction.basins import MAGNETS, UNDECIDED, Basins, agreement, map_basins
 from reproduction.figures import main
 from reproduction.problem import Answer, Case, pose
