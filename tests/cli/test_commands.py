@@ -521,7 +521,7 @@ def test_parsers_of_options():
 def test_the_first_interrupt_keeps_the_best_law_and_the_second_gives_up(capsys):
     import signal
 
-    from leastaction.cli.interrupt import stoppable
+    from leastaction.cli.failures import stoppable
 
     before, stages = signal.getsignal(signal.SIGINT), []
 

@@ -1,6 +1,32 @@
-"""The local app: a page in the browser for what the command line does, on this computer only.
+"""The local app: one page on 127.0.0.1 for what the command line does: data, candidates, result.
 
-NiceGUI, which it is built on, is an extra and is imported when the app starts.
+NiceGUI, which it is built on, is an extra and is imported when the app starts and nowhere else.
+
+* ``server.py``: start, port, guards: host names, size of uploads, a policy that lets the browser load
+  from this server only.
+* ``page.py``: header and steps; one session per browser tab, which outlives a reload.
+* ``data_view.py``, ``candidates_view.py``, ``result_view.py``, ``walk_view.py``, ``parts.py``: the three
+  steps, the trade-off curve, small pieces.
+* ``stick.js``, ``style.css``: moving links; colours and type, the same as in the report.
+* ``session.py``: what a tab has loaded, chosen and found.
+* ``columns.py``: what the columns may mean, and the call of the reader.
+* ``candidates.py``: candidates, friction, known coefficients, what is said of forces: checked as they are
+  typed.
+* ``worker.py``, ``jobs.py``: the process that computes and can be killed at any moment; what it runs: a
+  discovery, a refit, forecasts.
+* ``path.py``, ``motion.py``, ``figures.py``: walk along the trade-off curve, stick figures, plots.
+
+Everything below ``session.py`` in this list knows nothing of NiceGUI and is tested without it. Rules:
+
+* Text from a file or a user is shown with ``say``, which never reads it as HTML; ``drawn`` and ``math``
+  take only what our own ``report`` has made.
+* A handler is wrapped in ``page.guarded``: what goes wrong becomes one line in the page.
+  ``LEASTACTION_DEBUG=1`` prints the traceback in the terminal.
+* A step along the trade-off curve shows a provisional model (`leastaction.refit.provisional`) at once.
+  ``Session`` then starts what it lacks: the refit, after it the forecasts. Nothing of another structure
+  is shown meanwhile.
+* What takes longer than a blink runs in a thread (``run.io_bound``) or, if it may have to be cancelled,
+  in the worker.
 """
 
 from __future__ import annotations

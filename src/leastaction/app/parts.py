@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 from markupsafe import Markup
 from nicegui import html, run, ui
 
-__all__ = ["action", "aside", "drawn", "fault", "field", "math", "panel", "say", "title"]
+__all__ = ["Stick", "action", "aside", "drawn", "fault", "field", "math", "panel", "say", "title"]
 
 
 R = TypeVar("R")
@@ -71,3 +71,12 @@ def field(label: str, help_text: str = "") -> ui.element:
         if help_text:
             say(help_text, "help")
     return box
+
+
+class Stick(ui.element, component="stick.js"):
+    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
+
+    def __init__(self, frames: dict[str, Any]) -> None:
+        super().__init__()
+        self._props["frames"] = frames
+        self.classes("stick")

@@ -9,9 +9,8 @@ from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
 from leastaction.app.motion import frames, is_pendulum
-from leastaction.app.parts import action, aside, drawn, fault, math, panel, say, title
+from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, title
 from leastaction.app.session import in_words
-from leastaction.app.stick import Stick
 from leastaction.app.walk_view import WalkPanel
 from leastaction.report.mathml import Notation
 from leastaction.report.tables import coefficient_groups

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from leastaction.cli.interrupt import stoppable
+from leastaction.cli.failures import stoppable
 from leastaction.cli.options import (
     DataOptions,
     blame,

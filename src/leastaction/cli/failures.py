@@ -1,18 +1,24 @@
-"""What becomes of errors: one line on stderr and an exit code, never a traceback."""
+"""What becomes of errors and of Ctrl-C: one line on stderr and an exit code, never a traceback."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import click
 
+from leastaction.cli.show import warn
 from leastaction.cli.text import in_options, one_line
-from leastaction.errors import DataError, InputError
+from leastaction.errors import DataError, InputError, StopSearch
 
-__all__ = ["Interrupted", "give_up"]
+__all__ = ["Interrupted", "give_up", "stoppable"]
 
+_SEARCHING = frozenset({"search", "select", "knots", "coarse", "confirm", "drift"})
 _NUMERICAL = ("LinAlgError", "FloatingPointError", "OverflowError", "ZeroDivisionError")
 
 
@@ -62,3 +68,35 @@ def _explain(error: Exception) -> tuple[int, str]:
         return 1, f"no model could be computed from these data ({name}: {error}); try other candidates"
     report = "please report this, with the command and LEASTACTION_DEBUG=1 for the traceback"
     return 70, f"a fault of leastaction itself: {name}: {error}; {report}"
+
+
+@contextmanager
+def stoppable(progress: Callable[[str, dict], None]) -> Iterator[Callable[[str, dict], None]]:
+    """Give a progress function that ends the search, with the best law so far, after the first Ctrl-C.
+
+    The second one ends the program.
+    """
+    asked = False
+
+    def on_interrupt(signum, frame) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        warn("stopping with the best law so far; press Ctrl-C again to give up")
+
+    def report(stage: str, details: dict) -> None:
+        if asked and stage in _SEARCHING:
+            raise StopSearch
+        progress(stage, details)
+
+    if threading.current_thread() is not threading.main_thread():  # only there can signals be handled
+        yield progress
+        return
+    before = signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield report
+    except StopSearch:  # before there was a law
+        raise KeyboardInterrupt from None
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.diagnosis.beside import beside, gain_of
+from leastaction.diagnosis.cause import beside, gain_of
 from leastaction.diagnosis.missing_terms import missing_term
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, searched_with

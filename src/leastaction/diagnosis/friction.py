@@ -14,8 +14,7 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.beside import beside, gain_of
-from leastaction.diagnosis.cause import Cause
+from leastaction.diagnosis.cause import Cause, beside, gain_of
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes, force_rates

@@ -7,16 +7,21 @@ from typing import Literal, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, fmu, latex, matlab, python, sympy
+from leastaction.exporters import c, casadi, fmu, matlab, python, sympy
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["export"]
 
+
+def _latex(model: LagrangianModel) -> str:
+    return f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n"
+
+
 _PLAIN = {
     "sympy": sympy.write,
-    "latex": latex.write,
+    "latex": _latex,
     "python": python.write,
     "c": c.write,
     "casadi": casadi.write,

@@ -2,7 +2,7 @@
 
 from leastaction.findings.finding import SEVERITIES, TEXT, Figures, Finding, Severity, doubtful
 from leastaction.findings.messages import CODES, Audience, find, sentence
-from leastaction.findings.reasons import REASONS, because
+from leastaction.findings.templates import REASONS, because
 
 __all__ = [
     "CODES",

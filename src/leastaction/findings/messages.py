@@ -10,8 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from leastaction.findings.finding import Finding
-from leastaction.findings.reasons import because
-from leastaction.findings.templates import Audience, Message, fill
+from leastaction.findings.templates import Audience, Message, because, fill
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 

@@ -1,4 +1,22 @@
-"""Candidate terms: safe expression parser, generated families, null and duplicate analysis."""
+"""Candidate terms: text goes in, trustworthy candidate terms come out.
+
+* No text is ever evaluated. ``scanner.py`` looks at the characters, ``parser.py`` walks Python's syntax
+  tree against a white list; every refusal is one line with the column and the cure, and takes
+  milliseconds, whatever the text. ``format_expression`` writes text that reads back as an equal
+  expression.
+* A ``Term`` is text, a SymPy expression over real symbols, and its kind (``term.py``). A ``Library`` is
+  an ordered, immutable set of them (``library.py``), given as a list, read from a file (``file.py``) or
+  generated from the kinds of coordinates (``families.py``: the table of families stands there;
+  ``chains.py``: chains of many links).
+* ``Library.reduced()`` (``reduction.py``) leaves out what the data could never tell apart: terms whose
+  Euler–Lagrange expression is zero or a sum of those of others. A term is only dropped when that holds in
+  high precision (60 digits; 400 beside many nearly collinear terms), so a term that is merely hard to
+  tell apart always stays. ``Library.dropped`` says why each one went.
+* ``jets.py`` holds the derivatives behind that: values and first and mixed second derivatives by the
+  chain rule, in double or high precision, without symbolic differentiation.
+
+Imports from outside this folder: ``errors`` and ``identifiers`` only.
+"""
 
 from __future__ import annotations
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from leastaction.systems._draw import Uniform, Within
-from leastaction.systems._forcing import TwoSines
+from leastaction.systems._draw import TwoSines, Uniform, Within
 from leastaction.systems._system import MechanicalSystem
 
 _REFERENCE = "Goldstein, Poole & Safko, Classical Mechanics, 3rd edition, chapters 1 and 8"
