@@ -5,7 +5,7 @@
   milliseconds, whatever the text. ``format_expression`` writes text that reads back as an equal
   expression.
 * A ``Term`` is text, a SymPy expression over real symbols, and its kind (``term.py``). A ``Library`` is
-  an ordered, immutable set of them (``library.py``), given as a list, read from a file (``file.py``) or
+  an ordered, immutable set of them (``library.py``), given as a list, read from a file (``collect.py``) or
   generated from the kinds of coordinates (``families.py``: the table of families stands there;
   ``chains.py``: chains of many links).
 * ``Library.reduced()`` (``reduction.py``) leaves out what the data could never tell apart: terms whose

@@ -9,9 +9,8 @@ from typing import Any, overload
 
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
-from leastaction.library.collect import collect
+from leastaction.library.collect import collect, read_terms
 from leastaction.library.families import check_angles, check_count, mechanical_terms
-from leastaction.library.file import read_terms
 from leastaction.library.grammar import description_lengths, grown_terms
 from leastaction.library.lookup import listing_of, place_among_all, place_within, summary_of
 from leastaction.library.parser import normalise
