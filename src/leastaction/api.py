@@ -18,6 +18,7 @@ from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_p
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.profile import profiled
 from leastaction.findings import doubtful, find
 from leastaction.library import Library
 from leastaction.mechanics.euler_lagrange import Points
@@ -186,6 +187,7 @@ def discover(
         search = run_descent(search, settings) if descent else run_search(search)
         _refuse_nothing(search.found)
         clock.start("verify")
+        search = search if search.stopped else search.now(profiled(search.found))
         alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
         verdict = verify(search, alternatives)
         clock.stop()

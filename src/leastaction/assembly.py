@@ -86,10 +86,13 @@ def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:
     names = fit.problem.shapes_of(fit.structure)
     values = fit.problem.shape_values
     found = fit.shapes
-    errors = [np.nan] * len(names) if found is None else found.standard_errors.tolist()
+    if found is None:
+        return tuple(ShapeParameter(n, values[n]) for n in names)
+    profiles = found.profiles or ((),) * len(names)
     # one that is held at its bound has no error
     return tuple(
-        ShapeParameter(n, values[n], error or np.nan) for n, error in zip(names, errors, strict=True)
+        ShapeParameter(n, values[n], error or np.nan, profile)
+        for n, error, profile in zip(names, found.standard_errors.tolist(), profiles, strict=True)
     )
 
 

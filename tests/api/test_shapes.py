@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import leastaction as la
 from helpers import findings_of, record
 from leastaction.model.term import ModelTerm, ShapeParameter
+from leastaction.report.captions import profile_title
 
 DEPTH, RATE = 2.0, 0.8
 LIBRARY = ["x_dot**2", "x", "x**2", "x**3", "exp(-{a}*x)", "exp(-2*{a}*x)"]
@@ -65,9 +66,16 @@ def test_a_file_keeps_shapes_and_templates(model, tmp_path):
     assert again.to_dict() == model.to_dict()
     np.testing.assert_array_equal(again.covariance, model.covariance)
     document = json.loads((tmp_path / "model.json").read_text(encoding="utf-8"))
+    shape = model.shapes[0]
     assert document["shapes"] == [
-        {"name": "a", "value": model.shapes[0].value, "standard_error": model.shapes[0].standard_error}
+        {
+            "name": "a",
+            "value": shape.value,
+            "standard_error": shape.standard_error,
+            "profile": [list(pair) for pair in shape.profile],
+        }
     ]
+    assert shape.lower == pytest.approx(shape.value - 1.96 * shape.standard_error, rel=1e-3)
     assert "template" not in document["terms"][0]
 
 
@@ -183,6 +191,8 @@ def test_a_file_with_a_shape_loads(tmp_path):
         ({"shapes": [{"name": "1a", "value": 0.8, "standard_error": None}]}, r"shapes\[0\]"),
         ({"shapes": [{"name": "a", "value": 0.8}]}, "standard_error"),
         ({"shapes": {}}, "shapes"),
+        ({"shapes": [{"name": "a", "value": 0.8, "standard_error": None, "profile": 1}]}, "pairs of numbers"),
+        ({"shapes": [{"name": "a", "value": 0.8, "standard_error": None, "profile": [[1]]}]}, "pairs"),
         ({"covariance": [[0.01]]}, "covariance"),
     ],
 )
@@ -200,9 +210,42 @@ def test_a_template_must_be_readable(tmp_path):
         ModelTerm("exp(-0.8*x)", 1.0, template=3)  # type: ignore[arg-type]
 
 
+def test_the_interval_is_that_of_the_profile(tmp_path):
+    """An even one gives that of the standard error; one that is cut off counts on its other side only."""
+    even = tuple((0.8 + 0.01 * z, z * z) for z in (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0))
+    plain, shaped = ShapeParameter("a", 0.8, 0.01), ShapeParameter("a", 0.8, 0.01, even)
+    assert (shaped.lower, shaped.upper) == (pytest.approx(plain.lower), pytest.approx(plain.upper))
+    cut = ShapeParameter("a", 0.8, 0.01, [(0.79, 0.5), (0.8, 0.0), (0.85, 4.0)])
+    assert cut.lower == plain.lower
+    assert cut.upper == pytest.approx(0.8 + 0.05 * 1.959964 / 2.0)
+    assert (cut.as_term().lower, cut.as_term().upper) == (cut.lower, cut.upper)
+    document = with_shape()
+    document["shapes"][0]["profile"] = [list(pair) for pair in cut.profile]
+    model = load(document, tmp_path)
+    assert model.shapes == (cut,)
+    assert model.to_dict() == document
+
+
+@pytest.mark.parametrize(
+    "profile",
+    [3, ["ab"], [(1.0,)], [(1.0, 2.0, 3.0)], [(1.0, -0.5)], [(1.0, np.nan)], [(2.0, 0.0), (1.0, 1.0)]],
+)
+def test_a_profile_is_checked(profile):
+    with pytest.raises(la.InputError, match="profile"):
+        ShapeParameter("a", 1.0, 0.1, profile)
+
+
 @pytest.mark.parametrize(
     ("name", "value", "error"), [("", 1.0, 0.1), ("a b", 1.0, 0.1), ("a", np.inf, 0.1), ("a", 1.0, -0.1)]
 )
 def test_a_shape_parameter_checks_itself(name, value, error):
     with pytest.raises(la.InputError):
         ShapeParameter(name, value, error)
+
+
+def test_the_report_draws_the_profile(model, tmp_path):
+    page = la.write_report(model, tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Profile likelihood of a" in page
+    assert "falls evenly to both sides" in page
+    skewed = ShapeParameter("a", 1.0, 0.1, [(0.8, 3.9), (1.0, 0.0), (1.6, 4.0)])
+    assert profile_title([skewed]) == "The 95 % interval of a reaches 3.0 times as far up as down"

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import leastaction as la
+from helpers import free_motions
 from leastaction.diagnosis import smooth_changes
 from leastaction.estimation.fit import Fit
-from tests.helpers import free_motions
 
 
 # ------------------------------ families: they are named, and lead to the law when they are added

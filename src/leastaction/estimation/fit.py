@@ -34,12 +34,16 @@ class ShapeEstimate:
         Of the members' coefficients, then of the shape parameters; zero for those held at a bound.
     settled : bool
         Whether the last step was below a hundredth of a standard error.
+    profiles : tuple of tuple
+        Of each parameter pairs of a number and by how much −2 log likelihood rises there; empty where that
+        was not computed.
     """
 
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray
     settled: bool
+    profiles: tuple[tuple[tuple[float, float], ...], ...] = ()
 
     @property
     def standard_errors(self) -> np.ndarray:

@@ -15,7 +15,8 @@ Schema 2, where ``null`` stands for "not available"::
                            "message": text, "remedy": text}, ...],
              "warnings": [text, ...]},
      "provenance": {anything that is JSON: version, options, hash of the data},
-     "shapes": [{"name": text, "value": number, "standard_error": number or null}, ...],
+     "shapes": [{"name": text, "value": number, "standard_error": number or null,
+                 "profile": [[number, rise of −2 log likelihood], ...]}, ...],     profile: optional
      "covariance": [[...], ...]}        of the free coefficients, terms before dissipation, then shapes
 
 ``shapes`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression with shape
@@ -75,10 +76,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
         "provenance": plain_json(model.provenance, "provenance"),
     }
     if model.shapes:
-        document["shapes"] = [
-            {"name": s.name, "value": s.value, "standard_error": _number_or_none(s.standard_error)}
-            for s in model.shapes
-        ]
+        document["shapes"] = [_encode_shape(shape) for shape in model.shapes]
     if model.covariance is not None:
         document["covariance"] = model.covariance.tolist()
     return document
@@ -91,6 +89,15 @@ def _encode_term(term: ModelTerm) -> dict[str, Any]:
         "standard_error": _number_or_none(term.standard_error),
         "known": term.known,
         **({"template": term.template} if term.template else {}),
+    }
+
+
+def _encode_shape(shape: ShapeParameter) -> dict[str, Any]:
+    return {
+        "name": shape.name,
+        "value": shape.value,
+        "standard_error": _number_or_none(shape.standard_error),
+        **({"profile": [list(pair) for pair in shape.profile]} if shape.profile else {}),
     }
 
 
@@ -235,10 +242,11 @@ def _shapes(value: Any) -> tuple[ShapeParameter, ...]:
     out: list[ShapeParameter] = []
     for i, item in enumerate(_list(value, "shapes", MAX_TERMS)):
         place = f"shapes[{i}]"
-        _check_entries(item, place, ("name", "value", "standard_error"))
+        _check_entries(item, place, ("name", "value", "standard_error"), ("profile",))
         error = _number(item["standard_error"], f"{place}.standard_error", nullable=True, least=0.0)
         try:
-            out.append(ShapeParameter(item["name"], _number(item["value"], f"{place}.value"), error))
+            value = _number(item["value"], f"{place}.value")
+            out.append(ShapeParameter(item["name"], value, error, item.get("profile", ())))
         except InputError as problem:
             raise InputError(f"{place}: {problem}") from None
     return tuple(out)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Literal, cast
 
 import numpy as np
 import sympy as sp
@@ -15,10 +16,12 @@ from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 
-__all__ = ["FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
+__all__ = ["INTERVAL_RISE", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
 
 # Half width of a central 95 % interval of a normal distribution, in standard errors.
 _Z95 = 1.959963984540054
+INTERVAL_RISE = _Z95**2
+"""By how much −2 log likelihood rises to the ends of a 95 % interval."""
 
 
 def as_float(value: object, label: str, *, missing: bool = False, least: float = -math.inf) -> float:
@@ -136,22 +139,34 @@ class ShapeParameter:
     value : float
     standard_error : float
         NaN where it is not available.
+    profile : sequence of (float, float)
+        Profile likelihood: numbers in rising order, and by how much −2 log likelihood is higher there than at
+        `value`, everything else refitted. Empty where it was not computed.
 
     Raises
     ------
     InputError
         If a value is of the wrong type or not finite.
 
+    Notes
+    -----
+    `lower` and `upper` are the ends of the 95 % interval: where the profile rises by 3.84, between its
+    points; on a side where it does not rise that far, or without one, 1.96 standard errors from `value`.
+
     Examples
     --------
     >>> decay = ShapeParameter("a", 0.8, 0.1)
     >>> round(decay.lower, 3), round(decay.upper, 3)
     (0.604, 0.996)
+    >>> decay = ShapeParameter("a", 0.8, 0.1, [(0.6, 4.0), (0.7, 1.0), (0.8, 0.0), (1.0, 2.25), (1.2, 9.0)])
+    >>> round(decay.lower, 3), round(decay.upper, 3)
+    (0.604, 1.061)
     """
 
     name: str
     value: float
     standard_error: float = math.nan
+    profile: tuple[tuple[float, float], ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         _check_text(self.name, "the name of a shape parameter")
@@ -161,16 +176,25 @@ class ShapeParameter:
         error = as_float(self.standard_error, f"{where}the standard error", missing=True, least=0.0)
         object.__setattr__(self, "value", as_float(self.value, f"{where}the value"))
         object.__setattr__(self, "standard_error", error)
+        object.__setattr__(self, "profile", _profile(self.profile, where))
 
     @property
     def lower(self) -> float:
         """Lower end of the 95 % interval."""
-        return self.value - _Z95 * self.standard_error
+        return self._end([(x, drop) for x, drop in reversed(self.profile) if x <= self.value], -1.0)
 
     @property
     def upper(self) -> float:
         """Upper end of the 95 % interval."""
-        return self.value + _Z95 * self.standard_error
+        return self._end([(x, drop) for x, drop in self.profile if x >= self.value], 1.0)
+
+    def _end(self, side: list[tuple[float, float]], sign: float) -> float:
+        """Where the root of a profile, which is nearly straight, crosses that of its bound."""
+        for (x, low), (y, high) in pairwise(side):
+            if low < INTERVAL_RISE <= high:
+                a, b = math.sqrt(low), math.sqrt(high)
+                return x + (y - x) * (_Z95 - a) / (b - a)
+        return self.value + sign * _Z95 * self.standard_error
 
     def as_term(self) -> ModelTerm:
         """Name and number in the columns of a table of terms.
@@ -180,7 +204,39 @@ class ShapeParameter:
         >>> ShapeParameter("a", 0.8, 0.1).as_term().written
         '{a}'
         """
-        return ModelTerm(f"{{{self.name}}}", self.value, self.standard_error)
+        return _Row(f"{{{self.name}}}", self.value, self.standard_error, ends=(self.lower, self.upper))
+
+
+@dataclass(frozen=True)
+class _Row(ModelTerm):
+    """A term whose interval is not that of its standard error."""
+
+    ends: tuple[float, float] = (math.nan, math.nan)
+
+    @property
+    def lower(self) -> float:
+        return self.ends[0]
+
+    @property
+    def upper(self) -> float:
+        return self.ends[1]
+
+
+def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
+    """Pairs of numbers, the first of each in rising order."""
+    refused = InputError(f"{where}the profile is {quoted(given)}; expected pairs of numbers")
+    if not isinstance(given, Iterable):
+        raise refused
+    numbers: list[tuple[float, float]] = []
+    for pair in cast("Iterable[object]", given):
+        if not isinstance(pair, (tuple, list)) or len(cast("Sequence[object]", pair)) != 2:
+            raise refused
+        place, rise = cast("Sequence[object]", pair)
+        place = as_float(place, f"{where}a number of the profile")
+        numbers.append((place, as_float(rise, f"{where}a rise of the profile", least=0.0)))
+    if any(b <= a for (a, _), (b, _) in pairwise(numbers)):
+        raise InputError(f"{where}the numbers of the profile do not rise; sort them")
+    return tuple(numbers)
 
 
 @dataclass(frozen=True, init=False)

@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.term import ShapeParameter
 from leastaction.report.series import Series
-from leastaction.report.text import percent, plain, plural, signed
+from leastaction.report.text import listed, percent, plain, plural, signed
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["curve_title", "energy_title", "forecast_title", "path_title", "residual_title"]
+__all__ = ["curve_title", "energy_title", "forecast_title", "path_title", "profile_title", "residual_title"]
 
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
 _SLOW = 0.05
+_EVEN = 1.2  # ratio of the two halves of an interval
 _TAIL = 0.01  # beyond 3 σ, where normal noise leaves 0.0027
 
 
@@ -74,6 +76,20 @@ def residual_title(series: Series, i: int, name: str) -> str:
     if not findings:
         return f"{name}: what is left looks like white, normal noise"
     return f"{name}: what is left is not plain noise: {'; '.join(findings)}"
+
+
+def profile_title(shapes: Sequence[ShapeParameter]) -> str:
+    """Whether the intervals of shape parameters reach as far to one side as to the other."""
+    reach = {s.name: (s.upper - s.value) / (s.value - s.lower) for s in shapes}
+    skewed = [name for name, ratio in reach.items() if not 1.0 / _EVEN < ratio < _EVEN]
+    if not skewed:
+        return "The likelihood falls evenly to both sides of every shape parameter"
+    texts = [
+        f"of {name} reaches {max(reach[name], 1.0 / reach[name]):.1f} times as far "
+        f"{'up as down' if reach[name] > 1.0 else 'down as up'}"
+        for name in skewed
+    ]
+    return f"The 95 % interval {listed(texts)}"
 
 
 def energy_title(energy: dict[str, Any]) -> str:

@@ -6,8 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
+from scipy.interpolate import PchipInterpolator
 
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.notation import interval_text
+from leastaction.model.term import INTERVAL_RISE, ShapeParameter
 from leastaction.report.axes import HALF, Axes
 from leastaction.report.series import Energy, legible_samples, thin_line
 from leastaction.report.text import plain, signed
@@ -22,6 +25,7 @@ __all__ = [
     "forecast_panel",
     "path_axes",
     "path_figure",
+    "profile_figure",
 ]
 
 _MOST_TRIALS = 60
@@ -46,6 +50,28 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
         "path",
         f"ΔBIC against the number of free terms; {chosen.n_terms} are chosen",
         f"BIC of the best structure of each size, from the chosen one: {said or 'no other size'}",
+    )
+
+
+def profile_figure(shape: ShapeParameter) -> Markup:
+    """−2 log likelihood about a shape parameter, its parabola, and the 95 % interval."""
+    places, rise = np.array(shape.profile).T
+    roots = np.where(places < shape.value, -1.0, 1.0) * np.sqrt(rise)
+    x = np.linspace(places[0], places[-1], 121)
+    axes = Axes(HALF)
+    axes.band(x=(shape.lower, shape.upper))
+    axes.rule(INTERVAL_RISE, "muted", 1.0, dashes="4 3")
+    parabola = ((x - shape.value) / shape.standard_error) ** 2
+    axes.line(x, parabola, "measured", 1.2, dashes="5 4")
+    axes.line(x, PchipInterpolator(places, roots)(x) ** 2, "fit")
+    axes.dots(places, rise, "fit", 4.0, above=True)
+    axes.limit(y=(0.0, 1.15 * max(float(rise.max()), INTERVAL_RISE)))
+    axes.label(shape.name, "rise of −2 log likelihood")
+    interval = interval_text(shape.as_term())
+    return axes.svg(
+        f"profile-{shape.name}",
+        f"Profile likelihood of {shape.name}",
+        f"Lowest at {plain(shape.value, full=True)}; the 95 % interval is {interval}",
     )
 
 

@@ -71,6 +71,7 @@ def _context(
         "groups": groups,
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
+        **_profiles(model),
         "data": series.trajectories,
         "shown": series.trajectories.names[series.trial],
         "n_drawn": min(model.n_dof, _MOST_DRAWN),
@@ -121,6 +122,14 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
         for name, terms in groups
         if terms
     ]
+
+
+def _profiles(model: LagrangianModel) -> dict[str, Any]:
+    shapes = [shape for shape in model.shapes if len(shape.profile) > 2]
+    return {
+        "profiles": [figures.profile_figure(shape) for shape in shapes],
+        "profile_title": captions.profile_title(shapes),
+    }
 
 
 def _options(model: LagrangianModel) -> Mapping[str, Any]:

@@ -51,7 +51,7 @@ def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any
         weakest = min(free, key=lambda t: abs(t.z))
         share = (weakest.upper - weakest.coefficient) / abs(weakest.coefficient)
         value = f"±{percent(share)}" if share < 10 else "open"
-        text = weakest.expression
+        text = weakest.written
         note = text if notation.is_long(text) else notation.term(text)
         facts.append({"name": "Least sure term", "value": value, "note": note})
     return facts

@@ -1,0 +1,136 @@
+"""Profile likelihood of shape parameters: what the data say of a number that stands inside terms.
+
+    drop(κ) = 2 (log L(κ̂) − max log L(κ)),
+
+the maximum over the curve, the coefficients and the other shape parameters, at the weights of the fit.  The
+likelihood is no parabola in such numbers, and κ̂ ± 1.96 standard errors may be far from the interval in which
+drop(κ) is below 3.84 (Wilks 1938, Ann. Math. Stat. 9:60).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.gauss_newton import JointFit, fit_joint
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.shapes import with_tangents
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import evidence
+
+__all__ = ["profiled"]
+
+_PLACES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # standard errors from the most likely number
+_FAR = 6.0  # drop at which a side ends: well beyond the interval
+_STEPS = 6  # of the other shape parameters at each place
+_SETTLED = 0.02  # standard errors
+_TOLERANCE = 1e-3  # of −2 log likelihood
+
+
+def profiled(fit: Fit) -> Fit:
+    """The fit with the profile of every shape parameter that has an error of its own.
+
+    Cost: some ten fits at fixed weights for each parameter. Nothing is done where the parameters are not
+    settled, or where the errors of the fit do not come from its likelihood.
+    """
+    found, n = fit.shapes, len(fit.structure)
+    if found is None or not found.settled or not np.array_equal(found.covariance[:n, :n], fit.covariance):
+        return fit
+    errors = found.standard_errors.tolist()
+    profiles = tuple(
+        _Profile(fit, name).both_sides(float(value), error) if error > 0.0 else ()
+        for name, value, error in zip(found.names, found.values, errors, strict=True)
+    )
+    return replace(fit, shapes=replace(found, profiles=profiles))
+
+
+class _Profile:
+    """Fits with one shape parameter held."""
+
+    def __init__(self, fit: Fit, name: str) -> None:
+        assert fit.shapes is not None
+        self.fit, self.name = fit, name
+        self.others = tuple(other for other in fit.shapes.names if other != name)
+        place = len(fit.structure) + fit.shapes.names.index(name)
+        # how coefficients and other parameters follow this one
+        self.follow = fit.shapes.covariance[:, place] / max(fit.shapes.covariance[place, place], 1e-300)
+
+    def both_sides(self, value: float, error: float) -> tuple[tuple[float, float], ...]:
+        """Numbers in rising order, and the drop at each."""
+        best = self._value_at(self.fit.problem, self._moved(0.0), self.fit.control_points)
+        if best is None:
+            return ()
+        sides = [self._side(value, sign * error, best[0]) for sign in (-1.0, 1.0)]
+        # at the most likely number drop is 0: where the fit has stopped short of it by rounding, too
+        return (*reversed(sides[0]), (value, 0.0), *sides[1])
+
+    def _side(self, value: float, error: float, best: float) -> list[tuple[float, float]]:
+        out: list[tuple[float, float]] = []
+        where, curve = self.fit.problem.ranges[self.name], self.fit.control_points
+        for places in _PLACES:
+            step = places * error
+            if where.bounded and not where.low <= value + step <= where.high:
+                break
+            problem = self.fit.problem.at(self._shapes(value, step))
+            found = self._value_at(problem, self._moved(step), curve)
+            if found is None:
+                break
+            drop, curve = 2.0 * (best - found[0]), found[1]
+            out.append((value + step, max(drop, 0.0)))
+            if drop > _FAR:
+                break
+        return out
+
+    def _shapes(self, value: float, step: float) -> dict[str, float]:
+        """All shape parameters, the others where they are expected."""
+        assert self.fit.shapes is not None
+        n = len(self.fit.structure)
+        here = zip(self.fit.shapes.names, self.fit.shapes.values.tolist(), self.follow[n:], strict=True)
+        ranges = self.fit.problem.ranges
+        moved = {name: ranges[name].stepped(now, float(rate * step)) for name, now, rate in here}
+        return {**moved, self.name: value + step}
+
+    def _moved(self, step: float) -> np.ndarray:
+        """The coefficients where they are expected."""
+        out = self.fit.coefficients.copy()
+        out[list(self.fit.structure)] += step * self.follow[: len(self.fit.structure)]
+        return out
+
+    def _value_at(
+        self, problem: Problem, coefficients: np.ndarray, curve: np.ndarray
+    ) -> tuple[float, np.ndarray] | None:
+        """The highest log likelihood with the parameter held, and its curve; None where no fit converges."""
+        count = len(problem.candidates)
+        for _ in range(_STEPS):
+            wide, structure = with_tangents(problem, self.fit.structure, coefficients, self.others)
+            padded = np.append(coefficients, np.zeros(len(self.others)))
+            found, index = self._joint(wide, structure, padded, curve)
+            if not found.converged:
+                return None
+            values = padded.copy()
+            values[index] = found.coefficients
+            coefficients, steps, curve = values[:count], values[count:], found.control_points
+            places = [len(self.fit.structure) + k for k in range(len(self.others))]
+            errors = np.sqrt(np.clip(np.diag(found.covariance)[places], 1e-300, None))
+            if np.all(np.abs(steps) <= _SETTLED * errors):
+                value = evidence(self.fit.grid.observations, found)
+                return (value, curve) if np.isfinite(value) else None
+            here = problem.shape_values
+            problem = problem.at(
+                {
+                    name: problem.ranges[name].stepped(here[name], step)
+                    for name, step in zip(self.others, steps.tolist(), strict=True)
+                }
+            )
+        return None
+
+    def _joint(
+        self, problem: Problem, structure: Structure, coefficients: np.ndarray, curve: np.ndarray
+    ) -> tuple[JointFit, list[int]]:
+        grid = self.fit.grid.posed(problem)
+        physics, index = grid.physics(structure)
+        values = problem.completed(coefficients)[index]
+        found = fit_joint(grid.observations, physics, self.fit.weights, curve, values, tolerance=_TOLERANCE)
+        return found, index
