@@ -1,0 +1,75 @@
+"""What the package holds beside code: measured data, and thresholds that decide."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import leastaction
+from leastaction.curve.settings import CURVE
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.settings import ESTIMATION
+from leastaction.selection.settings import SELECTION
+
+# --------------------------------------------------- measured data: whole, and what their README says
+DATA = files("leastaction") / "datasets"
+
+
+@pytest.mark.parametrize(
+    ("name", "coordinates", "n_trials", "n_times"),
+    [
+        ("double_pendulum", ["theta1", "theta2"], 26, 1334),
+        ("single_pendulum", ["theta"], 4, 4584),
+    ],
+)
+def test_measured_pendulum(name, coordinates, n_trials, n_times):
+    with as_file(DATA / f"{name}.csv.gz") as path:
+        frame = pd.read_csv(path)
+    assert list(frame.columns) == ["trial", "t", *coordinates]
+    assert frame["trial"].unique().tolist() == [f"id-{k}" for k in range(n_trials)]
+    for _, trial in frame.groupby("trial"):
+        assert len(trial) == n_times
+        np.testing.assert_allclose(np.diff(trial["t"]), 0.002, rtol=0, atol=1e-9)
+        angles = trial[coordinates].to_numpy()
+        # Zero is upright, so a swing stays around π; a jump between samples would be a wrapped angle.
+        assert abs(angles.mean() - np.pi) < 0.1
+        assert np.abs(np.diff(angles, axis=0)).max() < 0.1
+
+
+def test_licence_is_beside_the_data():
+    assert "dynamicslab" in (DATA / "LICENSE-MultiArm-Pendulum").read_text(encoding="utf-8")
+
+
+# ------------------------- thresholds: one frozen object a package, every value documented and in use
+SETTINGS = {"CURVE": CURVE, "ESTIMATION": ESTIMATION, "SELECTION": SELECTION, "DIAGNOSIS": DIAGNOSIS}
+
+
+def _documented(settings) -> set[str]:
+    """Names of the fields that are followed by a text."""
+    body = ast.parse(inspect.getsource(type(settings))).body[0].body
+    return {
+        field.target.id
+        for field, text in itertools.pairwise(body)
+        if isinstance(field, ast.AnnAssign)
+        and isinstance(text, ast.Expr)
+        and isinstance(text.value, ast.Constant)
+    }
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_settings_are_frozen_documented_and_used(name):
+    settings = SETTINGS[name]
+    fields = {field.name for field in dataclasses.fields(settings)}
+    assert _documented(settings) == fields
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(settings, next(iter(fields)), 0.0)
+    source = "".join(path.read_text("utf-8") for path in Path(leastaction.__file__).parent.rglob("*.py"))
+    assert not [field for field in fields if f"{name}.{field}" not in source]
