@@ -354,7 +354,7 @@ def test_misuse_is_explained(tmp_path, pendulum):
 
 def test_template_and_style_are_in_the_package():
     here = files("leastaction.report")
-    parts = {f"{name}.html.j2" for name in ("page", "macros", "evidence", "provenance")}
+    parts = {f"{name}.html.j2" for name in ("page", "macros", "evidence")}
     assert parts | {"style.css"} <= {item.name for item in here.iterdir()}
 
 
