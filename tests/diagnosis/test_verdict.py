@@ -40,7 +40,7 @@ class Doubts:
 
 
 def driven(name: str = "double_pendulum", **change):
-    data = systems.generate(name, noise=0.01, trials=3, duration=10.0, seed=3)
+    data = systems.generate(name, noise=0.01, trials=2, duration=6.0, rate=50.0, seed=3)
     return la.Trajectories([change_one(t, **change) for t in data]), systems.compact_library(name)
 
 
@@ -94,7 +94,8 @@ def test_a_force_recorded_as_zero_is_no_exchange():
 )
 def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
     # imitators follow a pendulum without cos(theta) to a tenth of a per cent
-    data = systems.generate(name, noise=noise, trials=5, duration=20.0, seed=8)
+    trials, duration = {0.01: (2, 5.0), 0.1: (3, 8.0)}[noise]
+    data = systems.generate(name, noise=noise, trials=trials, duration=duration, rate=50.0, seed=2)
     texts = [t.text for t in systems.compact_library(name).terms if t.text != lacking]
     library = la.Library(texts, data.coordinates, angles=systems.get(name).angles)
     doubts = Doubts(data, library, known=systems.get(name).known)
@@ -266,7 +267,7 @@ def test_free_runs_tell_a_right_model_from_a_wrong_one():
     ],
 )
 def test_the_likelier_of_a_wrong_coefficient_and_a_missing_term_is_named(candidates, known, named, not_named):
-    data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=15.0, seed=2)
+    data = systems.generate("double_pendulum", noise=0.01, trials=2, duration=6.0, rate=50.0, seed=0)
     kinetic = [t.text for t in systems.compact_library("double_pendulum") if "_dot" in t.text]
     doubts = Doubts(data, [*kinetic, *candidates], known=known)
     subject = {"missing-term": "cos(theta2)", "wrong-known-coefficient": "theta1_dot**2"}[named]
