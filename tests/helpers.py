@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -206,6 +207,7 @@ def duffing(noise=0.01, seed=0, **options) -> Trajectories:
     )
 
 
+@cache
 def pendulum(viscous=0.15, coulomb=0.0, speed=2.0, noise=0.01, driven=True, trials=2) -> Trajectories:
     """θ̈ = −9.81 sin θ − c θ̇ − μ sign θ̇ + τ, the sign rounded off below a millimetre a second."""
 
@@ -221,6 +223,7 @@ def pendulum(viscous=0.15, coulomb=0.0, speed=2.0, noise=0.01, driven=True, tria
     return record(acceleration, starts, ["theta"], duration=8.0, rate=60.0, noise=noise, forcing=forcing)
 
 
+@cache
 def cart(driven=True) -> Trajectories:
     """Cart (2 kg) on a spring with a pendulum (1 kg, 1 m); the force acts on the cart only."""
 

@@ -44,23 +44,26 @@ def _pendulum(
     """A driven pendulum, ½ θ̇² + 9.81 cos θ, with what a machine adds."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 8.0, 0.01)
-    out = []
+    drawn = []
     for _ in range(2):
         known = 4.0 * sum(rng.normal() * np.sin(w * t + rng.uniform(0.0, 6.3)) for w in (0.7, 1.9, 2.8, 4.1))
         fast = sosfiltfilt(butter(2, [0.06, 0.2], "band", output="sos"), rng.normal(size=t.size))
         slow = offset + drift * np.sin(2.0 * np.pi * t / 20.0)
         forces = known + slow + pushed * fast / fast.std()
-        table = lambda times, f=forces: np.interp(times, t, f)[..., None]  # noqa: E731
-        start = rng.normal(0.0, 1.0, (2, 1))
-        q, _ = rk4(
-            lambda q, v, f: f - 9.81 * np.sin(q) - viscous * v - dry * np.tanh(v / 0.02),
-            *start,
-            t,
-            forces=table,
-        )
-        q = q + rng.normal(0.0, noise, q.shape)
-        out.append(la.Trajectory(t, q, forces=sign * known[:, None], coordinates=["theta"]))
-    return la.Trajectories(out)
+        drawn.append((known, forces, *rng.normal(0.0, 1.0, (2, 1)), rng.normal(0.0, noise, (t.size, 1))))
+    motions, _ = rk4(
+        lambda q, v, f: f - 9.81 * np.sin(q) - viscous * v - dry * np.tanh(v / 0.02),
+        [d[2] for d in drawn],
+        [d[3] for d in drawn],
+        t,
+        forces=lambda times: np.stack([np.interp(times, t, d[1]) for d in drawn], axis=1)[..., None],
+    )
+    return la.Trajectories(
+        [
+            la.Trajectory(t, motions[:, k] + error, forces=sign * known[:, None], coordinates=["theta"])
+            for k, (known, *_, error) in enumerate(drawn)
+        ]
+    )
 
 
 PENDULUM = ["theta_dot**2", "cos(theta)", "sin(theta)", "theta**2", "theta", "theta_dot**2*cos(theta)"]

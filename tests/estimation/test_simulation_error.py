@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,25 +25,40 @@ TRUTH = np.array([0.5, 9.81, 0.2])
 STEP = 0.01
 
 
-def driven(seed: int, pushed: float = 0.0, viscous: float = 0.2, trials: int = 3) -> la.Trajectories:
-    """A pendulum under a known torque, and under one that nobody measured and that is fast."""
-    rng = np.random.default_rng(seed)
+def recordings(
+    seeds: Sequence[int], pushed: float = 0.0, viscous: float = 0.2, trials: int = 3
+) -> list[la.Trajectories]:
+    """A pendulum under a known torque, and under one that nobody measured and that is fast.
+
+    One set of trials for each seed; all motions are integrated at once.
+    """
     t = np.arange(0.0, 15.0, STEP)
-    out = []
-    for _ in range(trials):
-        known = sum(rng.normal() * np.sin(w * t + rng.uniform(0.0, 6.3)) for w in (0.7, 1.9, 2.8, 4.1))
-        fast = sosfiltfilt(butter(2, [0.06, 0.2], "band", output="sos"), rng.normal(size=t.size))  # 3-10 Hz
-        fast *= pushed / fast.std()
-        forces = (4.0 * known + fast)[:, None]
+    drawn = []
+    for rng in map(np.random.default_rng, seeds):
+        for _ in range(trials):
+            known = sum(rng.normal() * np.sin(w * t + rng.uniform(0.0, 6.3)) for w in (0.7, 1.9, 2.8, 4.1))
+            fast = sosfiltfilt(butter(2, [0.06, 0.2], "band", output="sos"), rng.normal(size=t.size))
+            fast *= pushed / fast.std()  # 3-10 Hz
+            starts = rng.normal(0.0, 1.0, 1), rng.normal(0.0, 1.0, 1)
+            drawn.append((4.0 * known, 4.0 * known + fast, *starts, rng.normal(0.0, 1e-4, (t.size, 1))))
 
-        def acceleration(q, v, f):
-            return f - TRUTH[1] * np.sin(q) - viscous * v
+    def forces(times):
+        return np.stack([np.interp(times, t, force) for _, force, *_ in drawn], axis=1)[..., None]
 
-        table = lambda times: np.stack([np.interp(times, t, forces[:, 0])], axis=-1)  # noqa: B023, E731
-        q, _ = rk4(acceleration, rng.normal(0.0, 1.0, 1), rng.normal(0.0, 1.0, 1), t, forces=table)
-        q += rng.normal(0.0, 1e-4, q.shape)
-        out.append(la.Trajectory(t, q, forces=4.0 * known[:, None], coordinates=["theta"]))
-    return la.Trajectories(out)
+    def acceleration(q, v, f):
+        return f - TRUTH[1] * np.sin(q) - viscous * v
+
+    motions, _ = rk4(acceleration, [d[2] for d in drawn], [d[3] for d in drawn], t, forces=forces)
+    runs = [
+        la.Trajectory(t, motions[:, k] + noise, forces=known[:, None], coordinates=["theta"])
+        for k, (known, *_, noise) in enumerate(drawn)
+    ]
+    return [la.Trajectories(runs[k : k + trials]) for k in range(0, len(runs), trials)]
+
+
+def driven(seed: int, pushed: float = 0.0, viscous: float = 0.2, trials: int = 3) -> la.Trajectories:
+    """Recordings of one seed."""
+    return recordings([seed], pushed, viscous, trials)[0]
 
 
 def setup_of(data: la.Trajectories, known=None):
@@ -74,7 +90,7 @@ def test_friction_dissipates():
 
 
 def test_intervals_hold_under_pushes_that_nobody_measured():
-    results = [minimise(driven(seed, pushed=2.0), TRUTH) for seed in range(20, 45)]
+    results = [minimise(data, TRUTH) for data in recordings(range(20, 45), pushed=2.0)]
     z = np.array([(r.estimates - TRUTH) / np.sqrt(np.diag(r.covariance)) for r in results])
     assert 0.75 < np.sqrt(np.mean(z**2)) < 1.35
     assert np.all(np.abs(z.mean(axis=0)) < 0.75)  # no bias that matters: four standard deviations of a mean
