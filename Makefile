@@ -41,9 +41,10 @@ help:
 demo: $(STAMPS)/core
 	$(BIN)/leastaction demo --output demo-output
 
-# Two workers with one BLAS thread each: small matrices gain nothing from more threads.
+# Two workers with one BLAS thread each: small matrices gain nothing from more threads. Each takes half of the files
+# in a row, so that what the tests of a file share is computed once, and then steals from the other.
 test: $(STAMPS)/test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -q $(TEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -q $(TEST_ARGS)
 
 # Kernels of OpenBLAS round differently: results must not depend on the processor.
 test-kernels: $(STAMPS)/test

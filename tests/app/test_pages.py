@@ -61,13 +61,16 @@ async def until(condition, seconds: float = 60.0) -> None:
     raise AssertionError("this has not happened in time")
 
 
-def test_from_an_example_to_a_result():
+def test_from_an_example_to_a_result_and_along_the_curve():
+    """A step shows a provisional model, and then the refined one."""
+
     async def script(user) -> None:
         await open_candidates(user, "single")
         await user.should_see("8 candidates, 2 for friction; 3 trials fitted, 1 held out", retries=50)
         user.find(marker="discover").click()
         await user.should_see("Searching", retries=50)
-        await until(lambda: session_of_page().found)
+        session = session_of_page()
+        await until(lambda: session.found)
         await user.should_see("How many terms?", retries=50)
         await user.should_see("5 free terms. This is the structure that leastaction chose.")
         user.find(marker="report").click()
@@ -76,18 +79,6 @@ def test_from_an_example_to_a_result():
         user.find(marker="model").click()
         response = await user.download.next(timeout=30)
         assert b'"schema"' in response.content
-
-    simulate(script)
-
-
-def test_a_step_along_the_curve_shows_a_provisional_model_and_then_the_refined_one():
-    async def script(user) -> None:
-        await open_candidates(user, "single")
-        await user.should_see("3 trials fitted, 1 held out", retries=50)
-        user.find(marker="discover").click()
-        await until(lambda: session_of_page().found)
-        await user.should_see("5 free terms. This is the structure", retries=50)
-        session = session_of_page()
         await until(lambda: session.current.stage == "forecast")
         user.find(marker="fewer").click()
         await user.should_see("4 free terms. The criterion prefers the chosen structure by")

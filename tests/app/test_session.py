@@ -25,8 +25,9 @@ def wait(job, seconds: float = 60.0):
     return job
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def worker():
+    """One for all tests: a process takes a second to start, and none may spoil it for the next job."""
     worker = Worker()
     yield worker
     worker.close()
@@ -132,13 +133,27 @@ def free_terms(model: la.LagrangianModel) -> dict[str, float]:
     return {t.expression: t.coefficient for t in (*model.terms, *model.dissipation) if not t.known}
 
 
-@pytest.fixture
-def walking(session):
-    """A session with a discovery done."""
+@pytest.fixture(scope="module")
+def discovered():
+    """A session with a discovery and its forecast done."""
+    session = Session()
     session.open_example("single")
     session.discover()
-    until(session, lambda: bool(session.found))
-    return session
+    until(session, lambda: bool(session.found) and not session.waiting)
+    yield session
+    session.close()
+    assert not session.folder.exists()
+
+
+@pytest.fixture
+def walking(discovered):
+    """The session as the discovery has left it."""
+    walk, best = discovered.walk, discovered.best
+    yield discovered
+    discovered.stop()
+    discovered.job, discovered._job_place = None, None
+    discovered.found, discovered.faults = {walk.chosen: best}, {}
+    discovered.walk, discovered.place = walk, walk.chosen
 
 
 def test_a_step_is_answered_at_once_and_refined_behind(walking):
