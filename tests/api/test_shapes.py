@@ -113,8 +113,7 @@ def test_it_simulates(model):
 
 
 def test_a_bound_that_excludes_the_truth_is_named(data):
-    some = la.Trajectories([run.rows(slice(121)) for run in data[:2]])
-    model = la.discover(some, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (1.2, 3.0)})
+    model = la.discover(data, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (1.2, 3.0)})
     assert model.fit.status == "doubtful"
     assert model.provenance["options"]["shapes"] == {"a": [1.2, 3.0]}
     (finding,) = findings_of(model, "shape-at-bound")
