@@ -152,11 +152,11 @@ def block(number: int):
 
 def work(given) -> None:
     """What a Gauss–Newton step and an update of the weights do with a block."""
-    from leastaction.estimation.joint import Weights
+    from leastaction.estimation.joint import Weights, linearise
 
     seen, physics, control = given
     weights = Weights(np.full(2, 0.01), np.ones(2), np.ones(2))
-    at = seen.linearise(physics, control, np.ones(6))
+    at = linearise(seen, physics, control, np.ones(6))
     at.normal(weights).eliminate(1e-3).curve_step(np.zeros(6))
     at.freedom(weights)
 
