@@ -127,6 +127,11 @@ class Problem:
             return self
         return replace(self, candidates=self.candidates.of([term.at(values) for term in self.terms]))
 
+    def stepped(self, steps: Mapping[str, float]) -> Problem:
+        """The problem with some shape parameters moved; each stays within its range."""
+        here = self.shape_values
+        return self.at({name: self.ranges[name].stepped(here[name], step) for name, step in steps.items()})
+
     def completed(self, coefficients: np.ndarray) -> np.ndarray:
         """Coefficients of all candidates with the known ones in place and excluded ones at zero."""
         out = np.where(self.is_known, self.known, coefficients)

@@ -1,10 +1,10 @@
 """Profile likelihood of shape parameters: what the data say of a number that stands inside terms.
 
-    drop(κ) = 2 (log L(κ̂) − max log L(κ)),
+    rise(κ) = 2 (log L(κ̂) − max log L(κ)),
 
 the maximum over the curve, the coefficients and the other shape parameters, at the weights of the fit.  The
 likelihood is no parabola in such numbers, and κ̂ ± 1.96 standard errors may be far from the interval in which
-drop(κ) is below 3.84 (Wilks 1938, Ann. Math. Stat. 9:60).
+rise(κ) is below 3.84 (Wilks 1938, Ann. Math. Stat. 9:60).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from leastaction.estimation.weights import evidence
 __all__ = ["profiled"]
 
 _PLACES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # standard errors from the most likely number
-_FAR = 6.0  # drop at which a side ends: well beyond the interval
+_FAR = 6.0  # rise at which a side ends: well beyond the interval
 _STEPS = 6  # of the other shape parameters at each place
 _SETTLED = 0.02  # standard errors
 _TOLERANCE = 1e-3  # of −2 log likelihood
@@ -53,17 +53,20 @@ class _Profile:
         assert fit.shapes is not None
         self.fit, self.name = fit, name
         self.others = tuple(other for other in fit.shapes.names if other != name)
-        place = len(fit.structure) + fit.shapes.names.index(name)
+        n, place = len(fit.structure), len(fit.structure) + fit.shapes.names.index(name)
+        column = fit.shapes.covariance[:, place]
         # how coefficients and other parameters follow this one
-        self.follow = fit.shapes.covariance[:, place] / max(fit.shapes.covariance[place, place], 1e-300)
+        follow = column / max(column[place], 1e-300)
+        self.coefficients_follow = follow[:n]
+        self.shapes_follow = dict(zip(fit.shapes.names, follow[n:].tolist(), strict=True))
 
     def both_sides(self, value: float, error: float) -> tuple[tuple[float, float], ...]:
-        """Numbers in rising order, and the drop at each."""
+        """Numbers in rising order, and the rise at each."""
         best = self._value_at(self.fit.problem, self._moved(0.0), self.fit.control_points)
         if best is None:
             return ()
         sides = [self._side(value, sign * error, best[0]) for sign in (-1.0, 1.0)]
-        # at the most likely number drop is 0: where the fit has stopped short of it by rounding, too
+        # zero at the number of the fit, although that is the most likely one to rounding only
         return (*reversed(sides[0]), (value, 0.0), *sides[1])
 
     def _side(self, value: float, error: float, best: float) -> list[tuple[float, float]]:
@@ -73,29 +76,24 @@ class _Profile:
             step = places * error
             if where.bounded and not where.low <= value + step <= where.high:
                 break
-            problem = self.fit.problem.at(self._shapes(value, step))
+            problem = self._expected(step).at({self.name: value + step})
             found = self._value_at(problem, self._moved(step), curve)
             if found is None:
                 break
-            drop, curve = 2.0 * (best - found[0]), found[1]
-            out.append((value + step, max(drop, 0.0)))
-            if drop > _FAR:
+            rise, curve = 2.0 * (best - found[0]), found[1]
+            out.append((value + step, max(rise, 0.0)))
+            if rise > _FAR:
                 break
         return out
 
-    def _shapes(self, value: float, step: float) -> dict[str, float]:
-        """All shape parameters, the others where they are expected."""
-        assert self.fit.shapes is not None
-        n = len(self.fit.structure)
-        here = zip(self.fit.shapes.names, self.fit.shapes.values.tolist(), self.follow[n:], strict=True)
-        ranges = self.fit.problem.ranges
-        moved = {name: ranges[name].stepped(now, float(rate * step)) for name, now, rate in here}
-        return {**moved, self.name: value + step}
+    def _expected(self, step: float) -> Problem:
+        """The problem with the other shape parameters where they are expected."""
+        return self.fit.problem.stepped({name: self.shapes_follow[name] * step for name in self.others})
 
     def _moved(self, step: float) -> np.ndarray:
         """The coefficients where they are expected."""
         out = self.fit.coefficients.copy()
-        out[list(self.fit.structure)] += step * self.follow[: len(self.fit.structure)]
+        out[list(self.fit.structure)] += step * self.coefficients_follow
         return out
 
     def _value_at(
@@ -117,13 +115,7 @@ class _Profile:
             if np.all(np.abs(steps) <= _SETTLED * errors):
                 value = evidence(self.fit.grid.observations, found)
                 return (value, curve) if np.isfinite(value) else None
-            here = problem.shape_values
-            problem = problem.at(
-                {
-                    name: problem.ranges[name].stepped(here[name], step)
-                    for name, step in zip(self.others, steps.tolist(), strict=True)
-                }
-            )
+            problem = problem.stepped(dict(zip(self.others, steps.tolist(), strict=True)))
         return None
 
     def _joint(

@@ -121,12 +121,10 @@ class _Trial:
 
 def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...]) -> Fit | None:
     """The first fit along the step, halved where needed, that is at least as likely."""
-    problem, share = fit.problem, 1.0
-    here = problem.shape_values
+    share = 1.0
     for _ in range(_HALVINGS):
-        steps = zip(names, (share * trial.steps).tolist(), strict=True)
-        values = {n: problem.ranges[n].stepped(here[n], d) for n, d in steps}
-        other = fit.grid.posed(problem.at(values)).fit(fit.structure, trial.start, _ROUNDS)
+        moved = fit.problem.stepped(dict(zip(names, (share * trial.steps).tolist(), strict=True)))
+        other = fit.grid.posed(moved).fit(fit.structure, trial.start, _ROUNDS)
         if other.usable and other.evidence >= fit.evidence - _LOST:
             return other
         share *= 0.5

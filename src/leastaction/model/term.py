@@ -181,12 +181,12 @@ class ShapeParameter:
     @property
     def lower(self) -> float:
         """Lower end of the 95 % interval."""
-        return self._end([(x, drop) for x, drop in reversed(self.profile) if x <= self.value], -1.0)
+        return self._end([(x, rise) for x, rise in reversed(self.profile) if x <= self.value], -1.0)
 
     @property
     def upper(self) -> float:
         """Upper end of the 95 % interval."""
-        return self._end([(x, drop) for x, drop in self.profile if x >= self.value], 1.0)
+        return self._end([(x, rise) for x, rise in self.profile if x >= self.value], 1.0)
 
     def _end(self, side: list[tuple[float, float]], sign: float) -> float:
         """Where the root of a profile, which is nearly straight, crosses that of its bound."""
