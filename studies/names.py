@@ -8,7 +8,6 @@ written in several ways.
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies._tables import Records, Table, cells, median, number, percent, results, share, title_of
+from studies.attempt import attempt
 from studies.case import Case
 from studies.laws import error_of_acceleration
 from studies.said import codes_in
@@ -52,25 +52,17 @@ def solve(case: Case) -> dict:
     """Return what is kept of one discovery; an error of the user's kind is an answer too."""
     system = systems.get(case.system)
     truth, data, library = pose(case)
-    wall, cpu = time.perf_counter(), time.process_time()
-    try:
-        model = la.discover(data, library, known=dict(system.known))
-    except (la.InputError, la.DataError) as error:
-        said = {"status": "no model", "reason": str(error), "findings": []}
-        return said | {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    cost = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    model, kept = attempt(data, library, dict(system.known))
+    if model is None:
+        return kept
     error = float(np.max(error_of_acceleration(system, model, truth)))
     return {
-        "status": model.fit.status,
-        "findings": [finding.to_dict() for finding in model.fit.findings],
+        **kept,
         "acceleration_error": error if np.isfinite(error) else None,
         "n_terms": len(model.terms),
         "n_terms_of_law": len(system.lagrangian),
         "terms": {term.expression: term.coefficient for term in model.terms},
         "dissipation": {term.expression: term.coefficient for term in model.dissipation},
-        "n_candidates": model.provenance.get("n_candidates"),
-        "seconds": model.diagnostics.timings if model.diagnostics else None,
-        **cost,
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from functools import lru_cache
 
@@ -11,6 +10,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies import names, unlisted
+from studies.attempt import attempt
 from studies.case import Case
 from studies.faults import FAULTS, Question
 from studies.names import COULOMB, friction_candidates
@@ -57,30 +57,15 @@ def solve(case: Case) -> dict:
     if case.study == "names":
         return names.solve(case)
     question, sigma = pose(case)
-    wall, cpu = time.perf_counter(), time.process_time()
-    try:
-        model = la.discover(question.data, question.library, known=question.known)
-    except (la.InputError, la.DataError) as error:
-        return {
-            "status": "no model",
-            "reason": str(error),
-            "findings": [],
-            "exact": False,
-            "wall_s": time.perf_counter() - wall,
-            "cpu_s": time.process_time() - cpu,
-        }
-    cost = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    diagnostics = model.diagnostics
+    model, kept = attempt(question.data, question.library, question.known)
+    if model is None:
+        return kept | {"exact": False}
     said = {
-        "status": model.fit.status,
-        "findings": [finding.to_dict() for finding in model.fit.findings],
         "chi2_per_sample": model.fit.chi2_per_sample,
         "noise_ratio": np.divide(model.noise_std, sigma) if np.all(sigma > 0) else None,
         "knots_per_second": model.provenance.get("knots_per_second"),
-        "n_candidates": model.provenance.get("n_candidates"),
-        "seconds": diagnostics.timings if diagnostics else None,
     }
-    return said | cost | score(case, question, model)
+    return kept | said | score(case, question, model)
 
 
 class _Places:

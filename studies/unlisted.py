@@ -7,7 +7,6 @@ not count: no choice of them is right.
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
 
@@ -16,6 +15,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies._tables import Records, Table, binomial, cells, median, number, percent, results, title_of
+from studies.attempt import attempt
 from studies.case import Case
 from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, motions
 from studies.said import codes_in
@@ -41,26 +41,18 @@ def solve(case: Case) -> dict:
     """Return what is kept of one discovery; an error of the user's kind is an answer too."""
     law = LAWS[case.system]
     truth, data, library = pose(case)
-    wall, cpu = time.perf_counter(), time.process_time()
-    try:
-        model = la.discover(data, library, known=dict(law.known))
-    except (la.InputError, la.DataError) as error:
-        said = {"status": "no model", "reason": str(error), "findings": []}
-        return said | {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-    cost = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    model, kept = attempt(data, library, dict(law.known))
+    if model is None:
+        return kept
     errors = error_of_acceleration(law, model, truth)
     error = float(np.max(errors))
     return {
-        "status": model.fit.status,
-        "findings": [finding.to_dict() for finding in model.fit.findings],
+        **kept,
         # no number for what is not finite: a mass that vanishes, say
         "acceleration_error": error if np.isfinite(error) else None,
         "terms": {t.expression: _written(t) for t in model.terms},
         "dissipation": {t.expression: _written(t) for t in model.dissipation},
         "chi2_per_sample": model.fit.chi2_per_sample,
-        "n_candidates": model.provenance.get("n_candidates"),
-        "seconds": model.diagnostics.timings if model.diagnostics else None,
-        **cost,
     }
 
 
