@@ -119,9 +119,10 @@ def discover(
         ``"coefficients"`` (term → value) and the number of free ``"terms"``. Raise `leastaction.StopSearch`
         in it to end a long search: the best law so far comes back, with the finding ``stopped-early``.
     workers : int or distributed.Client, optional
-        Compute with so many threads, or with the workers of a Dask cluster; by default in this thread. Trials
-        are shared out, and so are the pieces that a long recording is searched on; the fit to all data of
-        one single trial is not. The result is the same. A worker that is lost costs time only.
+        Compute with so many processes, or with the workers of a Dask cluster; by default in this thread.
+        Processes share the trials of long recordings, which have more than 100,000 measured values, and a
+        program needs no ``if __name__ == "__main__":`` for them; a cluster shares those of shorter ones, too.
+        The result is the same. A worker that is lost costs time only.
 
     Returns
     -------

@@ -117,8 +117,7 @@ Example:
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Threads to compute with; trials, and the pieces that long recordings are searched on, are shared "
-    "out among them (default: 1).",
+    help="Processes that share the trials of long recordings, above 100,000 measured values (default: 1).",
 )
 @click.option(
     "--hold-out",

@@ -48,7 +48,8 @@ def observe(
         return StreamedObservations(grid, recipes, counts, crew)
     if len(recipes) == 1:
         return Observations(grid, times, values, rates, floors)
-    return BlockedObservations(grid, recipes, counts, crew)
+    # a block of a short recording is computed sooner than sent
+    return BlockedObservations(grid, recipes, counts, crew if crew.keeps else Alone())
 
 
 class BlockedObservations:

@@ -1,4 +1,4 @@
-"""Who computes: threads of this process, or the workers of a Dask cluster.
+"""Who computes: this thread, processes beside it, or the workers of a Dask cluster.
 
 A *task* is a function and its arguments, some of which may be other tasks. Its result stays where it was
 computed; only what is asked for travels. A task remembers how it was made, so that a result which is lost
@@ -10,21 +10,27 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import threading
 from collections.abc import Callable, Generator, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from leastaction.errors import InputError
 from leastaction.threads import single_threaded
 
-__all__ = ["Alone", "Crew", "DaskCrew", "Task", "ThreadCrew", "employ"]
+if TYPE_CHECKING:
+    from loky import ProcessPoolExecutor
+
+__all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
+_IDLE = 300.0  # seconds, after which a child ends, and so one whose parent was killed
+_MOST_STARTS = 3  # of the children of one discovery, before everything is computed here
 _LOOK = 1.0  # seconds between two looks at the cluster
 
 
@@ -83,8 +89,13 @@ class Alone:
         return [task.here() for task in tasks]
 
 
-class ThreadCrew:
-    """Threads of this process. NumPy and LAPACK let them run side by side.
+class ProcessCrew:
+    """Processes of this machine, which are started with the first task.
+
+    Threads would wait for each other: an operation on a block takes 20 to 100 µs, no longer than handing over
+    the lock of the interpreter. A child imports `leastaction` only and not the user's program, which needs no
+    guard for that. When a child is killed, what is missing is computed here and the next task starts others.
+    Results come back to this process: no task is an argument of another one.
 
     Attributes
     ----------
@@ -95,20 +106,41 @@ class ThreadCrew:
     keeps = False
 
     def __init__(self, workers: int) -> None:
-        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="leastaction")
+        self._workers, self._starts_left = workers, _MOST_STARTS
+        self._pool: ProcessPoolExecutor | None = None
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
-        with suppress(RuntimeError):  # after shutdown: whoever holds an old fit computes on his own
-            task.future = self._pool.submit(_resolved, function, given)
+        try:
+            pool = self._started()
+            task.future = None if pool is None else pool.submit(_quietly, function, *given)
+        except (RuntimeError, OSError):  # a child was killed, or the system allows no processes
+            self._pool = None
         return task
 
     def results(self, tasks: Sequence[Task]) -> list[Any]:
-        return [task.here() if task.future is None else task.future.result() for task in tasks]
+        return [self._result(task) for task in tasks]
+
+    def _started(self) -> ProcessPoolExecutor | None:
+        if self._pool is None and self._starts_left:
+            from loky import ProcessPoolExecutor
+
+            self._starts_left -= 1
+            self._pool = ProcessPoolExecutor(self._workers, timeout=_IDLE, initializer=_left_to_the_parent)
+        return self._pool
+
+    def _result(self, task: Task) -> Any:
+        if task.future is not None:
+            with suppress(BrokenExecutor):
+                return task.future.result()
+            self._pool = None
+        return task.here()
 
     def close(self) -> None:
-        """End the threads."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        """End the processes. Whoever holds an old fit computes on his own."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, kill_workers=True)
+        self._pool, self._starts_left = None, 0
 
 
 class DaskCrew:
@@ -178,7 +210,7 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
     if workers is None or (isinstance(workers, int) and not isinstance(workers, bool) and workers == 1):
         yield None
     elif isinstance(workers, int) and not isinstance(workers, bool) and workers >= 1:
-        crew = ThreadCrew(min(workers, 4 * (os.cpu_count() or 1)))
+        crew = ProcessCrew(min(workers, 4 * (os.cpu_count() or 1)))
         try:
             yield crew
         finally:
@@ -187,21 +219,14 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
         yield DaskCrew(workers)
     else:
         raise InputError(
-            f"workers is {workers!r}; expected a number of threads, 1 or more, or a Client of Dask "
+            f"workers is {workers!r}; expected a number of processes, 1 or more, or a Client of Dask "
             "(distributed.Client)"
         )
 
 
-def _resolved(function: Callable[..., Any], given: Sequence[Any]) -> Any:
-    """In a thread: wait for the tasks among the arguments, which were begun earlier."""
-    return _quietly(function, *(_value(x) for x in given))
-
-
-def _value(given: Any) -> Any:
-    if not isinstance(given, Task):
-        return given
-    future: Future[Any] | None = given.future
-    return given.here() if future is None else future.result()
+def _left_to_the_parent() -> None:
+    """In a child: Ctrl-C is for the process that was asked."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _large_arguments() -> AbstractContextManager[Any]:

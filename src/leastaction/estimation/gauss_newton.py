@@ -196,7 +196,8 @@ def _step(normal: System, damping: float) -> tuple[np.ndarray, np.ndarray, float
     quadratic = normal.eliminate(damping)
     matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
-    shift = -quadratic.curve_step(delta)
+    shift = quadratic.curve_step(delta)
+    np.negative(shift, out=shift)
     predicted = quadratic.predicted(shift, delta)
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
@@ -211,8 +212,9 @@ def _moved(
     shift: np.ndarray,
     delta: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, Linearised]:
-    """Curve and coefficients after a step, and the problem linearised there."""
-    points, coefficients = start[0] + shift.reshape(start[0].shape), start[1].copy()
+    """Curve and coefficients after a step, and the problem linearised there; ``shift`` becomes the curve."""
+    shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
+    points, coefficients = shift.reshape(start[0].shape), start[1].copy()
     coefficients[physics.free] += delta
     return points, coefficients, linearise(observations, physics, points, coefficients, weights)
 

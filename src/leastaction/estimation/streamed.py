@@ -106,7 +106,7 @@ class StreamedObservations:
                 continue
             solution = part.system.solution
             if not whole.size:
-                whole = np.empty((self.grid.n_ctrl * self.n_dof, solution.shape[1]))
+                whole = np.empty((self.grid.n_ctrl * self.n_dof, solution.shape[1]), solution.dtype)
             own = whole[points.start * self.n_dof : points.stop * self.n_dof]
             own[:] = solution
             out.append(part._replace(system=part.system._replace(solution=own)))
@@ -241,7 +241,12 @@ class StreamedQuadratic:
     def curve_step(self, step: np.ndarray) -> np.ndarray:
         """See :meth:`Quadratic.curve_step`."""
         both = np.concatenate([[1.0], step])
-        return np.concatenate([solution @ both for solution in self.solutions])
+        out = np.empty(sum(map(len, self.solutions)))
+        stop = 0
+        for solution in self.solutions:
+            own = slice(stop, stop := stop + len(solution))
+            np.matmul(solution, both, out=out[own])
+        return out
 
     def predicted(self, shift: np.ndarray, step: np.ndarray) -> float:
         """See :meth:`Quadratic.predicted`."""
@@ -290,6 +295,8 @@ def _pass(block: _Block, point: _Point, weights: Weights | None, damping: float)
     if weights is not None:
         try:
             system = at.normal(weights).condense(damping)
+            # single precision: X is the largest array of all, and a step needs no more
+            system = system._replace(solution=system.solution.astype(np.float32))
         except np.linalg.LinAlgError:
             system = None
     return _Passed(at.squares, at.equation, at.terms, at.at_mass, system)

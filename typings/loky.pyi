@@ -1,0 +1,14 @@
+"""What leastaction uses of loky."""
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+
+class ProcessPoolExecutor(Executor):
+    def __init__(
+        self,
+        max_workers: int | None = None,
+        *,
+        timeout: float | None = None,
+        initializer: Callable[[], None] | None = None,
+    ) -> None: ...
+    def shutdown(self, wait: bool = True, kill_workers: bool = False) -> None: ...  # type: ignore[override]
