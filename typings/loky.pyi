@@ -1,6 +1,6 @@
 """What leastaction uses of loky."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 
 class ProcessPoolExecutor(Executor):
@@ -10,5 +10,6 @@ class ProcessPoolExecutor(Executor):
         *,
         timeout: float | None = None,
         initializer: Callable[[], None] | None = None,
+        env: Mapping[str, str] | None = None,
     ) -> None: ...
     def shutdown(self, wait: bool = True, kill_workers: bool = False) -> None: ...  # type: ignore[override]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -16,10 +17,11 @@ import leastaction as la
 from block_helpers import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
+from leastaction.diagnosis.friction import _Late
 from leastaction.estimation import recipes, streamed
 from leastaction.estimation.blocks import observe
 from leastaction.estimation.candidates import score
-from leastaction.estimation.crew import DaskCrew, ProcessCrew
+from leastaction.estimation.crew import DaskCrew, Held, ProcessCrew, employ
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
@@ -93,12 +95,18 @@ def test_a_stream_takes_the_step_of_the_whole(crew, damping, foreseen):
 class Ramp:
     """A push that differs from interval to interval."""
 
+    def __init__(self, begin: int = 0) -> None:
+        self.begin = begin
+
     def __len__(self):
         return 1
 
     def on(self, intervals, n_dof):
-        one = np.arange(intervals.start, intervals.stop, dtype=float)
+        one = self.begin + np.arange(intervals.start, intervals.stop, dtype=float)
         return np.tile(one, (1, n_dof, 2))
+
+    def within(self, intervals):
+        return Ramp(self.begin + intervals.start)
 
 
 @pytest.mark.parametrize("pushed", [False, True])
@@ -172,6 +180,30 @@ def test_children_that_are_killed_cost_time_and_not_the_result(crew):
 def _die_in_a_child(parent: int) -> None:
     if os.getpid() != parent:
         os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_what_is_held_travels_as_a_name_and_goes_with_its_last_user(tmp_path):
+    held = Held.write(np.arange(10_000.0), tmp_path / "one")
+    sent = pickle.dumps(held)
+    assert len(sent) < 500
+    np.testing.assert_array_equal(pickle.loads(sent), held.value)
+    del held
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_crew_leaves_no_files(monkeypatch, tmp_path):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with employ(2) as crew:
+        held = crew.held(np.arange(3.0))
+        assert crew.results([crew.task(np.sum, held), crew.task(sum, (1, 2))]) == [3.0, 3]
+        assert any(tmp_path.iterdir())
+    assert not any(tmp_path.iterdir())
+    assert crew.held(1) == 1
+
+
+def test_of_late_forces_a_block_gets_its_own_part():
+    late = WithPushes(euler_lagrange(TERMS, ["x", "y"]), _Late(np.ones((1000, 2, 2))))
+    assert len(pickle.dumps(late.within(slice(0, 10)))) < 0.1 * len(pickle.dumps(late))
 
 
 def test_what_fails_in_a_child_fails_here(processes):

@@ -133,6 +133,9 @@ class _Late:
     def on(self, intervals: slice, n_dof: int) -> np.ndarray:
         return self.rates[intervals].transpose(2, 1, 0).reshape(1, n_dof, -1)
 
+    def within(self, intervals: slice) -> _Late:
+        return _Late(self.rates[intervals])
+
 
 def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""

@@ -149,7 +149,7 @@ class BlockedLinearisation(Costs):
                 weights,
                 (curve[0][points], curve[1]),
                 columns,
-                candidates.from_interval(intervals.start),
+                candidates.within(intervals),
             )
             for block, points, intervals in zip(self.blocks, seen.points, seen.intervals, strict=True)
         ]

@@ -9,13 +9,20 @@ so the result is the same.
 from __future__ import annotations
 
 import asyncio
+import gc
+import itertools
 import os
+import pickle
 import signal
 import threading
+import weakref
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -26,12 +33,55 @@ from leastaction.threads import single_threaded
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
-__all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
+__all__ = ["Alone", "Crew", "DaskCrew", "Held", "ProcessCrew", "Task", "employ", "opened"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
 _IDLE = 300.0  # seconds, after which a child ends, and so one whose parent was killed
+_MEMORY_STAYS = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
+"""For glibc in a child: memory is not given back to the system after each block, which took 15 % of time."""
 _MOST_STARTS = 3  # of the children of one discovery, before everything is computed here
 _LOOK = 1.0  # seconds between two looks at the cluster
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A value that many tasks are given. It travels as the name of a file, which costs a tenth of sending it.
+
+    Attributes
+    ----------
+    value : object
+    path : Path
+        Of the file.
+    """
+
+    value: Any
+    path: Path
+
+    @classmethod
+    def write(cls, value: Any, path: Path) -> Held:
+        """Write the file."""
+        _write(value, path)
+        held = cls(value, path)
+        weakref.finalize(held, path.unlink, missing_ok=True)
+        return held
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _read, (self.path,)  # what arrives is the value itself
+
+
+def opened(value: Any) -> Any:
+    """The value itself, which in another process has arrived already."""
+    return value.value if isinstance(value, Held) else value
+
+
+def _write(value: Any, path: Path) -> None:
+    with path.open("wb") as file:
+        pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)
+
+
+def _read(path: Path) -> Any:
+    with path.open("rb") as file:
+        return pickle.load(file)
 
 
 @dataclass(eq=False)
@@ -76,6 +126,10 @@ class Crew(Protocol):
         """Wait for results. What a function raised is raised here."""
         ...
 
+    def held(self, value: Any) -> Any:
+        """A value that many tasks will be given, in the form in which they are given it."""
+        ...
+
 
 class Alone:
     """The thread that asks: a task is computed when its result is asked for."""
@@ -88,6 +142,9 @@ class Alone:
     def results(self, tasks: Sequence[Task]) -> list[Any]:
         return [task.here() for task in tasks]
 
+    def held(self, value: Any) -> Any:
+        return value
+
 
 class ProcessCrew:
     """Processes of this machine, which are started with the first task.
@@ -95,7 +152,9 @@ class ProcessCrew:
     Threads would wait for each other: an operation on a block takes 20 to 100 µs, no longer than handing over
     the lock of the interpreter. A child imports `leastaction` only and not the user's program, which needs no
     guard for that. When a child is killed, what is missing is computed here and the next task starts others.
-    Results come back to this process: no task is an argument of another one.
+
+    What is large travels in files of a temporary folder, which takes a fraction of the time of a pipe, and
+    results wait there until they are asked for. No task is an argument of another one.
 
     Attributes
     ----------
@@ -108,12 +167,16 @@ class ProcessCrew:
     def __init__(self, workers: int) -> None:
         self._workers, self._starts_left = workers, _MOST_STARTS
         self._pool: ProcessPoolExecutor | None = None
+        self._folder: TemporaryDirectory[str] | None = None
+        self._names = itertools.count()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
         try:
             pool = self._started()
-            task.future = None if pool is None else pool.submit(_quietly, function, *given)
+            if pool is not None:
+                path = self._new_path()
+                task.future = pool.submit(_to_file, path, function, *given), path
         except (RuntimeError, OSError):  # a child was killed, or the system allows no processes
             self._pool = None
         return task
@@ -121,26 +184,44 @@ class ProcessCrew:
     def results(self, tasks: Sequence[Task]) -> list[Any]:
         return [self._result(task) for task in tasks]
 
-    def _started(self) -> ProcessPoolExecutor | None:
-        if self._pool is None and self._starts_left:
-            from loky import ProcessPoolExecutor
-
-            self._starts_left -= 1
-            self._pool = ProcessPoolExecutor(self._workers, timeout=_IDLE, initializer=_left_to_the_parent)
-        return self._pool
-
-    def _result(self, task: Task) -> Any:
-        if task.future is not None:
-            with suppress(BrokenExecutor):
-                return task.future.result()
-            self._pool = None
-        return task.here()
+    def held(self, value: Any) -> Any:
+        return Held.write(value, self._new_path()) if self._starts_left else value
 
     def close(self) -> None:
         """End the processes. Whoever holds an old fit computes on his own."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, kill_workers=True)
-        self._pool, self._starts_left = None, 0
+        if self._folder is not None:
+            self._folder.cleanup()
+        self._pool, self._folder, self._starts_left = None, None, 0
+
+    def _started(self) -> ProcessPoolExecutor | None:
+        if self._pool is None and self._starts_left:
+            from loky import ProcessPoolExecutor
+
+            self._starts_left -= 1
+            self._pool = ProcessPoolExecutor(
+                self._workers, timeout=_IDLE, initializer=_begin_child, env=_MEMORY_STAYS
+            )
+        return self._pool
+
+    def _new_path(self) -> Path:
+        if self._folder is None:
+            self._folder = TemporaryDirectory(prefix="leastaction-", ignore_cleanup_errors=True)
+        return Path(self._folder.name) / f"{next(self._names)}.pickle"
+
+    def _result(self, task: Task) -> Any:
+        if task.future is None:
+            return task.here()
+        future, path = task.future
+        try:
+            future.result()
+            out = _read(path)
+        except (BrokenExecutor, OSError):
+            self._pool = None
+            return task.here()
+        path.unlink()
+        return out
 
 
 class DaskCrew:
@@ -170,6 +251,9 @@ class DaskCrew:
 
     def results(self, tasks: Sequence[Task]) -> list[Any]:
         return [self._result(task) for task in tasks]
+
+    def held(self, value: Any) -> Any:
+        return value
 
     def _result(self, task: Task) -> Any:
         if task.future is None:
@@ -224,9 +308,20 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
         )
 
 
-def _left_to_the_parent() -> None:
-    """In a child: Ctrl-C is for the process that was asked."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _to_file(path: Path, function: Callable[..., Any], *given: Any) -> None:
+    """In a child: compute, and leave the result in a file."""
+    _write(_quietly(function, *given), path)
+
+
+def _begin_child() -> None:
+    """In a child, before its first task."""
+    import_module("leastaction.estimation.streamed")  # before what there is is frozen
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was asked
+    _always.enter_context(single_threaded())
+    gc.freeze()  # loky collects garbage every second, which took a tenth of the time
+
+
+_always = ExitStack()  # what a child never leaves
 
 
 def _large_arguments() -> AbstractContextManager[Any]:

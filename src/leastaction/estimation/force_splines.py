@@ -11,6 +11,7 @@ apart.  In the equations of motion
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,14 +32,47 @@ _DEGREE = 3
 _RIDGE = 1e-10
 
 
-class SlowForces:
-    """The splines of the slow forces, and their basis at the quadrature points of a grid.
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """Basis functions of slow forces at the quadrature points of a grid.
 
     Attributes
     ----------
     equations : (n_slow,) int array
         The coordinate of each basis function.
-    basis : (n_slow, n_intervals · n_quadrature) sparse array
+    values : (n_slow, n_intervals · n_quadrature) sparse array
+    n_quadrature : int
+    """
+
+    equations: np.ndarray
+    values: sp.csc_array
+    n_quadrature: int
+
+    def __len__(self) -> int:
+        return self.equations.size
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        """(n_slow, n_dof, n_points) −B_m on its equation, in the sequence of `Points`."""
+        part = self.within(intervals).values.toarray()
+        out = np.zeros((len(self), n_dof, part.shape[1]))
+        in_sequence = part.reshape(len(self), -1, self.n_quadrature).transpose(0, 2, 1)
+        out[np.arange(len(self)), self.equations] = -in_sequence.reshape(len(self), -1)
+        return out
+
+    def within(self, intervals: slice) -> _Basis:
+        """The same for a part of the motion, given by its knot intervals."""
+        n = self.n_quadrature
+        start, stop, _ = intervals.indices(self.values.shape[1] // n)
+        return replace(self, values=self.values[:, start * n : stop * n])
+
+
+class SlowForces:
+    """The splines of the slow forces.
+
+    Attributes
+    ----------
+    basis : Pushes
+        Their basis functions at the quadrature points of a grid.
     """
 
     def __init__(self, grid: Grid, seconds: Mapping[int, float]) -> None:
@@ -50,30 +84,17 @@ class SlowForces:
             for i, every in seconds.items()
             for k, t in enumerate(self.times)
         }
-        self.n_quadrature = spline.n_quadrature
-        self.equations = np.concatenate([np.full(s.n_ctrl, i) for (i, _), s in self.spaces.items()])
+        n = spline.n_quadrature
+        equations = np.concatenate([np.full(s.n_ctrl, i) for (i, _), s in self.spaces.items()])
         rows: list[sp.csr_array] = []
         for (_, k), space in self.spaces.items():
             own = np.flatnonzero(spline.owner == k)
             values = space.basis(spline.points[own].ravel()).T.tocoo()
             functions, points = values.coords
-            columns = own[0] * self.n_quadrature + points  # the intervals of a trajectory are successive
-            shape = (space.n_ctrl, spline.n_intervals * spline.n_quadrature)
+            columns = own[0] * n + points  # the intervals of a trajectory are successive
+            shape = (space.n_ctrl, spline.n_intervals * n)
             rows.append(sp.csr_array((values.data, (functions, columns)), shape=shape))
-        self.basis: sp.csc_array = sp.vstack(rows).tocsc()
-
-    def __len__(self) -> int:
-        return self.equations.size
-
-    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
-        """(n_slow, n_dof, n_points) −B_m on its equation, in the sequence of `Points`."""
-        n = self.n_quadrature
-        start, stop, _ = intervals.indices(self.basis.shape[1] // n)
-        part = self.basis[:, start * n : stop * n].toarray()
-        out = np.zeros((len(self), n_dof, part.shape[1]))
-        in_sequence = part.reshape(len(self), -1, n).transpose(0, 2, 1).reshape(len(self), -1)
-        out[np.arange(len(self)), self.equations] = -in_sequence
-        return out
+        self.basis = _Basis(equations, sp.vstack(rows).tocsc(), n)
 
     def _parts(self) -> Iterator[tuple[tuple[int, int], slice]]:
         """(coordinate, trajectory) of every spline, and where its coefficients are."""
@@ -113,11 +134,11 @@ def slow_forces(fit: Fit, seconds: Mapping[int, float]) -> list[np.ndarray]:
     if grid.forces is not None:
         residual += grid.forces.values[:, 0].T
     root = np.sqrt(fit.weights.physics)
-    first = slow.basis[:, :: slow.n_quadrature].T
+    first = slow.basis.values[:, :: slow.basis.n_quadrature].T
     blocks: list[sp.csr_array] = []
     for i in range(n):
         columns = sp.csr_array(strong[members, i].T)
-        blocks.append(root[i] * sp.hstack([columns, -first * (slow.equations == i)]))
+        blocks.append(root[i] * sp.hstack([columns, -first * (slow.basis.equations == i)]))
     design: sp.csr_array = sp.vstack(blocks).tocsr()
     found = _least_squares(design, (root[:, None] * residual).ravel())
     return slow.at_samples(found[len(members) :], n)
@@ -147,12 +168,12 @@ def fit_with_forces(
     slow = SlowForces(grid, seconds)
     physics, index = grid.physics(structure)
     extended = Physics(
-        WithPushes(physics.columns, slow),
-        np.append(physics.free, np.ones(len(slow), bool)),
+        WithPushes(physics.columns, slow.basis),
+        np.append(physics.free, np.ones(len(slow.basis), bool)),
         physics.forces,
     )
     values = grid.problem.completed(start.coefficients)
-    first = np.append(values[index], np.zeros(len(slow)))
+    first = np.append(values[index], np.zeros(len(slow.basis)))
     fit = fit_joint(grid.observations, extended, start.weights, start.control_points, first)
     more = slow.at_samples(fit.coefficients[len(index) :], grid.problem.trajectories.n_dof)
     n = len(structure)

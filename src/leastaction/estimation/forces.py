@@ -121,19 +121,9 @@ class Pushes(Protocol):
         """(n_pushes, n_dof, n_points) what each leaves in the residual, in the sequence of `Points`."""
         ...
 
-
-@dataclass(frozen=True, eq=False)
-class _From:
-    """Pushes on a part of a grid that begins at some knot interval."""
-
-    pushes: Pushes
-    start: int
-
-    def __len__(self) -> int:
-        return len(self.pushes)
-
-    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
-        return self.pushes.on(slice(intervals.start + self.start, intervals.stop + self.start), n_dof)
+    def within(self, intervals: slice) -> Pushes:
+        """The same for a part of the motion, given by its knot intervals."""
+        ...
 
 
 class WithPushes(EulerLagrange):
@@ -146,8 +136,8 @@ class WithPushes(EulerLagrange):
     def __len__(self) -> int:
         return len(self.terms) + len(self.pushes)
 
-    def from_interval(self, start: int) -> EulerLagrange:
-        return WithPushes(self, _From(self.pushes, start))
+    def within(self, intervals: slice) -> EulerLagrange:
+        return WithPushes(self, self.pushes.within(intervals))
 
     def __reduce__(self) -> tuple[Any, ...]:
         columns = EulerLagrange(self.terms, self.coordinates, self.prescribed)

@@ -94,7 +94,7 @@ class Physics:
     def within(self, intervals: slice) -> Physics:
         """The same for a part of the motion, given by its knot intervals."""
         forces = None if self.forces is None else self.forces[intervals]
-        return Physics(self.columns.from_interval(intervals.start), self.free, forces)
+        return Physics(self.columns.within(intervals), self.free, forces)
 
 
 @dataclass(frozen=True, eq=False)

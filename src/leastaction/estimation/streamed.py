@@ -23,7 +23,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
-from leastaction.estimation.crew import Crew
+from leastaction.estimation.crew import Crew, Held, opened
 from leastaction.estimation.elimination import Condensed
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
@@ -41,14 +41,15 @@ def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
     return n_dof * sum(len(t) for t in times) > _LONG
 
 
-_Block = Recipe | Observations
+_Block = Recipe | Observations | Held
 """How a block is given to whoever computes: its observations, or how to make them."""
 
 
 class _Point(NamedTuple):
-    """Where a block is linearised."""
+    """Where a block is linearised; the forces, which stay, are not those of ``physics``."""
 
     physics: Physics
+    forces: np.ndarray | Held | None
     control_points: np.ndarray
     coefficients: np.ndarray
 
@@ -81,7 +82,8 @@ class StreamedObservations:
         self.points = tuple(recipe.points for recipe in recipes)
         self.intervals = tuple(recipe.intervals for recipe in recipes)
         # on a cluster samples are sent, and laid on the splines, once: the memory is not this machine's
-        self._blocks = [crew.task(_observe, recipe) if crew.keeps else recipe for recipe in recipes]
+        self._blocks = [crew.task(_observe, r) if crew.keeps else crew.held(r) for r in recipes]
+        self._forces: tuple[np.ndarray | None, list[Any]] = None, []
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Apply a function to every block, with what it is given there."""
@@ -112,6 +114,13 @@ class StreamedObservations:
             out.append(part._replace(system=part.system._replace(solution=own)))
         return out
 
+    def _forces_of(self, physics: Physics) -> list[Any]:
+        """The forces on each block, which are the same for one step after the other."""
+        forces = physics.forces
+        if forces is not None and forces is not self._forces[0]:
+            self._forces = forces, [self.crew.held(forces[intervals]) for intervals in self.intervals]
+        return [None] * len(self.intervals) if forces is None else self._forces[1]
+
     def linearise(
         self,
         physics: Physics,
@@ -120,9 +129,12 @@ class StreamedObservations:
         weights: Weights | None = None,
     ) -> StreamedLinearisation:
         """The joint problem linearised, and with weights its system eliminated, in one pass."""
+        unforced = replace(physics, forces=None)
         at = tuple(
-            _Point(physics.within(intervals), control_points[points], coefficients)
-            for points, intervals in zip(self.points, self.intervals, strict=True)
+            _Point(unforced.within(intervals), forces, control_points[points], coefficients)
+            for points, intervals, forces in zip(
+                self.points, self.intervals, self._forces_of(physics), strict=True
+            )
         )
         found = self.passed([(point, weights, 0.0) for point in at])
         out = StreamedLinearisation(
@@ -178,7 +190,7 @@ class StreamedLinearisation(Costs):
         """All candidates about a fit, summed over the blocks."""
         weights, _, columns, candidates = given
         seen = self.observations
-        own = [candidates.from_interval(intervals.start) for intervals in seen.intervals]
+        own = [candidates.within(intervals) for intervals in seen.intervals]
         parts = seen.each(
             _score, [(point, score, weights, columns, c) for point, c in zip(self.at, own, strict=True)]
         )
@@ -283,11 +295,13 @@ def _observe(recipe: Recipe) -> Observations:
 
 
 def _seen(block: _Block) -> Observations:
-    return block.observe() if isinstance(block, Recipe) else block
+    given: Recipe | Observations = opened(block)
+    return given.observe() if isinstance(given, Recipe) else given
 
 
 def _linearised(block: _Block, point: _Point) -> Linearisation:
-    return linearise(_seen(block), *point)
+    physics = replace(point.physics, forces=opened(point.forces))
+    return linearise(_seen(block), physics, point.control_points, point.coefficients)
 
 
 def _pass(block: _Block, point: _Point, weights: Weights | None, damping: float) -> _Passed:

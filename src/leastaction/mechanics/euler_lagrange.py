@@ -326,8 +326,8 @@ class EulerLagrange:
         """Some of the columns, in the given sequence; compiled functions are shared."""
         return self.of([self.terms[k] for k in select])
 
-    def from_interval(self, start: int) -> EulerLagrange:
-        """The columns for a part of a motion that begins at this knot interval."""
+    def within(self, intervals: slice) -> EulerLagrange:
+        """The columns for a part of a motion, given by its knot intervals."""
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
