@@ -177,7 +177,7 @@ class ProcessCrew:
             if pool is not None:
                 path = self._new_path()
                 task.future = pool.submit(_to_file, path, function, *given), path
-        except (RuntimeError, OSError):  # a child was killed, or the system allows no processes
+        except (RuntimeError, OSError, ImportError):  # a child was killed, or the system allows no processes
             self._pool = None
         return task
 
