@@ -180,6 +180,20 @@ def test_terms_linear_in_the_velocities_can_be_offered():
     assert {term.text for term in plain} < {term.text for term in turning}
 
 
+@pytest.mark.parametrize("names", ["a", "abc", "abcd", "abcdefg"])
+@pytest.mark.parametrize("turning", [True, False])
+def test_the_size_is_the_one_that_a_discovery_takes_by_itself(names, turning):
+    names = list(names)
+    angles = names if turning else []
+    assert list(Choice().generated(names, angles)) == list(la.Library.mechanical(names, angles))
+    choice = Choice()
+    sizes = choice.sizes(names, angles)
+    assert sizes[choice.size_for(names, angles)] == la.Library.mechanical_size(names, angles)
+    choice.size = "compact"
+    assert choice.size_for(names, angles) == "compact"
+    assert list(choice.generated(names, angles)) == list(la.Library.mechanical(names, angles, size="compact"))
+
+
 def test_a_known_term_that_is_no_candidate_is_refused():
     choice = Choice(written=True, text="x_dot**2\nx**2", known="x**3 = 1")
     with pytest.raises(InputError, match="is not among"):

@@ -14,9 +14,8 @@ from leastaction.errors import InputError
 if TYPE_CHECKING:
     from leastaction import Library, Trajectories
 
-__all__ = ["SIZES", "Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
+__all__ = ["Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
 
-SIZES = ("compact", "standard", "large")
 _MOST_LINES = 1500
 
 
@@ -28,6 +27,9 @@ class Choice:
     ----------
     written : bool
         Whether the candidates are those of `text` instead of generated ones of `size`.
+    size : str
+        As for `leastaction.Library.mechanical`; "auto", until a user picks one, is what `discover` takes by
+        itself.
     text, known, more_friction : str
         One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
     friction : list of str
@@ -46,7 +48,7 @@ class Choice:
     """
 
     written: bool = False
-    size: str = "standard"
+    size: str = "auto"
     gyroscopic: bool = False
     text: str = ""
     friction: list[str] = field(default_factory=list)
@@ -90,6 +92,33 @@ class Choice:
         import leastaction as la
 
         return la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
+
+    def size_for(self, coordinates: Sequence[str], angles: Iterable[str]) -> str:
+        """The size that is chosen.
+
+        Examples
+        --------
+        >>> Choice().size_for("abc", "abc"), Choice().size_for("abcd", "abcd")
+        ('standard', 'chain')
+        >>> Choice(size="large").size_for("a", [])
+        'large'
+        """
+        from leastaction.library.families import choose_size
+
+        if self.size != "auto":
+            return self.size
+        return choose_size(coordinates, list(angles), gyroscopic=self.gyroscopic)
+
+    def sizes(self, coordinates: Sequence[str], angles: Iterable[str]) -> dict[str, int]:
+        """Sizes that are offered, and how many candidates they have; chains from three angles on."""
+        import leastaction as la
+
+        angles = list(angles)
+        chain = self.size_for(coordinates, angles) == "chain" or len(angles) > 2
+        return {
+            size: la.Library.mechanical_size(coordinates, angles, size=size, gyroscopic=self.gyroscopic)
+            for size in ("compact", *(["chain"] if chain else []), "standard", "large")
+        }
 
     def friction_terms(self, coordinates: Sequence[str]) -> list[str]:
         """Ticked and written friction candidates."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import html, ui
 
-from leastaction.app.candidates import SIZES, faults, friction_choices, lines, shown_names, split_trials
+from leastaction.app.candidates import faults, friction_choices, lines, shown_names, split_trials
 from leastaction.app.parts import action, fault, field, math, panel, say, title
 from leastaction.cli.text import counted
 from leastaction.errors import InputError
@@ -21,6 +21,7 @@ __all__ = ["show"]
 _MOST_FAULTS = 4
 _WORDS = {
     "compact": "what most pendulums and carts need",
+    "chain": "for planar links in a row, with the angles in the order from the base on",
     "standard": "also sines of sums and differences, higher powers",
     "large": "also inverse powers, logarithms and gyroscopic terms; for coordinates that stay positive",
 }
@@ -84,15 +85,11 @@ class CandidatesView:
                 self._sizes()
 
     def _sizes(self) -> None:
-        import leastaction as la
-
         names, angles, gyroscopic = self.data.coordinates, self.page.session.angles, self.choice.gyroscopic
-        options = {}
-        for size in SIZES:
-            count = la.Library.mechanical_size(names, angles, size=size, gyroscopic=gyroscopic)
-            options[size] = f"{size}: {counted(count, 'candidate')}"
+        sizes = self.choice.sizes(names, angles)
+        options = {size: f"{size}: {counted(count, 'candidate')}" for size, count in sizes.items()}
         say("From the kinds of your coordinates: products of velocities, and potentials.", "help")
-        radio = ui.radio(options, value=self.choice.size).classes("sizes").mark("size")
+        radio = ui.radio(options, value=self.choice.size_for(names, angles)).classes("sizes").mark("size")
         radio.on_value_change(self.page.guarded(lambda e: self._set(size=e.value)))
         self.size_words = say("", "help")
         if len(names) > 1:
@@ -205,7 +202,8 @@ class CandidatesView:
             bad = faults(choice.text, data.coordinates)
             self._show_faults(bad)
         else:
-            self.size_words.text = f"{choice.size.capitalize()}: {_WORDS[choice.size]}."
+            size = choice.size_for(data.coordinates, self.page.session.angles)
+            self.size_words.text = f"{size.capitalize()}: {_WORDS[size]}."
         text, problem = "", _problem(bad)
         try:
             library = choice.library(data.coordinates, self.page.session.angles)
