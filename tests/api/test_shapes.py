@@ -91,10 +91,28 @@ def test_it_reads_by_name(model):
     assert frame.loc["{a}", "kind"] == "shape"
     assert frame.loc["{a}", "coefficient"] == model.shapes[0].value
     latex = model.latex()
-    assert "e^{- x a}" in latex
+    assert "e^{- a x}" in latex
     assert f"a &= {value}" in latex
     html = model._repr_html_()
     assert "exp(-{a}*x)" in html
+
+
+@pytest.mark.parametrize(
+    ("template", "written"),
+    [
+        ("exp(-x*{a})", "e^{- a x}"),
+        ("cos(x*{a})*x**2", r"x^{2} \cos{\left(a x \right)}"),
+        ("x*{a}**2*cos({a}*x-{b})", r"a^{2} x \cos{\left(a x - b \right)}"),
+        ("exp(-3*x*{a}/2)/(1+x**2*{a})", r"\frac{e^{- \frac{3 a x}{2}}}{a x^{2} + 1}"),
+        ("2*x*(x-{b})**2", r"2 x \left(x - b\right)^{2}"),
+    ],
+)
+def test_in_latex_numbers_come_before_coordinates(template, written):
+    """Whatever the sequence in which a user wrote them; and nothing is multiplied out."""
+    shapes = [ShapeParameter(name, 2.0, 0.1) for name in "ab" if f"{{{name}}}" in template]
+    text = template.replace("{a}", "2.0").replace("{b}", "2.0")
+    model = la.LagrangianModel("x", [ModelTerm(text, 1.0, template=template)], shapes=shapes)
+    assert f"L &= {written} \\\\\n" in model.latex()
 
 
 def test_it_simulates(model):

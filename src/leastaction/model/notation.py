@@ -6,10 +6,11 @@ import math
 import re
 import unicodedata
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import sympy as sp
 
-from leastaction.library import shape_symbol
+from leastaction.library import is_constant, shape_symbol
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.term import ModelTerm, ShapeParameter
 
@@ -184,6 +185,29 @@ def shape_symbols(shapes: Iterable[ShapeParameter]) -> dict[sp.Symbol, str]:
     return {shape_symbol(shape.name): "".join(_head_and_subscript(shape.name)) for shape in shapes}
 
 
+_FIRST = "!"  # SymPy sorts factors by name: before all letters
+
+
+def _in_order(expr: Any) -> Any:
+    """An expression whose shape parameters come first in products, as SymPy writes them: a x, not x a."""
+    if not any(is_constant(symbol) for symbol in expr.free_symbols) or not expr.args:
+        return expr  # nothing to change
+    parts = [_in_order(part) for part in expr.args]
+    if expr.is_Mul:
+        parts = [_early(part) for part in parts]
+    return expr.func(*parts, evaluate=False)
+
+
+def _early(factor: Any) -> Any:
+    """A factor with another name for its symbols if it is a power of shape parameters."""
+    constant = factor.free_symbols and is_constant(factor)
+    return factor.xreplace(_renamed(factor.free_symbols)) if constant else factor
+
+
+def _renamed(symbols: Iterable[sp.Symbol]) -> dict[sp.Symbol, sp.Symbol]:
+    return {s: sp.Symbol(f"{_FIRST}{s.name}", real=True) for s in symbols}
+
+
 def latex_number(number: str) -> str:
     r"""A number as text, with its power of ten in LaTeX.
 
@@ -203,12 +227,14 @@ def latex_sum(
     uncertainty: bool = False,
 ) -> list[str]:
     """LaTeX of the addends, each with its sign; the first without a leading plus."""
+    early = _renamed(symbols)
+    symbols = symbols | {early[s]: written for s, written in symbols.items()}
     pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
         number = coefficient_text(term, digits, uncertainty)
         sign, number = ("-", number[1:]) if number.startswith("-") else ("+", number)
         number = latex_number(number)
-        factor = sp.latex(expr, symbol_names=symbols)
+        factor = sp.latex(_in_order(expr), symbol_names=symbols)
         if expr.is_Add or factor.startswith("-"):
             factor = rf"\left({factor}\right)"
         body = factor if number == "1" else number if expr == 1 else rf"{number} \, {factor}"
