@@ -73,7 +73,8 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     page = Page(source)
     main = page.root.one("main")
     assert " ".join(str(s.attributes["id"]) for s in main.all("section")) == (
-        "verdict lagrangian coefficients forecast curve residuals energy selection data dropped reproduce"
+        "verdict lagrangian coefficients symmetries forecast curve residuals energy selection data dropped "
+        "reproduce"
     )
     linked = [a.attributes["href"] for a in page.root.one("nav").all("a")]
     assert linked == [f"#{s.attributes['id']}" for s in main.all("section")[1:]]
@@ -85,6 +86,15 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     facts = {d.one("dt").text: d.all("dd")[0].text for d in page.by_id("verdict").one("dl").all("div")}
     assert facts["Terms found"] == str(len(model.terms))
     assert facts["Forecast error"] == percent(float(validation.rms_over_std.max()))
+
+
+def test_symmetries_stand_beside_what_they_conserve(source, pendulum):
+    rows = Page(source).by_id("symmetries").one("tbody").all("tr")
+    cells = [[cell.text.strip() for cell in row.all("th", "td")] for row in rows]
+    assert cells == [
+        ["time reversal", "in form", "", ""],
+        ["time translation", "in form", "energy", "not conserved: it would be without the known forces"],
+    ]
 
 
 def test_coefficients_are_shown_twice_and_alike(source, pendulum):

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from leastaction import (
+    LagrangianModel,
     Trajectories,
     Trajectory,
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.term import ModelTerm
 from leastaction.report.mathml import Notation
 from leastaction.report.series import Energy, Series, legible_samples, thin_line, thin_points
-from leastaction.report.tables import path_rows
+from leastaction.report.tables import path_rows, symmetry_rows
 from leastaction.report.text import plain
 from report_helpers import Page, spring
 
@@ -41,6 +43,21 @@ def test_terms_as_mathml(text, expected):
     page = Notation(["theta1", "x_cart"]).term(text)
     assert expected in page
     Page(str(page))
+
+
+def test_symmetries_in_a_table():
+    names = ["x1", "y1", "x2", "y2"]
+    kinetic = [ModelTerm(f"{name}_dot**2", 0.5) for name in names]
+    bodies = LagrangianModel(names, [*kinetic, ModelTerm("1/sqrt((x1-x2)**2+(y1-y2)**2)", 3.0)])
+    rows = symmetry_rows(bodies, Notation(names))
+    assert [row["name"] for row in rows[1:4]] == [
+        "translation y₁ + c, y₂ + c",
+        "rotation of (x₁, y₁) and of (x₂, y₂)",
+        "exchange x₁ ↔ x₂, y₁ ↔ y₂",
+    ]
+    assert [sign for sign, _ in rows[2]["quantity"]] == ["", "−", "+", "−"]
+    assert rows[5]["conserved"] == "energy"
+    assert rows[5]["quantity"] == []  # too long, and nothing but L with other signs
 
 
 def test_names_that_look_alike_stay_apart():

@@ -13,7 +13,8 @@
   high precision (60 digits; 400 beside many nearly collinear terms), so a term that is merely hard to
   tell apart always stays. ``Library.dropped`` says why each one went.
 * ``jets.py`` holds the derivatives behind that: values and first and mixed second derivatives by the
-  chain rule, in double or high precision, without symbolic differentiation.
+  chain rule, in double or high precision, without symbolic differentiation. ``invariance.py`` asks with
+  them what shifts, turns and exchanges of coordinates demand of the coefficients.
 
 Imports from outside this folder: ``errors`` and ``identifiers`` only.
 """

@@ -22,7 +22,15 @@ if TYPE_CHECKING:
     from leastaction.model.diagnostics import Diagnostics
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["check_force_function", "checked_fields", "checked_start", "checked_states", "held_out"]
+__all__ = [
+    "angles_in",
+    "check_force_function",
+    "checked_fields",
+    "checked_start",
+    "checked_states",
+    "held_out",
+    "prescribed_in",
+]
 
 
 def checked_fields(model: LagrangianModel) -> dict[str, Any]:
@@ -222,8 +230,13 @@ def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Traject
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
             f"{', '.join(model.coordinates)}, and the sequence matters too"
         )
-    chosen = _listed(model.coordinates, model.provenance, "angles")
+    chosen = angles_in(model.coordinates, model.provenance)
     return data.unwrap(chosen) if chosen else data
+
+
+def angles_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> list[str]:
+    """Coordinates that a discovery was told are angles."""
+    return _listed(coordinates, provenance, "angles")
 
 
 def prescribed_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> tuple[str, ...]:

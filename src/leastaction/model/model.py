@@ -16,16 +16,10 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.io import write_text
 from leastaction.mechanics.equations import Mechanics
+from leastaction.model import checks
 from leastaction.model import file as model_file
 from leastaction.model import text as model_text
-from leastaction.model.checks import (
-    check_force_function,
-    checked_fields,
-    checked_start,
-    checked_states,
-    held_out,
-    prescribed_in,
-)
+from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
 from leastaction.simulation.integrate import SimulationResult, simulate
@@ -91,7 +85,7 @@ class LagrangianModel:
     shapes: tuple[ShapeParameter, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, value in checked_fields(self).items():
+        for name, value in checks.checked_fields(self).items():
             object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -132,13 +126,18 @@ class LagrangianModel:
         Nothing is known of what moves them: wherever the model takes forces, the entry of such a coordinate
         is its acceleration.
         """
-        return prescribed_in(self.coordinates, self.provenance)
+        return checks.prescribed_in(self.coordinates, self.provenance)
 
     @cached_property
     def mechanics(self) -> Mechanics:
         """Symbolic and compiled equations of motion."""
         places = [self.coordinates.index(name) for name in self.prescribed]
         return Mechanics(self.lagrangian, self.dissipation_function, self.coordinates, prescribed=places)
+
+    @cached_property
+    def symmetries(self) -> tuple[Symmetry, ...]:
+        """Changes of variables that leave L as it is, in form or within errors, and what they conserve."""
+        return find_symmetries(self)
 
     def equations_of_motion(self, forces: bool = False) -> tuple[sp.Eq, ...]:
         """Equations of motion as SymPy equations.
@@ -245,9 +244,9 @@ class LagrangianModel:
         >>> run.status, run.q[:, 0].round(6).tolist()
         ('complete', [1.0, 0.0, -1.0, 0.0, 1.0])
         """
-        q0, qdot0 = (checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
+        q0, qdot0 = (checks.checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
         if callable(forces):
-            check_force_function(self.coordinates, forces, t)
+            checks.check_force_function(self.coordinates, forces, t)
         limits.setdefault("mass_matrix", self.mechanics.mass_matrix)
         return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
 
@@ -292,14 +291,14 @@ class LagrangianModel:
         InputError
             If the coordinates differ, or no trial is long enough for one forecast.
         """
-        data = held_out(self, trajectories)
+        data = checks.held_out(self, trajectories)
         motion = self.mechanics
         return forecast(
             motion.acceleration, data, self.noise_std, horizon, window, tolerance, motion.prescribed
         )
 
     def _states(self, **arrays: ArrayLike | None) -> list[np.ndarray]:
-        return checked_states(self.coordinates, arrays)
+        return checks.checked_states(self.coordinates, arrays)
 
     def table(self) -> pd.DataFrame:
         """Coefficients with their errors; shape parameters come last, under their names in braces.

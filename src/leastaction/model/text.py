@@ -27,9 +27,22 @@ if TYPE_CHECKING:
     import sympy as sp
 
     from leastaction.model.model import LagrangianModel
+    from leastaction.model.symmetries import Symmetry
     from leastaction.model.term import ModelTerm
 
-__all__ = ["frame", "html_table", "latex", "rows", "summary", "table"]
+__all__ = [
+    "CONSERVED",
+    "frame",
+    "html_table",
+    "latex",
+    "outcome",
+    "reach",
+    "rows",
+    "shown_quantity",
+    "summary",
+    "symmetry_lines",
+    "table",
+]
 
 _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
 
@@ -116,6 +129,79 @@ def html_table(model: LagrangianModel) -> str:
         f"<table><thead>{line(header, 'th')}</thead><tbody>{lines}</tbody></table>"
         f"<p>fit: {model.fit.status}</p>{f'<ul>{notes}</ul>' if notes else ''}"
     )
+
+
+CONSERVED = {
+    "cyclic": "momentum",
+    "translation": "momentum",
+    "rotation": "angular momentum",
+    "time translation": "energy",
+}
+_OBSTACLES = {"friction": "friction", "forces": "the known forces", "prescribed": "the prescribed motion"}
+_LONGEST = 80  # characters of an energy in a line of text
+
+
+def reach(symmetry: Symmetry) -> str:
+    """How far a symmetry holds.
+
+    Examples
+    --------
+    >>> from leastaction.model.symmetries import Symmetry
+    >>> reach(Symmetry("rotation", ("x", "y"), "turn of (x, y)", "within errors", 1, 0.4, 0.0031))
+    'within the error bars (0.31 %)'
+    """
+    if symmetry.holds == "within errors":
+        return f"within the error bars ({_small_share(symmetry.precision)})"
+    return "in form" if symmetry.holds == "in form" else "with the given coefficients"
+
+
+def outcome(symmetry: Symmetry) -> str:
+    """What becomes of the conserved quantity, or of the symmetry.
+
+    Examples
+    --------
+    >>> from leastaction.model.symmetries import Symmetry
+    >>> outcome(Symmetry("time reversal", ("x",), "t -> -t", "in form", obstacles=("friction",)))
+    'broken by friction'
+    """
+    obstacles = " and ".join(_OBSTACLES[name] for name in symmetry.obstacles)
+    name = CONSERVED.get(symmetry.kind)
+    if name is None:
+        return f"broken by {obstacles}" if obstacles else ""
+    if obstacles:
+        return f"not conserved: it would be without {obstacles}"
+    if math.isnan(symmetry.drift):
+        return "conserved where no force acts along it"
+    return f"conserved to {_small_share(symmetry.drift)} along the recording"
+
+
+def _small_share(share: float) -> str:
+    return f"{100 * share:.2g} %" if share >= 1e-4 else "less than 0.01 %"
+
+
+def shown_quantity(symmetry: Symmetry) -> str:
+    """What is conserved, with rounded numbers; empty for a long energy, which only repeats L."""
+    long = symmetry.kind == "time translation" and len(symmetry.written) > _LONGEST
+    return "" if long else symmetry.written
+
+
+def symmetry_lines(model: LagrangianModel) -> list[str]:
+    """One line for each symmetry.
+
+    Examples
+    --------
+    >>> from leastaction import LagrangianModel
+    >>> from leastaction.model.term import ModelTerm
+    >>> free = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5)])
+    >>> symmetry_lines(free)[0]
+    'cyclic coordinate x, in form: momentum x_dot, conserved where no force acts along it'
+    """
+    lines: list[str] = []
+    for symmetry in model.symmetries:
+        name = " ".join(filter(None, (CONSERVED.get(symmetry.kind), shown_quantity(symmetry))))
+        what = ", ".join(filter(None, (name, outcome(symmetry))))
+        lines.append(f"{symmetry.name}, {reach(symmetry)}{f': {what}' if what else ''}")
+    return lines
 
 
 def frame(model: LagrangianModel) -> pd.DataFrame:

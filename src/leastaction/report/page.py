@@ -69,6 +69,7 @@ def _context(
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
         "groups": groups,
+        "symmetries": tables.symmetry_rows(model, notation),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
         **_profiles(model),

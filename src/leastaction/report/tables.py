@@ -7,12 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from leastaction.findings import because
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.notation import interval_text
+from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import ModelTerm
+from leastaction.model.text import CONSERVED, outcome, reach, shown_quantity
 from leastaction.report.mathml import Notation, number_parts
 from leastaction.report.series import Series
 from leastaction.report.text import aligned, listed, percent, plain, signed, typeset
@@ -28,6 +31,7 @@ __all__ = [
     "option_rows",
     "path_rows",
     "residual_rows",
+    "symmetry_rows",
     "trial_rows",
 ]
 
@@ -79,6 +83,47 @@ def _z_text(z: float) -> str:
         return ""
     text = f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}"
     return typeset(text if float(text) else text.lstrip("-"))
+
+
+def symmetry_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """Symmetries of L, and what they conserve."""
+    return [
+        {
+            "name": _symmetry_name(symmetry, notation),
+            "reach": reach(symmetry),
+            "conserved": CONSERVED.get(symmetry.kind, ""),
+            "quantity": _sum(shown_quantity(symmetry), notation),
+            "outcome": outcome(symmetry),
+        }
+        for symmetry in model.symmetries
+    ]
+
+
+def _sum(text: str, notation: Notation) -> list[tuple[str, Markup]]:
+    """Sign and mathematics of each addend, so that a line can break between them."""
+    parts: list[tuple[str, str]] = []
+    depth = 0
+    for word in text.split():
+        if word in "+-" and depth == 0:
+            parts.append(("−" if word == "-" else "+", ""))
+            continue
+        sign, body = parts.pop() if parts else ("", "")
+        parts.append((sign, f"{body} {word}"))
+        depth += word.count("(") - word.count(")")
+    return [(sign, notation.term(body.strip())) for sign, body in parts]
+
+
+def _symmetry_name(symmetry: Symmetry, notation: Notation) -> str:
+    names = [notation.text(name) for name in symmetry.coordinates]
+    pairs = list(zip(names[::2], names[1::2], strict=False))
+    if symmetry.kind == "rotation":
+        return "rotation of " + " and of ".join(f"({x}, {y})" for x, y in pairs)
+    if symmetry.kind == "exchange":
+        return "exchange " + ", ".join(f"{x} ↔ {y}" for x, y in pairs)
+    if symmetry.kind == "translation":
+        signs = ("−" if part.endswith("- c") else "+" for part in symmetry.change.split(", "))
+        return "translation " + ", ".join(f"{x} {sign} c" for x, sign in zip(names, signs, strict=True))
+    return f"cyclic coordinate {names[0]}" if symmetry.kind == "cyclic" else symmetry.kind
 
 
 def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:

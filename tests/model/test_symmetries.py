@@ -1,0 +1,278 @@
+"""Symmetries of known laws, conserved quantities along simulated motions, claims and their error rates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from leastaction import LagrangianModel, Trajectories, discover, load, systems
+from leastaction.library import parse_expression
+from leastaction.model.diagnostics import Diagnostics
+from leastaction.model.term import ModelTerm
+from leastaction.model.text import outcome, symmetry_lines
+from report_helpers import spring
+
+ALL = (*systems.names(), *systems.further_names())
+PHI = ("cyclic", "phi + c")
+SPATIAL = {
+    "spherical_pendulum": [PHI],
+    "spherical_spring_pendulum": [PHI],
+    "robot_arm": [PHI],
+    "rotary_pendulum": [PHI],
+    "kepler_orbit": [PHI],
+    "morse_molecule": [PHI],
+}
+
+
+def law(coordinates, terms, dissipation=(), sigma=None, **fields):
+    """A model with the coefficients of `terms`, their errors independent."""
+    made = [
+        ModelTerm(text, c, 0.0 if sigma is None else sigma[k]) for k, (text, c) in enumerate(terms.items())
+    ]
+    covariance = None if sigma is None else np.diag(np.square(sigma))
+    return LagrangianModel(
+        coordinates, made, [ModelTerm(*item) for item in dict(dissipation).items()], covariance, **fields
+    )
+
+
+def true_law(name, friction=True):
+    system = systems.get(name)
+    return law(
+        system.coordinates,
+        system.lagrangian,
+        system.dissipation if friction else {},
+        provenance={"options": {"angles": list(system.angles)}},
+    )
+
+
+def named(model):
+    return [(s.kind, s.change) for s in model.symmetries]
+
+
+def along(model, symmetry, q, qdot):
+    """The conserved quantity, from its text."""
+    names = [*model.coordinates, *(f"{c}_dot" for c in model.coordinates)]
+    expr = parse_expression(symmetry.quantity, names)
+    function = sp.lambdify([sp.Symbol(n, real=True) for n in names], expr, "numpy")
+    return np.broadcast_to(function(*q.T, *qdot.T), len(q))
+
+
+def assert_conserved(model, q0, qdot0, seconds=5.0):
+    run = model.simulate(q0, qdot0, np.linspace(0.0, seconds, 200), rtol=1e-11, atol=1e-12)
+    assert run.complete
+    for symmetry in model.symmetries:
+        if symmetry.quantity:
+            values = along(model, symmetry, run.q, run.qdot)
+            assert np.ptp(values) < 1e-7 * (1.0 + np.abs(values).max()), symmetry.change
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_true_laws_have_their_symmetries_and_no_others(name, rng):
+    model = true_law(name, friction=False)
+    expected = [*SPATIAL.get(name, []), ("time reversal", "t -> -t"), ("time translation", "t + c")]
+    assert named(model) == expected
+    assert {s.holds for s in model.symmetries} == {"in form"}
+    assert_conserved(model, *systems.get(name).initial(rng), seconds=2.0)
+
+
+@pytest.mark.parametrize("name", ["robot_arm", "rotary_pendulum", "double_well"])
+def test_friction_conserves_nothing_that_it_acts_on(name):
+    for symmetry in true_law(name).symmetries:
+        assert symmetry.obstacles == ("friction",)
+        assert "friction" in outcome(symmetry)
+
+
+BODIES = ["x1", "y1", "x2", "y2"]
+TWO = {"x1_dot**2+y1_dot**2": 0.5, "x2_dot**2+y2_dot**2": 0.5, "1/sqrt((x1-x2)**2+(y1-y2)**2)": 1.0}
+
+
+def test_two_bodies():
+    model = law(BODIES, TWO)
+    expected = ["translation x1 + c, x2 + c", "translation y1 + c, y2 + c"]
+    expected += ["rotation of (x1, y1) and of (x2, y2)", "exchange x1 <-> x2, y1 <-> y2"]
+    assert [s.name for s in model.symmetries[:4]] == expected
+    assert_conserved(model, [-0.5, 0.0, 0.5, 0.1], [0.1, -0.7, 0.0, 0.8])
+    unequal = law(BODIES, {**TWO, "x2_dot**2+y2_dot**2": 0.7})
+    assert [s.name for s in unequal.symmetries[:4]] == [*expected[:3], "time reversal"]
+
+
+def test_friction_between_two_bodies_keeps_their_momentum_but_not_their_angular_momentum():
+    model = law(BODIES, TWO, {"(x1_dot-x2_dot)**2": 0.1, "(y1_dot-y2_dot)**2": 0.1})
+    found = {s.kind: s.obstacles for s in model.symmetries}
+    assert found["translation"] == found["exchange"] == ()
+    assert found["rotation"] == found["time translation"] == found["time reversal"] == ("friction",)
+    run = model.simulate([-0.5, 0.0, 0.5, 0.1], [0.1, -0.7, 0.0, 0.8], np.linspace(0.0, 3.0, 50))
+    values = [np.ptp(along(model, s, run.q, run.qdot)) for s in model.symmetries if s.quantity]
+    assert max(values[:2]) < 1e-7
+    assert min(values[2:]) > 1e-3
+    one_sided = replace(model, dissipation=(ModelTerm("x1_dot**2", 0.1),))
+    assert {s.kind: s.obstacles for s in one_sided.symmetries}["exchange"] == ("friction",)
+
+
+def test_more_bodies_and_spaces():
+    chain = {
+        **{f"x{k}_dot**2": 0.5 for k in range(1, 7)},
+        **{f"(x{k}-x{k + 1})**4": -1.0 for k in range(1, 6)},
+    }
+    model = law([f"x{k}" for k in range(1, 7)], chain)
+    mirror = "exchange x1 <-> x6, x2 <-> x5, x3 <-> x4"
+    shift = "translation " + ", ".join(f"x{k} + c" for k in range(1, 7))
+    assert [s.name for s in model.symmetries] == [shift, mirror, "time reversal", "time translation"]
+    space = law(["x", "y", "z"], {"x_dot**2+y_dot**2+z_dot**2": 0.5, "1/sqrt(x**2+y**2+z**2)": 1.0})
+    planes = ["rotation of (x, y)", "rotation of (x, z)", "rotation of (y, z)"]
+    assert [s.name for s in space.symmetries[:-2]] == planes
+    assert_conserved(space, [1.0, 0.2, -0.1], [0.1, 0.9, 0.3])
+    relative = law(["u", "v"], {"u_dot**2": 0.5, "v_dot**2": 0.5, "cos(u+v)": 2.0})
+    assert [s.name for s in relative.symmetries[:-2]] == ["translation u + c, v - c", "exchange u <-> v"]
+    assert_conserved(relative, [0.3, 0.4], [0.5, -0.1])
+
+
+@pytest.mark.parametrize("gauge", [{"x*y_dot": 2.0}, {"x_dot*y": -2.0}, {"x*y_dot": 1.0, "x_dot*y": -1.0}])
+def test_a_shift_in_a_magnetic_field_adds_a_total_derivative(gauge):
+    charge = law(["x", "y"], {"x_dot**2": 0.5, "y_dot**2": 0.5, **gauge})
+    assert [s.name for s in charge.symmetries] == [
+        *("cyclic coordinate x", "cyclic coordinate y", "rotation of (x, y)", "time translation")
+    ]
+    assert_conserved(charge, [0.3, -0.2], [1.0, 0.5])
+    trap = law(["x", "y"], {"x_dot**2+y_dot**2": 0.5, "x**2+y**2": -0.4, **gauge})
+    assert named(trap) == [("rotation", "turn of (x, y)"), ("time translation", "t + c")]
+    assert_conserved(trap, [0.3, -0.2], [1.0, 0.5])
+
+
+def test_a_shift_along_gravity_is_none():
+    falling = law(["x", "z"], {"x_dot**2": 0.5, "z_dot**2": 0.5, "z": -9.81})
+    assert named(falling)[:-2] == [("cyclic", "x + c")]
+
+
+ORBIT = {"x_dot**2": 0.5, "y_dot**2": 0.5, "1/sqrt(x**2+y**2)": 4.0}
+SIGMA = (0.001, 0.002, 0.01)
+
+
+def rotates(terms, sigma=SIGMA, **fields):
+    (found,) = [
+        s for s in law(["x", "y"], terms, sigma=sigma, **fields).symmetries if s.kind == "rotation"
+    ] or [None]
+    return found
+
+
+def test_coefficients_that_are_equal_within_their_errors():
+    step = math.hypot(*SIGMA[:2])
+    found = rotates({**ORBIT, "y_dot**2": 0.5 + 1.5 * step})
+    assert (found.holds, found.conditions) == ("within errors", 1)
+    assert found.chi2 == pytest.approx(1.5**2, rel=1e-6)
+    assert found.precision == pytest.approx(step / math.hypot(0.5, 0.5 + 1.5 * step), rel=1e-6)
+    assert rotates({**ORBIT, "y_dot**2": 0.5 + 5.0 * step}) is None
+    assert rotates({**ORBIT, "y_dot**2": 0.5}, sigma=None).holds == "in numbers"
+    assert rotates({**ORBIT, "y_dot**2": 0.5001}, sigma=None) is None
+
+
+@pytest.mark.parametrize("broken", [0, 1, 2])
+def test_nothing_is_claimed_that_is_broken_by_five_standard_errors(broken, rng):
+    terms = {
+        "x_dot**2": 0.5,
+        "y_dot**2": 0.5,
+        "x**2": -2.0,
+        "y**2": -2.0,
+        "x**4": -0.3,
+        "x**2*y**2": -0.6,
+        "y**4": -0.3,
+    }
+    sigma = np.array([0.002, 0.003, 0.01, 0.02, 0.003, 0.006, 0.004])
+    law_of = lambda c: rotates(dict(zip(terms, c, strict=True)), sigma)  # noqa: E731
+    true = np.array(list(terms.values()))
+    assert law_of(true).conditions == 4
+    pair = ((0, 1), (2, 3), (4, 6))[broken]
+    off = true.copy()
+    off[pair[1]] += 5.0 * math.hypot(*sigma[list(pair)])
+    assert law_of(off) is None
+
+
+def test_a_common_error_of_scale_does_not_hide_a_difference():
+    # both coefficients are uncertain by 5 %, their ratio is not
+    scale = np.array([0.5, 0.5, 4.0])
+    covariance = 0.05**2 * np.outer(scale, scale) + np.diag([1e-8, 1e-8, 1e-6])
+    model = law(["x", "y"], {**ORBIT, "y_dot**2": 0.501}, sigma=np.sqrt(np.diag(covariance)))
+    assert "rotation" in {s.kind for s in model.symmetries}
+    assert "rotation" not in {s.kind for s in replace(model, covariance=covariance).symmetries}
+    terms = [replace(t, coefficient=c) for t, c in zip(model.terms, (0.53, 0.53, 4.2), strict=True)]
+    alike = replace(model, terms=terms, covariance=covariance)
+    assert "rotation" in {s.kind for s in alike.symmetries}
+
+
+def test_true_symmetries_are_missed_as_rarely_as_the_level_says(rng):
+    draws = rng.normal(size=(500, 3)) * SIGMA + list(ORBIT.values())
+    found = [rotates(dict(zip(ORBIT, map(float, draw), strict=True))) for draw in draws]
+    assert sum(f is None for f in found) <= 4  # half a one is expected
+    chi2 = [f.chi2 for f in found if f]
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.3)
+
+
+def test_what_is_hardly_known_claims_nothing():
+    assert rotates(ORBIT, sigma=(0.2, 0.4, 0.01)) is None
+    wide = {**ORBIT, "x**2": 0.01}  # it would have to vanish, and could be anything
+    assert rotates(wide, sigma=(*SIGMA, 0.01)) is None
+
+
+def test_a_found_law_says_what_is_conserved_in_its_recording(tmp_path):
+    system = systems.get("kepler_orbit")
+    data = systems.generate("kepler_orbit", noise=0.02, trials=2, duration=6.0, seed=4)
+    model = discover(data, system.library, angles=["phi"], known=system.known)
+    cyclic, back, energy = model.symmetries
+    assert (cyclic.kind, back.kind, energy.kind) == ("cyclic", "time reversal", "time translation")
+    assert cyclic.drift < 1e-3
+    assert energy.drift < 1e-3
+    assert "conserved to" in symmetry_lines(model)[0]
+    model.save(tmp_path / "model.json")
+    again = load(tmp_path / "model.json").symmetries
+    assert [s.quantity for s in again] == [s.quantity for s in model.symmetries]
+    assert outcome(again[0]) == "conserved where no force acts along it"
+    assert math.isnan(again[0].drift)
+
+
+def with_forces(model: LagrangianModel, forces) -> LagrangianModel:
+    diagnostics = model.diagnostics
+    assert isinstance(diagnostics, Diagnostics)
+    (trial,) = diagnostics.trajectories
+    driven = Trajectories([replace(trial, forces=forces(trial.t)[:, None])])
+    return replace(model, diagnostics=replace(diagnostics, trajectories=driven))
+
+
+def test_drift_and_known_forces():
+    free = spring()
+    (energy,) = [s for s in free.symmetries if s.kind == "time translation"]
+    assert energy.drift < 1e-3  # the curve of that model is its exact motion
+    wrong = replace(free, terms=(free.terms[0], replace(free.terms[1], coefficient=-0.5)))
+    assert {s.kind: s.drift for s in wrong.symmetries}["time translation"] > 0.1
+    driven = {s.kind: s for s in with_forces(free, np.sin).symmetries}["time translation"]
+    assert driven.obstacles == ("forces",)
+    assert math.isnan(driven.drift)
+    assert outcome(driven) == "not conserved: it would be without the known forces"
+    assert {s.kind: s.obstacles for s in with_forces(free, np.zeros_like).symmetries}[
+        "time translation"
+    ] == ()
+    damped = {s.kind: s for s in with_forces(spring(friction=0.1), np.sin).symmetries}["time translation"]
+    assert outcome(damped) == "not conserved: it would be without friction and the known forces"
+
+
+def test_a_prescribed_coordinate_has_no_momentum_and_gives_energy():
+    options = {"options": {"prescribed": ["x"]}}
+    crane = law(
+        ["x", "theta"],
+        {"theta_dot**2": 0.5, "x_dot*theta_dot*cos(theta)": 1.0, "cos(theta)": 9.8},
+        **{"provenance": options},
+    )
+    assert named(crane) == [("time reversal", "t -> -t"), ("time translation", "t + c")]
+    assert crane.symmetries[-1].obstacles == ("prescribed",)
+
+
+def test_unusual_terms_do_no_harm():
+    odd = law(
+        ["x", "y"], {"x_dot**2": 0.5, "y_dot**2": 0.5, "log(x)": 1.0, "abs(y)": -1.0, "sqrt(y_dot**2+1)": 0.1}
+    )
+    assert named(odd) == [("time reversal", "t -> -t"), ("time translation", "t + c")]
+    assert odd.symmetries[-1].latex.startswith("0.5")
+    assert odd.symmetries[-1].written.count("0.5*") == 2
