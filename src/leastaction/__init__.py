@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, stream, write_csv
     from leastaction.library import Library
     from leastaction.mechanics.euler_lagrange import euler_lagrange
-    from leastaction.model.load import load
+    from leastaction.model.file import load
     from leastaction.model.model import LagrangianModel
     from leastaction.report import write_report
     from leastaction.simulation.integrate import SimulationResult
@@ -48,7 +48,7 @@ _HOMES = {
     "euler_lagrange": "mechanics.euler_lagrange",
     "export": "exporters.write",
     "from_frame": "io",
-    "load": "model.load",
+    "load": "model.file",
     "read": "io",
     "read_csv": "io",
     "read_mat": "io",

@@ -10,8 +10,7 @@ import pytest
 
 from leastaction.errors import InputError
 from leastaction.findings import Finding, find
-from leastaction.model.file import MAX_BYTES, MAX_TERMS
-from leastaction.model.load import load
+from leastaction.model.file import MAX_BYTES, MAX_TERMS, load
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 
 

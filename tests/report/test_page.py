@@ -403,3 +403,13 @@ def test_forty_terms_of_long_names_can_wrap_or_scroll(tmp_path):
     for text in page.root.all("text", class_="label"):
         (svg,) = [e for e in text.ancestors if e.tag == "svg"]
         assert 7 * len(text.text) < float(str(svg.attributes["viewbox"]).split()[2])
+
+
+def test_simple_numbers_are_offered_beside_the_coefficients(source, pendulum, tmp_path):
+    assert "Simple numbers" not in Page(source).by_id("coefficients").text
+    model = replace(pendulum[0], covariance=pendulum[0].covariance * 1e-4)
+    terms = [replace(term, standard_error=0.01 * term.standard_error) for term in model.terms]
+    terms[-1] = replace(terms[-1], coefficient=5.0 + 0.5 * terms[-1].standard_error)
+    page = Page(written(tmp_path, replace(model, terms=terms)))
+    rows = page.by_id("coefficients").all("table")[1].one("tbody").all("tr")
+    assert ["5" in row.text for row in rows] == [True]

@@ -48,7 +48,7 @@ from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, as_flo
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "plain_json", "read_document", "to_text"]
+__all__ = ["MAX_BYTES", "MAX_TERMS", "SCHEMA", "encode", "fields", "load", "plain_json", "to_text"]
 
 SCHEMA = 2
 MAX_BYTES = 10_000_000
@@ -146,7 +146,20 @@ def to_text(document: Mapping[str, Any]) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def read_document(path: str | os.PathLike[str]) -> Any:
+def load(path: str | os.PathLike[str]) -> LagrangianModel:
+    """Read a model that `LagrangianModel.save` has written; everything in the file is checked.
+
+    Raises
+    ------
+    InputError
+        If the file is not a model of this or an older version; the text names the file and the place.
+    """
+    from leastaction.model.model import LagrangianModel  # which writes with this module
+
+    return LagrangianModel.from_dict(_read_document(path), os.fspath(path))
+
+
+def _read_document(path: str | os.PathLike[str]) -> Any:
     """Read a file as strict JSON; what it means is not looked at yet.
 
     Raises

@@ -19,6 +19,7 @@ from leastaction.mechanics.equations import Mechanics
 from leastaction.model import checks
 from leastaction.model import file as model_file
 from leastaction.model import text as model_text
+from leastaction.model.constants import SimpleConstants, find_simple_constants
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
@@ -139,6 +140,11 @@ class LagrangianModel:
         """Changes of variables that leave L as it is, in form or within errors, and what they conserve."""
         return find_symmetries(self)
 
+    @cached_property
+    def simple_constants(self) -> SimpleConstants:
+        """Simple numbers, such as 1/2 or π, inside intervals that are too narrow to hold one by chance."""
+        return find_simple_constants(self)
+
     def equations_of_motion(self, forces: bool = False) -> tuple[sp.Eq, ...]:
         """Equations of motion as SymPy equations.
 
@@ -175,7 +181,8 @@ class LagrangianModel:
         InputError
             If the last axis does not hold one number per coordinate.
         """
-        q, qdot, *rest = self._states(q=q, qdot=qdot, forces=forces)
+        given = {"q": q, "qdot": qdot, "forces": forces}
+        q, qdot, *rest = checks.checked_states(self.coordinates, given)
         return self.mechanics.acceleration(q, qdot, *rest)
 
     def energy(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
@@ -189,7 +196,7 @@ class LagrangianModel:
         -------
         ndarray, shape (...)
         """
-        return self.mechanics.energy(*self._states(q=q, qdot=qdot))
+        return self.mechanics.energy(*checks.checked_states(self.coordinates, {"q": q, "qdot": qdot}))
 
     def mass_matrix(self, q: ArrayLike, qdot: ArrayLike | None = None) -> np.ndarray:
         """∂²L/∂q̇∂q̇.
@@ -204,9 +211,8 @@ class LagrangianModel:
         -------
         ndarray, shape (..., n_dof, n_dof)
         """
-        return self.mechanics.mass_matrix(
-            *self._states(q=q, qdot=np.zeros(self.n_dof) if qdot is None else qdot)
-        )
+        given = {"q": q, "qdot": np.zeros(self.n_dof) if qdot is None else qdot}
+        return self.mechanics.mass_matrix(*checks.checked_states(self.coordinates, given))
 
     @single_threaded()
     def simulate(
@@ -292,13 +298,8 @@ class LagrangianModel:
             If the coordinates differ, or no trial is long enough for one forecast.
         """
         data = checks.held_out(self, trajectories)
-        motion = self.mechanics
-        return forecast(
-            motion.acceleration, data, self.noise_std, horizon, window, tolerance, motion.prescribed
-        )
-
-    def _states(self, **arrays: ArrayLike | None) -> list[np.ndarray]:
-        return checks.checked_states(self.coordinates, arrays)
+        law = self.mechanics
+        return forecast(law.acceleration, data, self.noise_std, horizon, window, tolerance, law.prescribed)
 
     def table(self) -> pd.DataFrame:
         """Coefficients with their errors; shape parameters come last, under their names in braces.

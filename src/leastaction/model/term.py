@@ -16,11 +16,11 @@ from leastaction.findings import Audience, Finding, Severity, sentence
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 
-__all__ = ["INTERVAL_RISE", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
+__all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
 
-# Half width of a central 95 % interval of a normal distribution, in standard errors.
-_Z95 = 1.959963984540054
-INTERVAL_RISE = _Z95**2
+Z95 = 1.959963984540054
+"""Half width of a central 95 % interval of a normal distribution, in standard errors."""
+INTERVAL_RISE = Z95**2
 """By how much −2 log likelihood rises to the ends of a 95 % interval."""
 
 
@@ -98,12 +98,12 @@ class ModelTerm:
     @property
     def lower(self) -> float:
         """Lower end of the 95 % interval; the coefficient itself if it is known."""
-        return self.coefficient - _Z95 * self.standard_error
+        return self.coefficient - Z95 * self.standard_error
 
     @property
     def upper(self) -> float:
         """Upper end of the 95 % interval."""
-        return self.coefficient + _Z95 * self.standard_error
+        return self.coefficient + Z95 * self.standard_error
 
     @property
     def z(self) -> float:
@@ -193,8 +193,8 @@ class ShapeParameter:
         for (x, low), (y, high) in pairwise(side):
             if low < INTERVAL_RISE <= high:
                 a, b = math.sqrt(low), math.sqrt(high)
-                return x + (y - x) * (_Z95 - a) / (b - a)
-        return self.value + sign * _Z95 * self.standard_error
+                return x + (y - x) * (Z95 - a) / (b - a)
+        return self.value + sign * Z95 * self.standard_error
 
     def as_term(self) -> ModelTerm:
         """Name and number in the columns of a table of terms.

@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     import pandas as pd
     import sympy as sp
 
+    from leastaction.model.constants import SimpleConstants
     from leastaction.model.model import LagrangianModel
     from leastaction.model.symmetries import Symmetry
     from leastaction.model.term import ModelTerm
 
 __all__ = [
     "CONSERVED",
+    "agreement",
     "frame",
     "html_table",
     "latex",
@@ -39,6 +41,7 @@ __all__ = [
     "reach",
     "rows",
     "shown_quantity",
+    "simple_lines",
     "summary",
     "symmetry_lines",
     "table",
@@ -202,6 +205,34 @@ def symmetry_lines(model: LagrangianModel) -> list[str]:
         what = ", ".join(filter(None, (name, outcome(symmetry))))
         lines.append(f"{symmetry.name}, {reach(symmetry)}{f': {what}' if what else ''}")
     return lines
+
+
+def simple_lines(model: LagrangianModel) -> list[str]:
+    """One line for each simple number that the model offers, and one for all of them.
+
+    Examples
+    --------
+    >>> from leastaction import LagrangianModel
+    >>> from leastaction.model.term import ModelTerm
+    >>> simple_lines(LagrangianModel("x", [ModelTerm("x_dot**2", 0.5003, 0.0004)]))
+    ['simple number: x_dot**2 = 0.50030(40): 1/2']
+    """
+    found = model.simple_constants
+    lines = [f"simple number: {offer}" for offer in found.offers]
+    return [*lines, f"simple numbers together: {agreement(found)}"] if len(lines) > 1 else lines
+
+
+def agreement(found: SimpleConstants) -> str:
+    """Whether all offered numbers may be true at once.
+
+    Examples
+    --------
+    >>> from leastaction.model.constants import SimpleConstants
+    >>> agreement(SimpleConstants((), 1.25, 3, True))
+    'chi2 1.2 for 3 of them, which fits'
+    """
+    fits = "which fits" if found.compatible else "which does not fit: not all of them are true"
+    return f"chi2 {found.chi2:.2g} for {found.freedom} of them, {fits}"
 
 
 def frame(model: LagrangianModel) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from leastaction.findings import because
 from leastaction.model.model import LagrangianModel
+from leastaction.model.text import agreement
 from leastaction.report import captions, tables
 from leastaction.report import figures_model as figures
 from leastaction.report.figures_data import DataFigures
@@ -69,6 +70,8 @@ def _context(
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
         "groups": groups,
+        "simple": tables.simple_rows(model, notation),
+        "simple_together": agreement(model.simple_constants).replace("chi2", "χ²"),
         "symmetries": tables.symmetry_rows(model, notation),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),

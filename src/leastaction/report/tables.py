@@ -31,6 +31,7 @@ __all__ = [
     "option_rows",
     "path_rows",
     "residual_rows",
+    "simple_rows",
     "symmetry_rows",
     "trial_rows",
 ]
@@ -83,6 +84,20 @@ def _z_text(z: float) -> str:
         return ""
     text = f"{z:.1f}" if abs(z) < 100 else f"{z:.0f}" if abs(z) < 1e6 else f"{z:.2e}"
     return typeset(text if float(text) else text.lstrip("-"))
+
+
+def simple_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """Simple numbers inside intervals."""
+    return [
+        {
+            "term": notation.term(offer.subject),
+            "reference": notation.term(offer.reference) if offer.reference else "",
+            "value": typeset(offer.written),
+            "number": notation.term(offer.text),
+            "chance": percent(offer.chance),
+        }
+        for offer in model.simple_constants.offers
+    ]
 
 
 def symmetry_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
