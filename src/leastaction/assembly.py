@@ -11,7 +11,7 @@ from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
 from leastaction.findings import doubtful, find
-from leastaction.model.diagnostics import Diagnostics, PathPoint
+from leastaction.model.diagnostics import Diagnostics, PathPoint, pareto
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 from leastaction.selection.alternatives import Alternative
@@ -40,6 +40,7 @@ def assemble_model(
         *search.bias.findings(),
         *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
     )
+    points = _points(fit, alternatives)
     status = "doubtful" if doubtful(findings) else "ok"
     diagnostics = Diagnostics(
         fit.problem.trajectories,
@@ -48,12 +49,13 @@ def assemble_model(
         fit.weights.position_std,
         density,
         verdict.equation_error,
-        _path(fit, alternatives),
+        _path(points),
         setup.library.dropped,
         timings=timings,
         rate_noise_std={f"{quantity} of {name}": x for (quantity, name), x in noise.items()},
         force_offset=search.bias.found(),
         prepared=setup.findings,
+        pareto=pareto(points),
     )
     terms = _terms(fit)
     return LagrangianModel(
@@ -117,15 +119,20 @@ def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
     return dict(zip(channels, noise, strict=True))
 
 
-def _path(fit: Fit, alternatives: Sequence[Alternative]) -> tuple[PathPoint, ...]:
+def _path(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
     """Best structure of each size, then the runners-up of the chosen size."""
-    best: dict[int, Alternative] = {}
-    for alternative in alternatives:
-        best.setdefault(len(alternative.structure), alternative)
-    size = len(fit.structure)
-    others = [a for a in alternatives if len(a.structure) == size and a is not best[size]]
-    texts = [term.text for term in fit.problem.terms]
-    return tuple(
+    best: dict[int, PathPoint] = {}
+    for point in points:
+        best.setdefault(point.n_terms, point)
+    sizes = {point.n_terms for point in points if point.chosen}
+    others = [p for p in points if p.n_terms in sizes and p is not best[p.n_terms]]
+    return (*best.values(), *others)
+
+
+def _points(fit: Fit, alternatives: Sequence[Alternative]) -> list[PathPoint]:
+    """The structures about a fit, as the model keeps them."""
+    texts, lengths = [term.text for term in fit.problem.terms], fit.problem.bits
+    return [
         PathPoint(
             tuple(texts[m] for m in a.structure),
             a.cost,
@@ -135,9 +142,10 @@ def _path(fit: Fit, alternatives: Sequence[Alternative]) -> tuple[PathPoint, ...
             tuple(a.coefficients[list(a.structure)].tolist()),
             tuple(a.standard_errors.tolist()),
             tuple(fit.problem.terms[m].kind for m in a.structure),
+            float(lengths[list(a.structure)].sum()),
         )
-        for a in (*best.values(), *others)
-    )
+        for a in alternatives
+    ]
 
 
 def _version() -> str:

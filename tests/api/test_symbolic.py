@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -26,6 +28,13 @@ def test_the_law_is_found_from_names_alone(name, tmp_path):
         error = 4.5 * term.standard_error
         assert term.coefficient == pytest.approx(truth[library.index(term.expression)], abs=error)
     assert model.fit.status == "ok"
+    curve = model.diagnostics.pareto
+    (chosen,) = (point for point in curve if point.chosen)
+    lengths = [library.lengths[library.index(text)] for text in chosen.expressions]
+    assert chosen.length == pytest.approx(sum(lengths) / np.log(2.0))
+    assert len(curve) > 1
+    assert all(a.length < b.length for a, b in pairwise(curve))
+    assert all(a.cost > b.cost for a, b in pairwise(curve))
     model.save(tmp_path / "model.json")
     assert la.load(tmp_path / "model.json").to_dict() == model.to_dict()
 

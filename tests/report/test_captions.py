@@ -8,18 +8,21 @@ import numpy as np
 import pytest
 
 from leastaction import Trajectories, Trajectory
-from leastaction.model.diagnostics import PathPoint
+from leastaction.model.diagnostics import PathPoint, pareto
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.axes import shortened
 from leastaction.report.captions import (
     curve_title,
     energy_title,
     forecast_title,
+    pareto_title,
     path_title,
     residual_title,
 )
+from leastaction.report.figures_model import pareto_figure
 from leastaction.report.mathml import Notation, number_parts
 from leastaction.report.series import Series
+from leastaction.report.tables import pareto_rows
 from leastaction.report.verdict import verdict
 from leastaction.report.whisker import whisker
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
@@ -98,6 +101,45 @@ def test_energy_and_path_titles():
         "2 free terms; difference in BIC: one term less +50.0, the best rival of this size +7.0"
     )
     assert path_title(points[1:2]) == "2 free terms, without a rival"
+
+
+def test_length_against_likelihood_is_put_in_words():
+    points = [
+        PathPoint(("x",), 900.0, 890.0, length=3.0),
+        PathPoint(("x", "y"), 0.0, 0.0, True, length=7.2),
+        PathPoint(("x", "z"), -2.0, 7.0, length=11.0),
+        PathPoint(("x", "y", "z"), -3.0, 17.0, length=15.0),
+    ]
+    assert pareto_title(points) == (
+        "The chosen law takes 7.2 bits; difference in −2 log-likelihood: 4.2 bits shorter +900, "
+        "3.8 bits longer −2.0"
+    )
+    assert pareto_title(points[1:2]) == "The chosen law takes 7.2 bits"
+    rows = pareto_rows(points, Notation(["x", "y", "z"]), limit=2)
+    assert [(row["bits"], row["cost"], row["chosen"]) for row in rows] == [
+        ("7.2", "0", True),
+        ("11.0", "−2.0", False),
+    ]
+    drawn = str(pareto_figure(points))
+    assert "description length (bits)" in drawn
+    assert "the chosen structure takes 7.2 bits" in drawn
+    assert "3.0 bits: +900" in drawn
+
+
+def test_only_what_no_shorter_structure_explains_is_on_the_curve(rng):
+    reasons = ["fits-worse", "no-fit", "fit-is-worse", "not-worth-its-terms", ""]
+    points = [
+        PathPoint(("x",), float(cost), 0.0, k == 7, str(rng.choice(reasons)), length=float(length))
+        for k, (cost, length) in enumerate(rng.integers(0, 60, (80, 2)))
+    ]
+    kept = pareto(points)
+    able = [p for p in points if p.chosen or p.reason not in ("no-fit", "fit-is-worse")]
+    pairs = {(p.length, p.cost) for p in able}
+    front = {(x, y) for x, y in pairs if not any(a <= x and b <= y and (a, b) != (x, y) for a, b in pairs)}
+    assert {(p.length, p.cost) for p in kept} == front | {(points[7].length, points[7].cost)}
+    assert points[7] in kept
+    assert [p.length for p in kept] == sorted(p.length for p in kept)
+    assert pareto([PathPoint(("x",), 0.0, 0.0, True)]) == ()
 
 
 def test_least_sure_term_is_named():

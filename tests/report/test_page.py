@@ -413,3 +413,14 @@ def test_simple_numbers_are_offered_beside_the_coefficients(source, pendulum, tm
     page = Page(written(tmp_path, replace(model, terms=terms)))
     rows = page.by_id("coefficients").all("table")[1].one("tbody").all("tr")
     assert ["5" in row.text for row in rows] == [True]
+
+
+def test_length_against_likelihood_is_drawn_where_there_are_lengths(source, tmp_path):
+    assert "bits" not in Page(source).by_id("selection").text
+    model = spring()
+    path = model.diagnostics.path
+    points = tuple(replace(point, length=4.0 * point.n_terms) for point in path[:3])
+    longer = replace(model, diagnostics=replace(model.diagnostics, pareto=points))
+    section = Page(written(tmp_path, longer)).by_id("selection")
+    assert "The chosen law takes 8.0 bits" in section.text
+    assert [row.one("th").text for row in section.all("tbody")[-1].all("tr")] == ["4.0", "8.0", "12.0"]

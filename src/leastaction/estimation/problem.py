@@ -110,6 +110,14 @@ class Problem:
         alike = np.log(max(np.count_nonzero(~self.is_known), 1))
         return np.where(np.isnan(found), 0.0, 2.0 * (found - alike))
 
+    @property
+    def bits(self) -> np.ndarray:
+        """(n_candidates,) bits that it takes to name each; NaN without description lengths."""
+        if self.lengths is None:
+            return np.full(self.known.size, np.nan)
+        alike = np.log(max(np.count_nonzero(~self.is_known), 1))
+        return np.where(np.isnan(self.lengths), alike, self.lengths) / np.log(2.0)
+
     @cached_property
     def shape_values(self) -> dict[str, float]:
         """The numbers of all shape parameters."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -12,7 +13,9 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.findings import Finding
 from leastaction.library import Dropped, Kind
 
-__all__ = ["Diagnostics", "PathPoint"]
+__all__ = ["Diagnostics", "PathPoint", "pareto"]
+
+_NOT_BORNE_OUT = ("no-fit", "fit-is-worse")
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,8 @@ class PathPoint:
         Of the expressions, as the quadratic model of the likelihood about the chosen structure expects them.
     kinds : tuple of {"lagrangian", "dissipation"}
         Of the expressions.
+    length : float
+        Bits that it takes to name the expressions; NaN where the library has no description lengths.
     """
 
     expressions: tuple[str, ...]
@@ -44,11 +49,36 @@ class PathPoint:
     coefficients: tuple[float, ...] = ()
     standard_errors: tuple[float, ...] = ()
     kinds: tuple[Kind, ...] = ()
+    length: float = math.nan
 
     @property
     def n_terms(self) -> int:
         """Number of free terms."""
         return len(self.expressions)
+
+
+def pareto(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
+    """The structures that no shorter one explains as well, in rising length, and the chosen one.
+
+    Empty where there are no description lengths. What its own fit does not bear out is left out.
+
+    Examples
+    --------
+    >>> points = [PathPoint(("x",), 9.0, 9.0, length=3.0), PathPoint(("y",), 12.0, 12.0, length=5.0),
+    ...           PathPoint(("x", "y"), 0.0, 0.0, chosen=True, length=8.0)]
+    >>> [point.length for point in pareto(points)]
+    [3.0, 8.0]
+    """
+    usable = [p for p in points if math.isfinite(p.length) and math.isfinite(p.cost)]
+    ranked = sorted(usable, key=lambda p: (p.length, p.cost, not p.chosen))
+    kept: list[PathPoint] = []
+    lowest = math.inf
+    for point in ranked:
+        better = point.cost < lowest and point.reason not in _NOT_BORNE_OUT
+        if better or point.chosen:
+            kept.append(point)
+            lowest = min(lowest, point.cost)
+    return tuple(kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +96,9 @@ class Diagnostics:
         residual in the units of a generalised force.
     path : tuple of PathPoint
         Best structure of each size, in rising size; runners-up of the chosen size come last.
+    pareto : tuple of PathPoint
+        Length against likelihood, where the library has description lengths (`Library.symbolic`): structures
+        that no shorter one explains as well, in rising length, and the chosen one.
     dropped : tuple of Dropped
         Candidates removed before the fit, and for which others.
     findings : tuple of Finding
@@ -94,6 +127,7 @@ class Diagnostics:
     force_offset: dict[str, tuple[np.ndarray, ...]] = field(default_factory=dict[str, tuple[np.ndarray, ...]])
     findings: tuple[Finding, ...] = ()
     prepared: tuple[Finding, ...] = ()
+    pareto: tuple[PathPoint, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:

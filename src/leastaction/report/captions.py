@@ -14,7 +14,15 @@ from leastaction.report.series import Series
 from leastaction.report.text import listed, percent, plain, plural, signed
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["curve_title", "energy_title", "forecast_title", "path_title", "profile_title", "residual_title"]
+__all__ = [
+    "curve_title",
+    "energy_title",
+    "forecast_title",
+    "pareto_title",
+    "path_title",
+    "profile_title",
+    "residual_title",
+]
 
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
@@ -117,3 +125,13 @@ def path_title(path: Sequence[PathPoint]) -> str:
     parts = [f"{what} {signed(min(values))}" for what, values in cases if values]
     text = f"{plural(chosen.n_terms, 'free term', 'free terms')}"
     return f"{text}; difference in BIC: {', '.join(parts)}" if parts else f"{text}, without a rival"
+
+
+def pareto_title(points: Sequence[PathPoint]) -> str:
+    """What the next shorter and the next longer structure would change."""
+    place = next(k for k, point in enumerate(points) if point.chosen)
+    here = points[place].length
+    sides = (("shorter", points[max(place - 1, 0) : place]), ("longer", points[place + 1 : place + 2]))
+    parts = [f"{abs(p.length - here):.1f} bits {what} {signed(p.cost)}" for what, side in sides for p in side]
+    text = f"The chosen law takes {here:.1f} bits"
+    return f"{text}; difference in −2 log-likelihood: {', '.join(parts)}" if parts else text

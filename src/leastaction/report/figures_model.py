@@ -23,6 +23,7 @@ __all__ = [
     "energy_of_trial",
     "energy_of_trials",
     "forecast_panel",
+    "pareto_figure",
     "path_axes",
     "path_figure",
     "profile_figure",
@@ -50,6 +51,24 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
         "path",
         f"ΔBIC against the number of free terms; {chosen.n_terms} are chosen",
         f"BIC of the best structure of each size, from the chosen one: {said or 'no other size'}",
+    )
+
+
+def pareto_figure(points: Sequence[PathPoint]) -> Markup:
+    """−2 Δ log likelihood against description length, of what no shorter structure explains as well."""
+    axes = Axes((HALF[0], 320.0), x=Linear(room=45.0), y=Folded())
+    bits, cost = np.array([[p.length, p.cost] for p in points]).T
+    chosen = np.array([p.chosen for p in points])
+    axes.line(bits, cost, "fit", 1.5)
+    axes.dots(bits, cost, "fit", 7.0)
+    axes.dots(bits[chosen], cost[chosen], "forecast", 12.0, above=True)
+    axes.label("description length (bits)", "−2 Δ log-likelihood, from the chosen structure")
+    said = ", ".join(f"{p.length:.1f} bits: {signed(p.cost)}" for p in points if not p.chosen)
+    length = ", ".join(f"{x:.1f}" for x in bits[chosen])
+    return axes.svg(
+        "pareto",
+        f"Likelihood against description length; the chosen structure takes {length} bits",
+        f"−2 Δ log-likelihood of the structures, from the chosen one: {said or 'no other structure'}",
     )
 
 

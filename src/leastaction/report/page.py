@@ -145,7 +145,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     path = model.diagnostics.path if model.diagnostics else ()
     path = [point for point in path if math.isfinite(point.bic) and math.isfinite(point.cost)]
     if not any(point.chosen for point in path):
-        return {"path": [], "runner_up": None, "by_hand": None}
+        return {"path": [], "runner_up": None, "by_hand": None, "pareto": ()}
     rivals = [point for point in path if not point.chosen]
     relevance = _options(model).get("relevance")
     by_hand = model.provenance.get("structure")
@@ -157,6 +157,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
         "n_hidden": len(path) - len(rows),
         "path_figure": figures.path_figure(path),
         "path_title": captions.path_title(path),
+        **_pareto(model, notation),
         "by_hand": shown,
         "runner_up": None
         if best is None
@@ -166,6 +167,18 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
             "n_terms": best.n_terms,
             "because": because(best.reason, relevance),
         },
+    }
+
+
+def _pareto(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
+    """Length against likelihood, where there are lengths and another structure to compare with."""
+    points = model.diagnostics.pareto if model.diagnostics else ()
+    if len(points) < 2 or not any(point.chosen for point in points):
+        return {"pareto": ()}
+    return {
+        "pareto": tables.pareto_rows(points, notation),
+        "pareto_figure": figures.pareto_figure(points),
+        "pareto_title": captions.pareto_title(points),
     }
 
 

@@ -29,6 +29,7 @@ __all__ = [
     "forecast_rows",
     "forecast_trials",
     "option_rows",
+    "pareto_rows",
     "path_rows",
     "residual_rows",
     "simple_rows",
@@ -223,6 +224,21 @@ def path_rows(
             "because": because(point.reason, relevance),
         }
         for point in sorted(near, key=lambda p: (p.n_terms, p.bic))
+    ]
+
+
+def pareto_rows(points: Sequence[PathPoint], notation: Notation, limit: int = 9) -> list[dict[str, Any]]:
+    """Structures on the curve of length against likelihood; those far from the chosen length are left out."""
+    chosen = next(point for point in points if point.chosen)
+    near = sorted(points, key=lambda p: abs(p.length - chosen.length))[:limit]
+    return [
+        {
+            "bits": f"{point.length:.1f}",
+            "cost": "0" if point.chosen else signed(point.cost),
+            "terms": [notation.term(e) for e in point.expressions],
+            "chosen": point.chosen,
+        }
+        for point in sorted(near, key=lambda p: p.length)
     ]
 
 
