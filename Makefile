@@ -14,7 +14,7 @@ export PIP_NO_INPUT := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-STUDIES := structure single calibration faults noise further unlisted names
+STUDIES := structure single calibration faults noise further unlisted names shapes
 .PHONY: help demo test test-kernels lint format docs gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
   reproduce-smoke clean
 # Two pips must not write to one environment at a time.

@@ -6,7 +6,8 @@ Set-ups: the further systems, and wrong ones of the study of faults with seeds t
 50 Hz, one data set each.  A row says how many structures are exact, how many results are ok, how many are ok
 and wrong, and which changed: structure, status or the codes of the findings; for settings of measured
 velocities, which of 32 channels are doubted; of outliers, which samples are left out; of simulations, what
-becomes of three machines.  Ratios (a value near one) are taken at half and twice their
+becomes of three machines; of shape parameters and of prescribed coordinates, what becomes of six recordings
+each.  Ratios (a value near one) are taken at half and twice their
 distance from one.  Settings of the diagnosis need no new search and are tried on all set-ups, those of the
 causes on the wrong ones; settings of the search on the quicker set-ups.
 """
@@ -25,7 +26,7 @@ import click
 import numpy as np
 
 import leastaction as la
-from benchmarks import ablations
+from benchmarks import ablations, prescribed
 from leastaction import systems
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import lay_knots
@@ -43,11 +44,22 @@ from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
 from leastaction.threads import single_threaded
+from studies import shapes
 from studies.case import Case
 from studies.solve import pose, score
 
 _PACKAGES = {"curve": CURVE, "estimation": ESTIMATION, "selection": SELECTION, "diagnosis": DIAGNOSIS}
-_RATIOS = ("mostly_regular", "solvable", "clearly", "finer", "grown", "noise_ratio")
+_RATIOS = (
+    "mostly_regular",
+    "solvable",
+    "clearly",
+    "finer",
+    "grown",
+    "noise_ratio",
+    "finest",
+    "shape_scales",
+    "samples_per_knot",
+)
 _SHAPE = {"trial": 500, "trajectories": 3, "duration": 8.0, "rate": 50.0}
 _FURTHER = ("rotary_pendulum", "double_well", "henon_heiles", "kepler_orbit", "morse_molecule")
 _SLOWER = ("robot_arm", "elastic_pendulum_cart", "toda_chain")
@@ -216,10 +228,44 @@ def _machines_judged() -> str:
     return f"{sum(one.exact for one in found)} of {len(found)} exact, coefficients off by {errors} %"
 
 
+def _scatter(z: list[float]) -> str:
+    return f"rms z {np.sqrt(np.mean(np.square(z))):.3f}" if z else "no z"
+
+
+def _prescribed_judged() -> str:
+    """Structures and errors of machines one coordinate of which is moved by what nobody measured."""
+    found = [
+        row
+        for one in prescribed.MACHINES.values()
+        for noise in (0.01, 0.05)
+        for row in prescribed.fits(one, noise, 1)
+    ]
+    z = [z for row in found for z in row[2]]
+    exact, ok = (sum(row[k] for row in found) for k in (0, 1))
+    return f"{exact} of {len(found)} exact, {ok} ok, {_scatter(z)}"
+
+
+def _shapes_judged() -> str:
+    """Laws with numbers inside terms: structures, and errors of the numbers."""
+    cases = [Case("shapes", name, noise, **_SHAPE) for name in shapes.SHAPED for noise in (0.01, 0.1)]
+    begun, found = process_time(), [shapes.solve(case) for case in cases]
+    exact = [one for one in found if one["exact"]]
+    z = [row["z"] for one in exact for what, row in one["terms"].items() if what[0] == "{"]
+    ok = sum(one["status"] == "ok" for one in found)
+    wrong = sum(one["status"] == "ok" and not one["exact"] for one in found)
+    seconds = process_time() - begun
+    return (
+        f"{len(exact)} of {len(found)} exact, {ok} ok, {wrong} ok and wrong, {_scatter(z)}, {seconds:.0f} s"
+    )
+
+
 _OF_DATA = {
-    **dict.fromkeys(("rate_factor", "rate_follows", "rate_clear"), _rates_judged),
+    **dict.fromkeys(("rate_factor", "rate_follows", "rate_clear", "rate_width"), _rates_judged),
     **dict.fromkeys(("outlier", "outlier_alone", "most_outliers"), _outliers_judged),
-    **dict.fromkeys(("simulated", "horizon", "clearly"), _machines_judged),
+    **dict.fromkeys(("simulated", "horizon", "clearly", "window"), _machines_judged),
+    **dict.fromkeys(("small_error", "no_error"), _prescribed_judged),
+    **dict.fromkeys(("not_followed",), _shapes_judged),
+    **dict.fromkeys((f.name for f in fields(ESTIMATION) if f.name.startswith("shape_")), _shapes_judged),
 }
 
 
@@ -247,6 +293,8 @@ def _sides(name: str, value: float) -> Mapping[str, float]:
     """The setting at half and twice its value."""
     if name in _RATIOS:
         return {"half": 1.0 + 0.5 * (value - 1.0), "twice": 1.0 + 2.0 * (value - 1.0)}
+    if isinstance(value, int):
+        return {"half": -(-value // 2), "twice": 2 * value}
     return {"half": 0.5 * value, "twice": 2.0 * value}
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from studies import names, unlisted
+from studies import names, shapes, unlisted
 from studies._tables import (
     Records,
     Table,
@@ -35,7 +35,7 @@ _RIGHT = 0.05
 def tables(study: str, records: Records) -> list[Table]:
     """Return all tables of a study."""
     special = {"calibration": _calibration, "faults": _faults, "noise": _noise}
-    special |= {"unlisted": unlisted.tables, "names": names.tables}
+    special |= {"unlisted": unlisted.tables, "names": names.tables, "shapes": shapes.tables}
     return list(special.get(study, _structure)(records))
 
 

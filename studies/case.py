@@ -17,7 +17,8 @@ class Case:
     study : str
         Decides what is done to the data and what is kept of the run.
     system : str
-        A name that ``leastaction.systems.get`` knows, or in the study ``unlisted`` one of ``laws.py``.
+        A name that ``leastaction.systems.get`` knows, or in the studies ``unlisted`` and ``shapes`` one of
+        ``laws.py``.
     noise : float
         Level, times the standard deviation of each coordinate.
     setup : str

@@ -11,6 +11,7 @@ from studies.case import Case
 from studies.faults import SETUPS
 from studies.laws import LAWS
 from studies.noises import FORCE_KINDS, KINDS
+from studies.shapes import SHAPED
 
 __all__ = ["PLANS", "Plan", "cases"]
 
@@ -55,6 +56,10 @@ def _unlisted() -> Iterator[Case]:
         yield from _grid("unlisted", LAWS, (0.01, 0.05, 0.1), libraries=("auto",), trajectories=trajectories)
 
 
+def _shapes() -> Iterator[Case]:
+    yield from _grid("shapes", SHAPED, (0.01, 0.1))
+
+
 PLANS = {
     "structure": Plan(10, 1800.0, tuple(_structure())),
     "single": Plan(10, 900.0, tuple(_grid("single", systems.names(), (0.01, 0.1), trajectories=1))),
@@ -68,6 +73,7 @@ PLANS = {
     ),
     "names": Plan(3, 900.0, tuple(_names())),
     "unlisted": Plan(3, 300.0, tuple(_unlisted())),
+    "shapes": Plan(200, 600.0, tuple(_shapes())),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from studies import names, unlisted
+from studies import names, shapes, unlisted
 from studies.attempt import attempt
 from studies.case import Case
 from studies.faults import FAULTS, Question
@@ -54,6 +54,8 @@ def solve(case: Case) -> dict:
     """Return everything that is kept of one discovery; an error of the user's kind is an answer too."""
     if case.study == "unlisted":
         return unlisted.solve(case)
+    if case.study == "shapes":
+        return shapes.solve(case)
     if case.study == "names":
         return names.solve(case)
     question, sigma = pose(case)

@@ -73,3 +73,28 @@ def test_settings_are_frozen_documented_and_used(name):
         setattr(settings, next(iter(fields)), 0.0)
     source = "".join(path.read_text("utf-8") for path in Path(leastaction.__file__).parent.rglob("*.py"))
     assert not [field for field in fields if f"{name}.{field}" not in source]
+
+
+def _undescribed(path: Path) -> list[str]:
+    """Numbers at the top of a module without a comment beside or above them, or a text below."""
+    text = path.read_text("utf-8")
+    lines, body = text.splitlines(), ast.parse(text).body
+    texts = {before for before, node in itertools.pairwise(body) if isinstance(node, ast.Expr)}
+    return [
+        f"{path.parent.name}/{path.name}: {lines[node.lineno - 1]}"
+        for node in body
+        if isinstance(node, ast.Assign)
+        and node not in texts
+        and any(
+            isinstance(n, ast.Constant) and isinstance(n.value, (int, float)) for n in ast.walk(node.value)
+        )
+        and "#" not in lines[node.end_lineno - 1] + lines[node.lineno - 1]
+        and not lines[node.lineno - 2].lstrip().startswith("#")
+    ]
+
+
+@pytest.mark.parametrize("name", SETTINGS)
+def test_other_numbers_say_what_they_are(name):
+    """What decides is in the settings; what is left beside the code is bookkeeping, and says of what."""
+    folder = Path(leastaction.__file__).parent / name.lower()
+    assert not [line for path in sorted(folder.rglob("*.py")) for line in _undescribed(path)]

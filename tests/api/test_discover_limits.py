@@ -132,6 +132,24 @@ def test_pure_noise_gives_no_confident_model(seed):
     assert model.fit.status == "doubtful"
 
 
+# ------------------------------------------------- a scale for every coordinate, or none is made up
+APART = ["x_dot**2", "y_dot**2", "x**2", "y**2"]
+
+
+def two_springs() -> la.Trajectory:
+    rng, t = np.random.default_rng(0), np.arange(0.0, 10.0, 0.02)
+    q = np.stack([np.cos(1.3 * t), np.cos(2.1 * t + 1.0)], axis=1)
+    return la.Trajectory(t, q + 0.01 * rng.normal(size=q.shape), coordinates=["x", "y"])
+
+
+def test_a_coordinate_that_nothing_known_can_reach_is_refused():
+    with pytest.raises(la.InputError, match=r"nothing known reaches 'y'.*known=\{'y_dot\*\*2': 1.0\}"):
+        la.discover(two_springs(), APART, {"x_dot**2": 0.5})
+    model = la.discover(two_springs(), APART, {"x_dot**2": 0.5, "y_dot**2": 0.5})
+    assert not findings_of(model, "scale-open")
+    assert [t.coefficient for t in model.terms if not t.known] == pytest.approx([-0.845, -2.205], rel=0.01)
+
+
 # ------------------------------------------------------------------------------ wrong use
 def test_passive_system_without_a_known_coefficient():
     with pytest.raises(la.InputError, match=r"L = 0 solves every equation.*known="):
@@ -315,15 +333,17 @@ def test_data_that_do_not_follow_the_candidates_are_doubtful(data):
     assert all(np.isfinite(term.coefficient) for term in model.terms)
 
 
-@pytest.mark.parametrize("library", [["x_dot**2", "y_dot**2", "x**2", "y**2"], ["x_dot**2", "x**2"]])
+@pytest.mark.parametrize("library", [[*APART, "x*y"], ["x_dot**2", "x**2"]])
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (1e9, 1e-12)])
 def test_a_coordinate_that_nothing_known_reaches(library, scales):
-    """The scale of the equation of y is open, or it has no term at all."""
+    """No term that is found couples y to x, or y has no term at all."""
     rng = np.random.default_rng(4)
     x, y = (
         s * (np.cos(w * T) + 0.01 * rng.standard_normal(T.size))
         for s, w in zip(scales, (2.0, 3.0), strict=True)
     )
     model = la.discover(one(x, y, names="xy"), library, known=KNOWN)
-    assert model.fit.status != "ok"
+    assert model.fit.status == "doubtful"
+    (finding,) = findings_of(model, "scale-open")
+    assert finding.subject == ("y",)
     assert all(np.isfinite([term.coefficient, term.standard_error]).all() for term in model.terms)

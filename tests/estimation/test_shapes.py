@@ -19,7 +19,7 @@ from leastaction.estimation.problem import Problem
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
 from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.structure import Structure
-from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 # ------------------------ where they are looked for: the part that each plays, and what the user says
 COORDINATES = ["x", "y"]
@@ -293,3 +293,10 @@ def test_nothing_to_fit_gives_the_fit_back():
     put = ["x_dot**2", "exp(-0.8*x)", "exp(-1.6*x)"]
     fit = plain_fit(RATE, texts=put)
     assert fit_shapes(fit) is fit
+
+
+def test_a_number_at_zero_is_no_error():
+    """A step may end at the end of a range: 1/0 is infinite, as it is of an array."""
+    term, points = terms(["exp(-((x-{p})/{w})**2)+x**2/{w}"], "x")[0], np.ones((3, 1))
+    columns = EulerLagrange([term.at({"p": 0.0, "w": 0.0})], ["x"])
+    assert not np.isfinite(columns.strong(Points(points, points, points))).any()

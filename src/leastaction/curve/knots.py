@@ -13,9 +13,8 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 
 __all__ = ["FEWEST_SAMPLES", "Knots", "excerpt", "lay_knots"]
 
-FEWEST_SAMPLES = 20
-_MOST_GRIDS = 6
-_KNOTS_SETTLED = 0.25
+FEWEST_SAMPLES = 20  # of a coordinate: fewer are refused
+_MOST_GRIDS = 6  # tried in turn
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
@@ -70,7 +69,7 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     for _ in range(_MOST_GRIDS):
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
         wanted = min(knots_for(2), CURVE.most_over_slower * knots_for(1))
-        if abs(wanted / knots - 1.0) < _KNOTS_SETTLED:
+        if abs(wanted / knots - 1.0) < CURVE.knots_settled:
             break
         knots = wanted
     else:

@@ -19,9 +19,8 @@ from leastaction.findings import Finding, find
 
 __all__ = ["leave_out_outliers"]
 
-_ABOUT = 3  # samples on either side
-_SAMPLES_PER_KNOT = 2.5
-_ROUNDS = 10
+_ABOUT = 3  # samples on either side that a sample is compared with
+_ROUNDS = 10  # of smoothing without outliers, at most
 _DIGITS = 1e-5  # of the spread: what a curve through noiseless samples is off by
 
 
@@ -71,7 +70,7 @@ def leave_out_outliers(
     list of Finding
         One note for each coordinate with outliers.
     """
-    rate = 1.0 / trajectories.sampling_interval / _SAMPLES_PER_KNOT
+    rate = 1.0 / trajectories.sampling_interval / CURVE.samples_per_knot
     first = _Motion(rate, None, np.ones(trajectories.n_dof), np.zeros(trajectories.n_dof, dtype=bool))
     part = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     out, motion = _outliers(part, degree, first)

@@ -2,8 +2,8 @@
 
 Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
 ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8
-set-ups that no rule was made for, four right and four wrong ones, and outliers on six recordings. "No
-effect": no structure and no finding changes.
+set-ups that no rule was made for, four right and four wrong ones (30 where other findings are spoken of),
+and outliers on six recordings. "No effect": no structure and no finding changes.
 """
 
 from __future__ import annotations
@@ -25,6 +25,14 @@ class CurveSettings:
     most_over_slower: float = 3.5
     """Knots that the third derivative may ask for, over those that the second asks for. Simulated motions ask
     for 1 to 3 times as many; noise and vibration for many more. Half, twice: no effect."""
+
+    knots_settled: float = 0.25
+    """Share by which the knots that the motion asks for may differ from those that show it. Half, twice:
+    other findings about one wrong result."""
+
+    samples_per_knot: float = 2.5
+    """Samples in a knot interval where noise has to be told from what is measured: about outliers, in
+    forces. Half (of its distance from one): no effect; twice: other findings about one wrong result."""
 
     outlier: float = 5.0
     """Standard deviations. One good sample in two million is further off. Half: 383 good samples of 12 000

@@ -22,12 +22,12 @@ from leastaction.data.validation import FloatArray
 
 __all__ = ["Smooth", "banded_gram", "smooth"]
 
-_PENALTY_DERIVATIVE = 3
+_PENALTY_DERIVATIVE = 3  # of the curve, whose square is penalised
 _SMALLEST = 1e-6  # noise over range
-_LOG_STEP = 0.05
-_MOST_ROUNDS = 12
-_NEARLY_EXACT = 0.01  # noise over spread
-_SETTLED = 0.1  # relative change of the noise of a rate
+_LOG_STEP = 0.05  # of a numerical derivative, in the logarithm
+_MOST_ROUNDS = 12  # of the fixed point for the noise of rates
+_NEARLY_EXACT = 0.01  # noise over spread, from which the fixed point begins the second time
+_SETTLED = 0.1  # relative change of the noise of a rate at which its fixed point ends
 
 _Block = tuple[sp.csr_array, np.ndarray]
 """Design and samples of one kind of measurement."""

@@ -18,8 +18,8 @@ from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["rival_warnings"]
 
-_MOST = 3
-_STATES = 400
+_MOST = 3  # rivals that are named
+_STATES = 400  # along the motion, at which they are compared
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 

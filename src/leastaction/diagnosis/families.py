@@ -32,7 +32,7 @@ __all__ = ["lacking_family", "named_family"]
 
 _STARTS = 64  # numbers tried of a family with several shape parameters
 _PROFILED = 5  # families whose numbers are looked for on the weak form
-_LOWEST = 0.5  # power of a coordinate that changes its sign
+_LOWEST = 0.5  # power of a coordinate that changes its sign, which a search begins with
 _SEARCHED = 2  # families that are searched with
 
 # of one coordinate x, in L and times x_dot**2

@@ -27,7 +27,7 @@ from leastaction.selection.significance import chi_square_cutoff
 __all__ = ["exchanged_forces", "scaled_forces"]
 
 _MOST_POINTS = 200_000  # along the motion: shares need no more
-_NULL = 1e-6
+_NULL = 1e-6  # relative: rounding
 _MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
 
 

@@ -28,7 +28,7 @@ from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
 
-_MOST_RELEASED = 3
+_MOST_RELEASED = 3  # known coefficients, each a search
 
 
 def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:

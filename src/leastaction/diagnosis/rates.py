@@ -25,12 +25,12 @@ from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["doubts_about_rates"]
 
-_WIDTH = 1.25  # of a test function, in periods of the coordinate
-_FINEST = 12  # samples in a test function that the sums need
-_FEWEST = 12  # test functions that a judgement needs
-_HUBER = 1.5
-_ROUNDS = 20
-_NEAR = 0.03
+_FINEST = 12  # samples in a test function, for sums to stand for integrals
+_FEWEST = 12  # test functions, for a line with an error
+_HUBER = 1.5  # standard deviations, beyond which a residual counts less: the usual ones
+_ROUNDS = 20  # of its weights
+_NEAR = 0.03  # relative, of a factor to that of a unit: the wording, not whether a channel is doubted
+# of one in the coordinate's unit, by the derivative
 _UNITS = {
     1: {180.0 / np.pi: "deg/s", 30.0 / np.pi: "rpm", 0.5 / np.pi: "rev/s"},
     2: {180.0 / np.pi: "deg/s^2", 1.0 / 9.81: "g"},
@@ -47,7 +47,7 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
         return []
     states = smooth.grid.at_quadrature(smooth.control_points)
     _, qdot, qddot = (np.sqrt((s**2).mean(axis=(0, 1))) for s in states)
-    widths = _WIDTH * 2.0 * np.pi * qdot / np.maximum(qddot, 1e-300)
+    widths = DIAGNOSIS.rate_width * 2.0 * np.pi * qdot / np.maximum(qddot, 1e-300)
     sure = normal_cutoff(3 * len(trajectories.rates))  # too small a factor, too large a one, an offset
     doubts: list[Finding] = []
     for rate in trajectories.rates:

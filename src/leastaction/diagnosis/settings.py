@@ -41,6 +41,10 @@ class DiagnosisSettings:
     rate_clear: float = 3.0
     """Motion over noise in a channel, below which nothing is said about it. Half, twice: no effect."""
 
+    rate_width: float = 1.25
+    """Periods of a coordinate in a test function. Half: 14 of 20 wrong channels are named instead of 12;
+    twice: 5."""
+
     worth_knowing: float = 0.001
     """Equation error relative to the terms of the equation. Less is neither noted nor explained: exact
     libraries leave 0.0002 at most. Half: 2 notes more; twice: 1 fewer."""
@@ -55,15 +59,30 @@ class DiagnosisSettings:
 
     form_matters: float = 0.01
     """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt.
-    Not from a study; five times less than what a result is called wrong for."""
+    Not from a study; five times less than what a result is called wrong for. Half, twice: no effect."""
 
     form_open: float = 0.05
-    """Root mean square by which accelerations may be off over smooth changes of L, relative to them; what the
-    study `unlisted` calls wrong. Of its seen laws 18 of 21 that were ok and wrong pass it, of 111 correct
-    results none."""
+    """Root mean square by which accelerations may be off over smooth changes of L, relative to them; what
+    the study `unlisted` calls wrong. Of its seen laws 18 of 21 that were ok and wrong pass it, of 111
+    correct results none. Half: 2 of 9 right results are doubtful; twice: one right result more is ok."""
+
+    bumps_alone: int = 8
+    """Bumps along a coordinate that smooth changes of L consist of. Half: no effect; twice: 2 of 9 right
+    results are doubtful, one wrong one is ok."""
+
+    bumps_each: int = 5
+    """The same along each of two coordinates, and of a mass. Half: 2 right results more are ok; twice: 2
+    fewer."""
+
+    bump_width: float = 1.2
+    """Distances between bumps. Half: one wrong result is ok; twice: one right result more is ok."""
+
+    bump_visited: float = 0.005
+    """Share of the motion near a bump, at least. Half, twice: no effect."""
 
     one_and_the_same: float = 0.99
-    """Correlation above which a shape parameter is said to move with another parameter as one."""
+    """Correlation above which a shape parameter is said to move with another parameter as one. It is
+    named then; whether there is a finding, another setting decides."""
 
     visible: float = 0.3
     """Motion over noise, below which any equations hold. Half: 1 finding fewer, of a wrong law; twice: no

@@ -29,14 +29,10 @@ from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
 
-_ALONE, _TOGETHER = 8, 5  # centres along a coordinate: of one, of each of two
-_KINETIC = 5
-_WIDTH = 1.2  # of a bump, in distances between centres
 _VISITS = 20_000  # points of the motion that are looked at: its range and its centres need no more
-_VISITED = 0.005  # share of the motion near a centre, at least
 _ENDS = (0.01, 0.99)  # quantiles of the motion that the centres span
 _DEPENDENT = 1e-7  # of the greatest eigenvalue: directions that hardly differ from others
-_POINTS = 400
+_POINTS = 400  # along the motion, at which accelerations are compared
 
 
 @dataclass(frozen=True)
@@ -86,10 +82,10 @@ def smooth_changes(fit: Fit) -> list[SmoothChange]:
     """Changes of the potential and, of one coordinate, of the kinetic energy."""
     if not (fit.converged and np.isfinite(fit.evidence)):
         return []
-    potential = list(_bumps(fit, _ALONE, ""))
+    potential = list(_bumps(fit, DIAGNOSIS.bumps_alone, ""))
     kinds = {"potential": potential}
     if len(fit.problem.coordinates) == 1:
-        kinds["kinetic"] = list(_bumps(fit, _KINETIC, f"{fit.problem.coordinates[0]}_dot**2*"))
+        kinds["kinetic"] = list(_bumps(fit, DIAGNOSIS.bumps_each, f"{fit.problem.coordinates[0]}_dot**2*"))
     return [_change(fit, kind, terms) for kind, terms in kinds.items() if terms]
 
 
@@ -99,9 +95,9 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
     motion = np.stack(fit.points(_VISITS).columns[: len(names)], axis=1)
     groups = [(0, 1)] if len(names) == 2 else [(i,) for i in range(len(names))]
     for group in groups:
-        number = _TOGETHER if len(group) == 2 else count
+        number = DIAGNOSIS.bumps_each if len(group) == 2 else count
         ends = np.quantile(motion[:, group], _ENDS, axis=0)
-        widths = _WIDTH * (ends[1] - ends[0]) / (number - 1)
+        widths = DIAGNOSIS.bump_width * (ends[1] - ends[0]) / (number - 1)
         text = "".join(f"-(({names[i]}-{{c{i}}})/{{w{i}}})**2" for i in group)
         template = make_term(f"{factor}exp({text})", [*names, *(f"{n}_dot" for n in names)])
         width = {f"w{i}": w for i, w in zip(group, widths.tolist(), strict=True)}
@@ -110,7 +106,7 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
         ]
         for centre in product(*places):
             near = np.all(np.abs(motion[:, group] - centre) < widths, axis=1)
-            if np.mean(near) > _VISITED:
+            if np.mean(near) > DIAGNOSIS.bump_visited:
                 yield template.at(width | {f"c{i}": c for i, c in zip(group, centre, strict=True)})
 
 

@@ -86,7 +86,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
     found += _signal(fit) + _identifiability(fit) + doubts_about_shapes(fit)
     found += rival_warnings(fit, alternatives)
-    found += _mass_matrix(fit)
+    found += _open_scales(fit) + _mass_matrix(fit)
     found += _friction(search)
     found += _whiteness(fit) + _zero_offsets(fit)
     if not search.knots_settled and fit.converged:
@@ -234,6 +234,14 @@ def _mass_matrix(fit: Fit) -> list[Finding]:
     if bad == 0.0:
         return []
     return [find("mass-matrix-not-positive", share=bad)]
+
+
+def _open_scales(fit: Fit) -> list[Finding]:
+    """Coordinates that the terms found couple to nothing known: their part of L has any scale."""
+    forces = fit.grid.forces
+    pushed = [] if forces is None else np.flatnonzero(np.any(forces.values != 0.0, axis=(0, 1))).tolist()
+    names = fit.problem.unreached(fit.structure, pushed)
+    return [find("scale-open", list(names))] if names else []
 
 
 def _friction(search: Search) -> list[Finding]:

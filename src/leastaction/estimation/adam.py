@@ -29,9 +29,9 @@ from leastaction.mechanics.euler_lagrange import Points
 
 __all__ = ["AdamFit", "AdamProblem", "descend"]
 
-_MOMENTS = (0.9, 0.999)
-_LAST_RATE = 0.01
-_CHUNK = 16384
+_MOMENTS = (0.9, 0.999)  # Kingma and Ba's
+_LAST_RATE = 0.01  # learning rate at the end of the cosine, relative to the first
+_CHUNK = 16384  # collocation times handled at once
 
 
 @dataclass(frozen=True, eq=False)

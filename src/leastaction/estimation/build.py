@@ -15,6 +15,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
@@ -23,10 +24,9 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem"]
 
-ENOUGH_SAMPLES = 50_000
+ENOUGH_SAMPLES = 50_000  # bounds time
 """To search on; longer recordings enter when the structure is confirmed."""
 
-_COULOMB_SCALE = 0.01  # |v| is smoothed below this fraction of the rms velocity
 # of data: the squares of a force from x**4 reach 1e180, and further products remain finite
 _LARGEST = 1e30
 _NEAR, _ROUNDED = 0.1, 1e-3  # radians
@@ -140,7 +140,31 @@ def build_problem(
         lengths=_lengths(library),
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
     )
+    _check_scales(problem.on(searched))
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _check_scales(problem: Problem) -> None:
+    """Refuse candidates that no coefficients could couple to anything known."""
+    forces = [np.any(t.forces != 0.0, axis=0) for t in problem.trajectories if t.forces is not None]
+    pushed = np.flatnonzero(np.any(forces, axis=0)).tolist() if forces else []
+    free = [int(k) for k in problem.free]
+    for name in problem.unreached(free, pushed):
+        text = _first_with(name, problem, free)
+        if text:
+            raise InputError(
+                f"nothing known reaches {quoted(name)}: no force acts on it, no coefficient of its terms is "
+                "known, and no candidate couples it to a coordinate of which that is so. Then its part of L "
+                "may be multiplied by any number; give the coefficient of one of its terms, e.g. "
+                f"known={{'{text}': 1.0}}"
+            )
+
+
+def _first_with(name: str, problem: Problem, candidates: Iterable[int]) -> str:
+    """The first candidate that holds a coordinate or its velocity; empty if there is none."""
+    terms = (problem.terms[k] for k in candidates)
+    symbols = {sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)}
+    return next((term.text for term in terms if symbols & term.expr.free_symbols), "")
 
 
 def _lengths(library: Library) -> np.ndarray | None:
@@ -173,7 +197,7 @@ def _smooth_friction(
 ) -> tuple[Library, dict[Term, float], list[Finding]]:
     """The library with |v| smoothed near zero velocity, and a note on where."""
     smoothing = {
-        f"{c}_dot": _round_to_one_digit(_COULOMB_SCALE * r)
+        f"{c}_dot": _round_to_one_digit(ESTIMATION.dry_width * r)
         for c, r in zip(library.coordinates, rates, strict=True)
     }
     softened = smooth_abs(library, smoothing)

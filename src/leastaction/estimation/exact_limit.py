@@ -28,9 +28,9 @@ from leastaction.estimation.weights import evidence
 __all__ = ["towards_exact"]
 
 _STEP = 3.0  # of w
-_MOST_STEPS = 8
+_MOST_STEPS = 8  # of _STEP each: nearly four decades
 _TOLERANCE = 1e-3  # of −2 log likelihood: a thirtieth of a standard error
-_LAST_TOLERANCE = 1e-4
+_LAST_TOLERANCE = 1e-4  # the same of the fit that is returned
 
 
 class _Here(NamedTuple):

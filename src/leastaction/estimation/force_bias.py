@@ -15,7 +15,7 @@ from leastaction.findings import Finding, find
 
 __all__ = ["ForceBias", "no_bias"]
 
-_MOST_ROUNDS = 4
+_MOST_ROUNDS = 4  # each a search
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,8 @@ from leastaction.estimation.weights import Start
 
 __all__ = ["SlowForces", "fit_with_forces", "slow_forces"]
 
-_DEGREE = 3
-_RIDGE = 1e-10
+_DEGREE = 3  # of the splines of slow forces
+_RIDGE = 1e-10  # relative to a unit diagonal
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,12 @@ from scipy.interpolate import BSpline, CubicSpline
 from scipy.linalg import solveh_banded
 
 from leastaction.curve.bspline import SplineGrid, SplineSpace
+from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import banded_gram
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = ["GridForces", "Pushes", "WithPushes", "force_rates", "forces_on"]
 
-_SAMPLES_PER_INTERVAL = 2.5  # at least: otherwise noise could not be told from the forces
 _FEWEST = 4  # intervals; shorter records are interpolated
 
 
@@ -98,7 +98,7 @@ def force_rates(
 def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[BSpline | CubicSpline, int]:
     """The curve, and how many parameters it has in each coordinate."""
     between = CubicSpline(t, samples)
-    most = int(t.size / _SAMPLES_PER_INTERVAL)
+    most = int(t.size / CURVE.samples_per_knot)
     if most < _FEWEST:
         return between, t.size
     if space.n_intervals > most:

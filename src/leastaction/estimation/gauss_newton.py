@@ -28,14 +28,13 @@ from leastaction.estimation.candidates import score
 from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
 
-_LARGEST_DAMPING = 1e8
-_MOST_IDLE = 3
-_KEPT = 0.5  # of the fall of the cost that a step promised, which a correction must promise to save
-_SETTLED = 0.1  # of what a step promised by moving the coefficients, which a correction may promise
+_LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
+_MOST_IDLE = 3  # steps in turn that gain less than the tolerance
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +156,8 @@ def fit_joint(
         new_points, new_coefficients, there = moved((control_points, coefficients), shift, delta)
         risen = there.cost(weights) - cost
         if not damping and risen > 0.0:
-            correction = _correction(there.normal(weights), risen + _KEPT * predicted, _SETTLED * own)
+            least = risen + ESTIMATION.correction_saves * predicted
+            correction = _correction(there.normal(weights), least, ESTIMATION.correction_moves * own)
             if correction is not None:
                 step += 1
                 del there

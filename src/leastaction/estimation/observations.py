@@ -14,7 +14,7 @@ from leastaction.data.trajectories import Rate
 
 __all__ = ["Observations", "counts_and_floors"]
 
-RELATIVE_FLOOR = 1e-6
+RELATIVE_FLOOR = 1e-6  # noise over spread, of noiseless samples
 
 
 @dataclass(frozen=True, eq=False)

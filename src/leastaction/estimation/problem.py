@@ -129,6 +129,29 @@ class Problem:
         held = [self.terms[k] for k in (*structure, *np.flatnonzero(self.is_known).tolist())]
         return shape_names(held)
 
+    def unreached(self, structure: Iterable[int], pushed: Iterable[int]) -> tuple[str, ...]:
+        """Coordinates whose terms in a structure may all be multiplied by any number.
+
+        The equations of coordinates that terms couple, directly or by way of others, share one scale of L.
+        It is known where known forces push one of them (given by their numbers), or a coefficient is known.
+        """
+        names = [n for i, n in enumerate(self.coordinates) if i not in self.prescribed]
+        group = {name: name for name in names}
+        fixed = {self.coordinates[i] for i in pushed}
+
+        def root(name: str) -> str:
+            return name if group[name] == name else root(group[name])
+
+        known = np.flatnonzero(np.nan_to_num(self.known)).tolist()
+        for k in (*structure, *known):
+            symbols = {str(symbol) for symbol in self.terms[k].expr.free_symbols}
+            own = [name for name in names if symbols & {name, f"{name}_dot"}]
+            for name in own[1:]:
+                group[root(name)] = root(own[0])
+            fixed |= {*own} if k in known else set()
+        reached = {root(name) for name in fixed if name in group}
+        return tuple(name for name in names if root(name) not in reached)
+
     def at(self, values: Mapping[str, float]) -> Problem:
         """The problem with other numbers for some shape parameters."""
         if not values:

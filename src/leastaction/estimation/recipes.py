@@ -17,7 +17,7 @@ from leastaction.estimation.observations import Observations
 
 __all__ = ["Recipe", "Samples", "cut"]
 
-_NUMBERS = 2**17
+_NUMBERS = 2**17  # evaluated at once: 1 MB
 """In the Jacobian of a block, 1 MB: 2730 knot intervals with two coordinates. A step costs 3 % more than in
 one piece, with blocks of half the size 9 % more; larger ones can be shared out less."""
 

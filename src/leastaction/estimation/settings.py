@@ -2,8 +2,9 @@
 
 Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
 ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8
-set-ups that no rule was made for, four right and four wrong ones. "No effect": no structure and no
-finding changes. Slow forces are not among them.
+set-ups that no rule was made for, four right and four wrong ones, or 30 (weights and corrections); six with
+prescribed coordinates, and two recordings each of three laws with shape parameters. "No effect": no structure
+and no finding changes. Slow forces are not among them.
 """
 
 from __future__ import annotations
@@ -30,6 +31,54 @@ class EstimationSettings:
     as_likely: float = 1.0
     """Log likelihood. Larger weights of equations are as likely while it falls by no more: e^-1 of the
     maximum, a plateau that data cannot see. Half: one rival more, twice: two fewer, of wrong laws."""
+
+    weights_settled: float = 0.05
+    """Standard errors by which a round of new weights may move a coefficient at the end. Half, twice: one
+    note is another."""
+
+    evidence_settled: float = 0.5
+    """Log likelihood by which such a round may raise it at the end, and may lower it on the way: noise in
+    data moves it by as much for every coefficient. Half: one rival more, of a wrong law; twice: no
+    effect."""
+
+    correction_saves: float = 0.5
+    """Share of the fall of the cost that a step promised, which its second-order correction has to save.
+    Half, twice: no effect."""
+
+    correction_moves: float = 0.1
+    """Share of what a step promised by moving coefficients, which its correction may promise: it is one
+    of the curve. Half, twice: no effect."""
+
+    small_error: float = 1e-3
+    """Equation error relative to its terms that is as good as none beside a prescribed coordinate, where
+    it is lost among the directions of the curve. Half, twice: no effect."""
+
+    no_error: float = 1e-5
+    """The same, below which w no longer grows: a curve can meet an equation at all points. Half, twice:
+    no effect."""
+
+    dry_width: float = 0.01
+    """Share of the rms velocity below which |v| of dry friction is smoothed. Half, twice: no effect."""
+
+    shape_settled: float = 0.01
+    """Standard errors by which the last step may move a shape parameter. Half: rms z of the numbers 1.49
+    instead of 1.41; twice: 1.40."""
+
+    shape_step: float = 0.5
+    """Share of a shape parameter, or of a quarter of its range, that one step may change. Half: one right
+    result of three is no longer ok; twice: two."""
+
+    shape_scales: float = 10.0
+    """Ratio to the scale of the data, up and down, of rates and lengths that a search begins with. Half,
+    twice: one wrong result of six is no longer ok."""
+
+    shape_beyond: float = 0.5
+    """Share of the spread of the data by which places lie beyond them that a search begins with. Half,
+    twice: no structure or status changes."""
+
+    shape_smallest: float = 0.03
+    """Share of the coordinate of the smallest length that a search begins with, where it is added in
+    squares: less is as good as none. Half, twice: no effect."""
 
     bias_settled: float = 0.02
     """Share of a slow force that one more round may change. Half, twice: not measured."""

@@ -16,15 +16,13 @@ import sympy as sp
 from scipy.stats import qmc
 
 from leastaction.errors import InputError
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.identifiers import quoted
 from leastaction.library import Term, is_constant, shape_names, shape_symbol
 
 __all__ = ["ShapeRange", "shape_ranges", "shape_starts"]
 
-_DECADE = 10.0  # either side of a scale
-_WIDER = 0.5  # of the spread, on both sides of what a location is compared with
-_SMALLEST = 0.03  # of a length that is added in squares: less is as good as none
-_FARTHEST = 0.5  # in one step
+# tried as starts: the powers of laws
 _EXPONENTS = (-12.0, -9.0, -6.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.5, 2.5, 3.0, 4.0, 5.0, 6.0)
 
 
@@ -70,7 +68,7 @@ class ShapeRange:
         What the user has bounded stays within its bounds.
         """
         size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
-        moved = value + float(np.clip(step, -_FARTHEST * size, _FARTHEST * size))
+        moved = value + float(np.clip(step, -ESTIMATION.shape_step * size, ESTIMATION.shape_step * size))
         return float(np.clip(moved, self.low, self.high)) if self.bounded else moved
 
 
@@ -122,7 +120,7 @@ def shape_ranges(
         found = _from_part(shape_symbol(name), [t.expr for t in terms if name in t.shapes], states)
         if name in given:
             low, high = map(float, given[name])
-            log = low > 0.0 and found.spacing != "exponent" and high > _DECADE * low
+            log = low > 0.0 and found.spacing != "exponent" and high > ESTIMATION.shape_scales * low
             spacing = "log" if log else "exponent" if found.spacing == "exponent" else "linear"
             found = ShapeRange(low, high, spacing, bounded=True)
         out[name] = found
@@ -153,7 +151,7 @@ def _from_part(
             found = _compared(symbol, child, parent, above, states)
             if found is not None:
                 return found
-    return ShapeRange(1.0 / _DECADE, _DECADE, "log")
+    return ShapeRange(1.0 / ESTIMATION.shape_scales, ESTIMATION.shape_scales, "log")
 
 
 def _ancestors(expr: sp.Expr, symbol: sp.Symbol) -> list[sp.Basic]:
@@ -180,14 +178,14 @@ def _compared(
             ends = np.array([against.min(), against.max()]) / float(slope)
             return _around(ends)
         size = _where(child, symbol, float(np.abs(against).max()))
-        return ShapeRange(_SMALLEST * size, size, "log")
+        return ShapeRange(ESTIMATION.shape_smallest * size, size, "log")
     if parent.is_Mul:
         size = _rms(_values(sp.Mul(*others), states))
         around = above if above is not None and above.is_Add else sp.Add()
         moving: list[Any] = [part for part in around.args if part != parent and not _still(part)]
         scale = _rms(_values(sp.Add(*moving), states)) if moving else 1.0
         middle = _where(child, symbol, scale / max(size, 1e-300))
-        return ShapeRange(middle / _DECADE, middle * _DECADE, "log")
+        return ShapeRange(middle / ESTIMATION.shape_scales, middle * ESTIMATION.shape_scales, "log")
     return None
 
 
@@ -198,7 +196,7 @@ def _still(expr: Any) -> bool:
 
 def _around(ends: np.ndarray) -> ShapeRange:
     low, high = float(ends.min()), float(ends.max())
-    margin = _WIDER * max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
+    margin = ESTIMATION.shape_beyond * max(high - low, 1e-12 * max(abs(low), abs(high)), 1e-300)
     return ShapeRange(low - margin, high + margin, "linear")
 
 

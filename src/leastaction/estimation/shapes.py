@@ -17,18 +17,17 @@ import numpy as np
 
 from leastaction.estimation.fit import Fit, ShapeEstimate
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.library import Term, tangent
 
 __all__ = ["fit_shapes", "with_tangents"]
 
-_MOST_STEPS = 25
-_HALVINGS = 6
-_SETTLED = 0.01  # standard errors
+_MOST_STEPS = 25  # of the parameters, each a fit
+_HALVINGS = 6  # of a step, before it counts as none
 _DIGITS = 1e-9  # relative: what noise-free data are fitted to
-_LOST = 0.6  # of log likelihood, which a fit settles to a half
-_ROUNDS = 25
+_ROUNDS = 25  # of the weights, in each fit
 
 
 def with_tangents(
@@ -108,7 +107,9 @@ class _Trial:
         covariance[np.ix_(index, index)] = wide.covariance
         values = np.array([fit.problem.shape_values[name] for name in names])
         errors = np.sqrt(np.clip(np.diag(covariance)[n:], 0.0, None))
-        settled = bool(np.all(np.abs(steps) <= np.maximum(_SETTLED * errors, _DIGITS * np.abs(values))))
+        settled = bool(
+            np.all(np.abs(steps) <= np.maximum(ESTIMATION.shape_settled * errors, _DIGITS * np.abs(values)))
+        )
         estimate = ShapeEstimate(names, values, covariance, settled)
         now = replace(fit, covariance=covariance[:n, :n], shapes=estimate)
         return cls(now, steps, Start(wide.control_points, wide.coefficients[:count], wide.weights))
@@ -125,7 +126,7 @@ def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...]) -> Fit | None:
     for _ in range(_HALVINGS):
         moved = fit.problem.stepped(dict(zip(names, (share * trial.steps).tolist(), strict=True)))
         other = fit.grid.posed(moved).fit(fit.structure, trial.start, _ROUNDS)
-        if other.usable and other.evidence >= fit.evidence - _LOST:
+        if other.usable and other.evidence >= fit.evidence - 1.2 * ESTIMATION.evidence_settled:
             return other
         share *= 0.5
     return None

@@ -28,12 +28,12 @@ from leastaction.simulation.integrate import rk4
 __all__ = ["SimulationFit", "minimise_simulation_error"]
 
 _STEPS = 64  # of a free run
-_MOST_RUNS = 300
-_FEWEST_RUNS = 10
+_MOST_RUNS = 300  # more are thinned: bounds time
+_FEWEST_RUNS = 10  # each is a score of the standard errors
 _GAP = 0.05  # of a run, without samples
 _DIFFERENCE = 1e-5  # relative
 _LOST = 1e6  # a run that is further off, or diverges, counts as this
-_EVALUATIONS = 15
+_EVALUATIONS = 15  # of the optimiser, at most
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 __all__ = ["Volume", "add_volumes", "positive_definite", "volume_term"]
 
-_VOLUME_POINTS = 512
+_VOLUME_POINTS = 512  # in a chunk, at which |M| is taken
 _CHUNK = 4096  # knot intervals handled at once
 
 

@@ -28,11 +28,9 @@ from leastaction.estimation.settings import ESTIMATION
 
 __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
-# equation error relative to the terms, where a curve can meet an equation at all points and w has no bound
-_SMALL, _EXACT = 1e-3, 1e-5
 # below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
 _NOTHING = 1e-150
-_HALVINGS = 4
+_HALVINGS = 4  # of a step of the weights
 _MOST_STEPS = 100  # a structure that needs more is not worth it
 
 
@@ -128,8 +126,8 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
             # an error that small makes no difference, and steps towards none at all would end on the way
             # not while coefficients are held
             hardly = slack[i] < ESTIMATION.slack_left and fit.covariance.size > 0
-            least = rank / (_SMALL**2 * at.terms[i]) if hardly else 0.0
-            new_physics[i] = np.clip(new_physics[i], least, rank / (_EXACT**2 * at.terms[i]))
+            least = rank / (ESTIMATION.small_error**2 * at.terms[i]) if hardly else 0.0
+            new_physics[i] = np.clip(new_physics[i], least, rank / (ESTIMATION.no_error**2 * at.terms[i]))
     for c in range(new_noise.size):
         estimate = np.sqrt(at.squares[c] / max(observations.counts[c] - fitted[c], 1.0))
         new_noise[c] = max(estimate, observations.floors[c])
@@ -176,7 +174,7 @@ def fit_weights(
             )
             steps += fit.n_steps
             value = evidence(observations, fit)
-            if np.isfinite(value) and value >= best_evidence - 0.5:
+            if np.isfinite(value) and value >= best_evidence - ESTIMATION.evidence_settled:
                 break
             # equations compete for the same error and take it from each other in turn
             stride *= 0.5
@@ -184,7 +182,9 @@ def fit_weights(
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
-        settled = np.all(moved < 0.05) and value - best_evidence < 0.5
+        settled = (
+            np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < ESTIMATION.evidence_settled
+        )
         best, best_evidence = fit, value
         if settled:
             break

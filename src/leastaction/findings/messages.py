@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from leastaction.findings.finding import Finding
-from leastaction.findings.templates import Audience, Message, because, fill
+from leastaction.findings.templates import UNITS, Audience, Message, because, fill
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 
@@ -80,23 +80,11 @@ def _another_structure(f: dict[str, Any]) -> str:
     )
 
 
-# words of the units in which a rate may have been recorded
-_UNITS = {
-    "deg/s": "degrees per second",
-    "rpm": "revolutions per minute",
-    "rev/s": "revolutions per second",
-    "deg/s^2": "degrees per second squared",
-    "g": "multiples of g",
-    "1/1000": "thousandths of the coordinate's unit",
-    "1/100": "hundredths of the coordinate's unit",
-}
-
-
 def _rate_scaled(f: dict[str, Any]) -> str:
     text = "the measured {quantity} of {subject} is {factor:.3g} times the derivative of its coordinate"
     opposite = f["factor"] < 0.0
-    if f["unit"] in _UNITS:
-        text += f" ({_UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
+    if f["unit"] in UNITS:
+        text += f" ({UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
     elif opposite:
         text += " (the opposite sign?)" if f["unit"] == "1" else " (with the opposite sign?)"
     return fill(text, f)
@@ -278,6 +266,12 @@ CODES: dict[str, Message] = {
     ),
     "competing-structures": Message(
         "warning", "these data cannot tell {subject} from {others}", _competing_remedy
+    ),
+    "scale-open": Message(
+        "warning",
+        "nothing known reaches {subject}: the coefficients of its terms may all be multiplied by one number",
+        "give one of these coefficients with known",
+        on_command_line="give one of these coefficients with --known",
     ),
     "mass-matrix-not-finite": Message(
         "warning",

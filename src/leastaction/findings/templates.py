@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from leastaction.findings.finding import Severity
 
-__all__ = ["REASONS", "Audience", "Message", "Text", "because", "fill"]
+__all__ = ["REASONS", "UNITS", "Audience", "Message", "Text", "because", "fill"]
 
 Audience = Literal["python", "command line", "page"]
 Text = str | Callable[[dict[str, Any]], str]
@@ -53,6 +53,17 @@ def fill(text: Text, fields: dict[str, Any]) -> str:
     """A text with its fields filled in."""
     return text(fields) if callable(text) else _Template().vformat(text, (), fields)
 
+
+# words of the units in which a rate may have been recorded
+UNITS = {
+    "deg/s": "degrees per second",
+    "rpm": "revolutions per minute",
+    "rev/s": "revolutions per second",
+    "deg/s^2": "degrees per second squared",
+    "g": "multiples of g",
+    "1/1000": "thousandths of the coordinate's unit",
+    "1/100": "hundredths of the coordinate's unit",
+}
 
 REASONS = {
     "chosen": "",

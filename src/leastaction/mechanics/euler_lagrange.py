@@ -214,7 +214,8 @@ class _Numbered:
     def __init__(self, term: Term, template: Template, coordinates: tuple[str, ...]) -> None:
         self._column = _column(template.term, coordinates)
         values = dict(template.values)
-        self._numbers = tuple(values[name] for name in term.shapes)
+        # 1/0 is infinite, as of an array: no error
+        self._numbers = tuple(np.float64(values[name]) for name in term.shapes)
 
     def get(self, what: str) -> Callable[[Points], Iterable[tuple[tuple[int, ...], np.ndarray | float]]]:
         return partial(self._column.get(what), numbers=self._numbers)

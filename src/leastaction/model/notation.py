@@ -190,7 +190,7 @@ _FIRST = "!"  # SymPy sorts factors by name: before all letters
 
 def _in_order(expr: Any) -> Any:
     """An expression whose shape parameters come first in products, as SymPy writes them: a x, not x a."""
-    if not any(is_constant(symbol) for symbol in expr.free_symbols) or not expr.args:
+    if is_constant(expr) or not any(is_constant(symbol) for symbol in expr.free_symbols):
         return expr  # nothing to change
     parts = [_in_order(part) for part in expr.args]
     if expr.is_Mul:

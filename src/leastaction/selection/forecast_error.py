@@ -9,12 +9,12 @@ from leastaction.curve.knots import excerpt
 from leastaction.errors import InputError
 from leastaction.estimation.fit import Fit
 from leastaction.mechanics.equations import Mechanics
+from leastaction.selection.settings import SELECTION
 from leastaction.simulation.forecast import forecast
 
 __all__ = ["forecast_error"]
 
-_WINDOW = 0.1
-_WINDOW_STEPS = 8
+_WINDOW_STEPS = 8  # sampling intervals in which a state is found, at least
 _JUDGED = 12_000  # samples along which is simulated
 
 
@@ -26,7 +26,7 @@ def forecast_error(fit: Fit, horizon: float) -> float:
     mechanics = Mechanics.of_terms(problem.terms, values, data.coordinates, prescribed=problem.prescribed)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
-    window = max(_WINDOW * horizon, _WINDOW_STEPS * data.sampling_interval)
+    window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
     noise = fit.weights.position_std
     try:
         result = forecast(mechanics.acceleration, data, noise, horizon, window, prescribed=problem.prescribed)

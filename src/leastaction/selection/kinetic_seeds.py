@@ -22,10 +22,10 @@ __all__ = ["Option", "cheapest_combinations", "kinetic_bases"]
 Option = tuple[int, tuple[int, ...]]
 """Number of operations of an expression, and the position of its column (none if a known term serves)."""
 
-_MOST_BASES = 60
-_MOST_EACH = 8
-_POINTS = 400
-_TINY = 1e-9
+_MOST_BASES = 60  # each with a beam of its own
+_MOST_EACH = 8  # candidates for the mass of one coordinate
+_POINTS = 400  # along the motion
+_TINY = 1e-9  # relative: rounding
 
 
 def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:

@@ -38,11 +38,11 @@ from leastaction.selection.settings import SELECTION
 
 __all__ = ["Choice", "QuadraticModel", "relevant", "search_subsets", "term_penalty", "trade_off"]
 
-_RIDGE = 1e-11
+_RIDGE = 1e-11  # relative to a unit diagonal
 _NO_BETTER = 1e-3  # in units of χ²
 _VAGUE = 1e-6  # prior precision at the start; 1 is that of the data, the other coefficients held
-_ROUNDS = 300
-_SETTLED = 1e-2
+_ROUNDS = 300  # of relevance determination, at most
+_SETTLED = 1e-2  # relative change of every prior precision
 _LARGEST = 1e150  # whose square is still a number
 _SPARE = 18  # neighbours solved beyond those wanted: rounding may rank near-ties differently
 

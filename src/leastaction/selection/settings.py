@@ -2,8 +2,9 @@
 
 Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
 ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8
-set-ups that no rule was made for, four right and four wrong ones; simulations on three machines. "No
-effect": no structure and no finding changes.
+set-ups that no rule was made for, four right and four wrong ones (on 30 of them where notes are counted);
+simulations on three machines, shape parameters on two recordings each of three laws. "No effect": no
+structure and no finding changes.
 """
 
 from __future__ import annotations
@@ -34,7 +35,13 @@ class SelectionSettings:
 
     rows_explained: float = 3.0
     """ρ of the weak form (`weak_search`), 1 for the law: with less, the equation error is taken as large
-    enough. Half, twice: no effect; on noisy friction (rotary pendulum) half takes the wrong one."""
+    enough, and no other numbers of shape parameters are looked for. Half, twice: no effect; on noisy friction
+    (rotary pendulum) half takes the wrong one."""
+
+    not_followed: float = 1e-6
+    """Squared equation error relative to the rows, of exact equations that a curve cannot follow: a
+    profile of shape parameters has to end somewhere. Half: one of three laws with numbers inside is lost;
+    twice: no effect."""
 
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
@@ -59,12 +66,26 @@ class SelectionSettings:
     horizon: float = 0.5
     """Periods of the simulations that judge between two fits. Half, twice: no effect."""
 
+    window: float = 0.1
+    """Share of a simulation along which its start is found. Half: one coefficient of three machines is
+    off by 0.42 instead of 0.13 %; twice: no effect."""
+
     clearly: float = 0.95
     """Ratio of simulation errors. What is less likely, or less precise, has to forecast better by 5 %. Half,
     twice: no effect."""
 
     finer: float = 1.4
     """Knots of one grid over those of the grid before. Half, twice: no effect."""
+
+    finest: float = 3.0
+    """The same where much is still to come, at most. Half, twice: no effect."""
+
+    convergence: float = 4.0
+    """Power of the knot spacing with which errors fall (measured: `docs/method.md`). Half: three notes
+    are others; twice: two."""
+
+    approach: float = 3.0
+    """The same of what is still to come, at least: weights follow. Half, twice: one note is another."""
 
     most_moved: float = 0.1
     """Standard errors by which still finer knots may move a coefficient. Half, twice: no effect."""

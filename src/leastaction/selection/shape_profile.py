@@ -25,13 +25,12 @@ from leastaction.selection.weak_search import ScaledGram, solve_support, support
 
 __all__ = ["Profile", "ProfilePoint"]
 
-_EQUATION_ERROR = 1e-6  # squared, relative to the rows: what the curve cannot follow of exact equations
-_BEAM = 1
+_BEAM = 1  # supports kept of each size
 _FEW = 3  # replicates, for a first look
 _GROWTH = 1.5  # of the number of plain candidates from one level to the next, at least
-_STEPS = 12
-_SHARES = (1.0, 0.3, 0.1, 0.03)
-_GAIN = 1e-3  # of log ρ
+_STEPS = 12  # Gauss–Newton, at most
+_SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
+_GAIN = 1e-3  # of log ρ: less is no progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +133,7 @@ class Profile:
         gram = self._gram(values, bearers, (), _FEW)
         if gram is None:
             return []
-        scaled, first = ScaledGram(gram, _EQUATION_ERROR), len(self.plain)
+        scaled, first = ScaledGram(gram, SELECTION.not_followed), len(self.plain)
         own = tuple(range(first, first + len(self._free(bearers))))
         supports = [(*level, *own) for level in self._levels]
         return [ProfilePoint(dict(values), gram, m, scaled.ratio(m)) for m in supports if m]
@@ -142,7 +141,7 @@ class Profile:
     def searched(self, point: ProfilePoint) -> ProfilePoint:
         """The point with the best support of all candidates."""
         n_rows, price = self._counts(point.gram)
-        levels = backward_search(point.gram, _EQUATION_ERROR, price, n_rows, _BEAM)
+        levels = backward_search(point.gram, SELECTION.not_followed, price, n_rows, _BEAM)
         best = min((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
         score = support_score(best, price, n_rows)
         return replace(point, members=best.members, ratio=best.ratio, score=score)
@@ -152,7 +151,7 @@ class Profile:
         gram = self._gram(point.values, bearers, ())
         if gram is None:
             return point
-        ratio = ScaledGram(gram, _EQUATION_ERROR).ratio(point.members)
+        ratio = ScaledGram(gram, SELECTION.not_followed).ratio(point.members)
         point = replace(point, gram=gram, ratio=ratio)
         for _ in range(_STEPS):
             nearer = self._nearer(point, bearers, self._steps(point, bearers))
@@ -169,7 +168,7 @@ class Profile:
     def _steps(self, point: ProfilePoint, bearers: Sequence[int]) -> dict[str, float]:
         """Steps of the shape parameters, from their tangents."""
         coefficients = self.problem.completed(np.zeros(len(self.problem.candidates)))
-        found = solve_support(point.gram, _EQUATION_ERROR, point.members)
+        found = solve_support(point.gram, SELECTION.not_followed, point.members)
         coefficients[[*self.plain, *self._free(bearers)]] = found
         held = [k for k in bearers if coefficients[k] != 0.0]
         terms = [self.problem.terms[k].at(point.values) for k in held]
@@ -180,7 +179,9 @@ class Profile:
             return {}
         first = point.gram.residual.shape[0] - 1
         members = (*point.members, *range(first, first + len(names)))
-        return dict(zip(names, solve_support(wide, _EQUATION_ERROR, members)[first:].tolist(), strict=True))
+        return dict(
+            zip(names, solve_support(wide, SELECTION.not_followed, members)[first:].tolist(), strict=True)
+        )
 
     def _nearer(
         self, point: ProfilePoint, bearers: Sequence[int], steps: Mapping[str, float]
@@ -193,7 +194,7 @@ class Profile:
             gram = self._gram(values, bearers, ())
             if gram is None:
                 continue
-            ratio = ScaledGram(gram, _EQUATION_ERROR).ratio(point.members)
+            ratio = ScaledGram(gram, SELECTION.not_followed).ratio(point.members)
             if ratio < point.ratio:
                 return ProfilePoint(values, gram, point.members, ratio)
         return None

@@ -24,7 +24,7 @@ from leastaction.selection.weak_search import ScaledGram, Support, best_extensio
 
 __all__ = ["backward_search"]
 
-_BISECTIONS = 45
+_BISECTIONS = 45  # to rounding
 _ONE_BY_ONE = 120  # candidates; from larger libraries, several are left out at once
 _AT_ONCE = 10  # one in so many
 

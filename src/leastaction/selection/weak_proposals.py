@@ -31,7 +31,7 @@ from leastaction.selection.weak_search import (
 __all__ = ["Proposal", "propose_structures", "weak_form", "weak_grams", "weak_replicates"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
-_REPLICATES = 8
+_REPLICATES = 8  # of the noise: their mean and covariance
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _TRIED = 60  # structures whose mass matrix is looked at
 

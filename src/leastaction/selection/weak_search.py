@@ -32,14 +32,14 @@ __all__ = [
     "support_score",
 ]
 
-_RIDGE = 1e-12
-_SMALLEST = 1e-13
-_DEPENDENT = 1e-9
-_BISECTIONS = 45
+_RIDGE = 1e-12  # relative to a unit diagonal
+_SMALLEST = 1e-13  # ratio that rounding leaves
+_DEPENDENT = 1e-9  # of a column that others can write
+_BISECTIONS = 45  # to rounding
 _STEPS = 7  # of the root finder; six settle nearly all
-_SETTLED = 1e-9
-_SWAP_ROUNDS = 6
-_PATIENCE = 4
+_SETTLED = 1e-9  # relative step of the root finder
+_SWAP_ROUNDS = 6  # through all members, at most
+_PATIENCE = 4  # sizes in turn without a better score
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from leastaction.selection.strategies import feeding_friction, irrelevant_terms
 
 __all__ = ["run"]
 
-_ROUNDS = 4
+_ROUNDS = 4  # at most, each with fits
 
 
 def run(search: Search) -> Search:

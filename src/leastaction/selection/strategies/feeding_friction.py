@@ -15,7 +15,7 @@ from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["negative_friction", "run"]
 
-_ROUNDS = 4
+_ROUNDS = 4  # at most, each with fits
 
 
 def run(search: Search) -> Search:

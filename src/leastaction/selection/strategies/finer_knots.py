@@ -23,13 +23,9 @@ from leastaction.selection.settings import SELECTION
 
 __all__ = ["run"]
 
-_CONVERGENCE = 4.0  # errors fall with this power of the knot spacing (measured: docs/method.md)
-_APPROACH = 3.0  # what is ahead falls no faster than with this one, weights and all
-_LONGEST = 3.0  # knots of one grid over those of the grid before
-_DIGITS = 1e-6
-_FASTEST_GROWTH = 10.0
-_MOST_ROUNDS = 6
-_INDISTINCT = 1.0  # log likelihood: below it two fits of one structure are the same
+_DIGITS = 1e-6  # of an estimate, which nobody needs
+_FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
+_MOST_ROUNDS = 6  # grids, at most
 
 
 def run(search: Search) -> Search:
@@ -63,12 +59,16 @@ def run(search: Search) -> Search:
         # hardly any of it is left and its weight no longer matters
         growth = np.clip(finer.weights.physics / fit.weights.physics, 1.0, _FASTEST_GROWTH)
         growth[finer.weights.slack < ESTIMATION.slack_left] = 1.0
-        ahead = _change_ahead(fit, finer, 1.0 / (factor**_CONVERGENCE - 1.0))
+        ahead = _change_ahead(fit, finer, 1.0 / (factor**SELECTION.convergence - 1.0))
         fit = finer
         if ahead < 1.0:
             return search.now(fit, knots_settled=True, vibrates=False)
         # as many as should do, where the equations hold
-        needed = min(ahead ** (1.0 / _APPROACH), _LONGEST) if np.all(off <= SELECTION.holds) else 1.0
+        needed = (
+            min(ahead ** (1.0 / SELECTION.approach), SELECTION.finest)
+            if np.all(off <= SELECTION.holds)
+            else 1.0
+        )
         factor = max(needed, SELECTION.finer)
     return search.now(fit, knots_settled=False, vibrates=False)
 
@@ -84,7 +84,11 @@ def _likelier(carried: Fit, other: Fit) -> Fit:
     """The fit of higher evidence on one grid; the first where they are the same."""
     if not other.converged or not np.isfinite(other.evidence):
         return carried
-    return other if not carried.converged or other.evidence > carried.evidence + _INDISTINCT else carried
+    return (
+        other
+        if not carried.converged or other.evidence > carried.evidence + ESTIMATION.as_likely
+        else carried
+    )
 
 
 def _change_ahead(coarser: Fit, finer: Fit, share: float) -> float:

@@ -22,7 +22,7 @@ from leastaction.selection.search_state import Search, restarted
 
 __all__ = ["run"]
 
-_MOST_FITS = 12
+_MOST_FITS = 12  # of curve, terms and forces in turn
 
 
 def run(search: Search, again: Callable[[Search], Search]) -> Search:

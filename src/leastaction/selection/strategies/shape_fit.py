@@ -16,7 +16,7 @@ from leastaction.selection.search_state import Search
 
 __all__ = ["run"]
 
-_ROUNDS = 4
+_ROUNDS = 4  # at most, each with fits
 
 
 def run(search: Search) -> Search:

@@ -15,15 +15,15 @@ from collections.abc import Iterable, Sequence
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.shape_ranges import shape_starts
 from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.shape_profile import Profile, ProfilePoint
 
 __all__ = ["place", "run"]
 
 _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
-_MOST_STARTS = 512
+_MOST_STARTS = 512  # of a candidate with more
 _REFINED = 4  # of the starts, beside each number of plain candidates
-_PASSES = 2
-_EXPLAINED = 1.5  # ratio to what noise leaves
+_PASSES = 2  # over the candidates
 
 
 def run(search: Search) -> Search:
@@ -93,6 +93,6 @@ def _best(
             found = profile.searched(profile.refined(point, bearers))
             if best is None or found.score < best.score:
                 best = found
-            if best.ratio < _EXPLAINED:
+            if best.ratio < SELECTION.rows_explained:
                 return best
     return best

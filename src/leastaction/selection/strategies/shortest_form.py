@@ -35,7 +35,7 @@ __all__ = ["run"]
 
 _TRIED = 3  # forms that are fitted
 _GAIN = 1e-3  # of the log likelihood: less is rounding
-_INDEPENDENT = 1e-9
+_INDEPENDENT = 1e-9  # relative rank: rounding
 
 
 class _Writing(NamedTuple):

@@ -12,7 +12,7 @@ from leastaction.selection.strategies import finer_knots
 
 __all__ = ["run"]
 
-_ROUNDS = 4
+_ROUNDS = 4  # at most, each with fits
 
 
 def run(search: Search) -> Search:
