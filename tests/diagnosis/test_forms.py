@@ -7,8 +7,9 @@ import pytest
 
 import leastaction as la
 from helpers import free_motions
-from leastaction.diagnosis import smooth_changes
+from leastaction.diagnosis import families, smooth_changes
 from leastaction.estimation.fit import Fit
+from leastaction.findings import find
 
 
 # ------------------------------ families: they are named, and lead to the law when they are added
@@ -54,10 +55,20 @@ def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers)
     assert {term.written for term in model.terms} == {"x_dot**2", *texts}
 
 
-def test_nothing_is_named_where_no_family_helps():
-    """A step in the force is none of the dictionary."""
-    runs = free_motions(lambda x: -2.0 * x - 3.0 * np.tanh(30.0 * (x - 0.2)), (0.5, 0.9, 1.3))
-    model = la.discover(runs, ["x_dot**2", "x", "x**2"], known={"x_dot**2": 0.5})
+@pytest.mark.parametrize(
+    ("condition", "answer"),
+    [
+        ("equations_hold", lambda fit: False),
+        ("doubts_about_the_form", lambda fit, relevance: [find("form-open", kind="potential", open=0.2)]),
+        ("value", lambda fit: 0.0),
+    ],
+    ids=["equations do not hold", "form still open", "no likelier"],
+)
+def test_nothing_is_named_where_no_family_helps(condition, answer, monkeypatch):
+    """Each condition by itself keeps a family from being named that is named otherwise: see above."""
+    runs = free_motions(lambda x: 6.0 * (np.exp(-2.4 * x) - np.exp(-1.2 * x)), (0.5, 0.9, 1.6))
+    monkeypatch.setattr(families, condition, answer)
+    model = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
     assert model.fit.status == "doubtful"
     assert not _named(model)
 
