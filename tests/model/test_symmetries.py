@@ -270,6 +270,8 @@ def test_a_prescribed_coordinate_has_no_momentum_and_gives_energy():
 
 
 def test_unusual_terms_do_no_harm():
+    still = law(["x", "y"], {"x_dot**2": 0.5})  # y does not occur at all
+    assert [(s.change, s.quantity) for s in still.symmetries[:2]] == [("x + c", "x_dot"), ("y + c", "")]
     odd = law(
         ["x", "y"], {"x_dot**2": 0.5, "y_dot**2": 0.5, "log(x)": 1.0, "abs(y)": -1.0, "sqrt(y_dot**2+1)": 0.1}
     )

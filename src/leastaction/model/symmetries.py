@@ -280,7 +280,7 @@ class _Search:
         quantity: sp.Expr | None,
         obstacles: tuple[str, ...],
     ) -> Symmetry:
-        if quantity is None:
+        if quantity is None or quantity == 0:  # an ignored coordinate has no momentum
             return _symmetry(kind, change, verdict, obstacles=obstacles)
         try:
             text, latex = _written(quantity, latex_symbols(self.model.coordinates))
