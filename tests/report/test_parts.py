@@ -9,6 +9,7 @@ from leastaction import (
     LagrangianModel,
     Trajectories,
     Trajectory,
+    write_report,
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.model.diagnostics import PathPoint
@@ -150,3 +151,25 @@ def test_energy_balance_counts_known_forces():
     energy = Energy.of(Series(replace(model, diagnostics=diagnostics)), 0)
     assert energy.total[-1] > 3.0
     assert energy.imbalance < 1e-3
+
+
+def test_simple_numbers_are_offered_beside_the_coefficients(tmp_path):
+    model = spring()
+    source = write_report(model, tmp_path / "plain.html").read_text(encoding="utf-8")
+    assert "Simple numbers" not in Page(source).by_id("coefficients").text
+    sure = replace(model, terms=(model.terms[0], ModelTerm("x**2", -5.001, 0.001)))
+    source = write_report(sure, tmp_path / "sure.html").read_text(encoding="utf-8")
+    (row,) = Page(source).by_id("coefficients").all("table")[1].one("tbody").all("tr")
+    assert [cell.text for cell in row.all("td")][:2] == ["−5.0010(10)", "−5"]
+
+
+def test_length_against_likelihood_is_drawn_where_there_are_lengths(tmp_path):
+    model = spring()
+    source = write_report(model, tmp_path / "plain.html").read_text(encoding="utf-8")
+    assert "bits" not in Page(source).by_id("selection").text
+    points = tuple(replace(point, length=4.0 * point.n_terms) for point in model.diagnostics.path[:3])
+    longer = replace(model, diagnostics=replace(model.diagnostics, pareto=points))
+    source = write_report(longer, tmp_path / "longer.html").read_text(encoding="utf-8")
+    section = Page(source).by_id("selection")
+    assert "The chosen law takes 8.0 bits" in section.text
+    assert [row.one("th").text for row in section.all("tbody")[-1].all("tr")] == ["4.0", "8.0", "12.0"]

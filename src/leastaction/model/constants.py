@@ -28,6 +28,7 @@ from leastaction.library.jets import Jets, Points
 from leastaction.model.checks import angles_in
 from leastaction.model.notation import rounded
 from leastaction.model.term import Z95
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.significance import chi_square_cutoff
 
 if TYPE_CHECKING:
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Offer", "SimpleConstants", "find_simple_constants"]
 
-_CHANCE = 0.025  # share of the offers that chance may make, of numbers and again of ratios
 _WINDOW = math.log(4.0)
 _SAME = 1e-9  # relative: degrees that do not depend on the state
 
@@ -164,7 +164,7 @@ def _accepted(questions: list[_Question]) -> list[tuple[_Question, Offer]]:
         offer = _offer(questions[k], expected)
         found += [(questions[k], offer)] if offer else []
         total += expected
-        if total <= _CHANCE * len(found):
+        if total <= 0.5 * SELECTION.simple_numbers * len(found):  # the other half is for the other kind
             n_kept = len(found)
     return found[:n_kept]
 
