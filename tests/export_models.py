@@ -63,3 +63,15 @@ MODELS = {
 
 def states(model):
     return np.random.default_rng(4).uniform(0.2, 1.5, size=(5, 3, model.n_dof))
+
+
+def timed():
+    """A pendulum that is rocked, with a mass that leaks: the time is everywhere, the mass matrix included."""
+    terms = [
+        ModelTerm("theta_dot**2*exp(-t/4)", 0.5),
+        ModelTerm("x_dot**2", 0.7),
+        ModelTerm("theta_dot*x_dot*cos(theta - t)", 0.2),
+        ModelTerm("cos(theta)*cos(3*t)", 4.0),
+        ModelTerm("x**2*t**2", -0.1),
+    ]
+    return LagrangianModel(["theta", "x"], terms, [ModelTerm("x_dot**2*(2 + sin(t))", 0.1)])

@@ -15,6 +15,7 @@ from leastaction import systems
 from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.findings import Finding
+from leastaction.identifiers import names_in_terms
 from leastaction.library import Term
 from leastaction.library.term import make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -96,7 +97,7 @@ def finite_difference(function: Callable[[np.ndarray], np.ndarray], x: np.ndarra
 
 # ------------------------------------------------------------------------------------------- terms
 def terms(texts: Iterable[str], coordinates: Sequence[str], kind: str = "lagrangian") -> list[Term]:
-    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    names = names_in_terms(coordinates)
     return [make_term(text, names, None, kind) for text in texts]
 
 

@@ -18,10 +18,10 @@ from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_p
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.intervals import first_points
 from leastaction.estimation.profile import profiled
 from leastaction.findings import doubtful, find
 from leastaction.library import Library
-from leastaction.mechanics.euler_lagrange import Points
 from leastaction.model.model import LagrangianModel
 from leastaction.selection.alternatives import find_alternatives
 from leastaction.selection.descent import run_descent
@@ -293,8 +293,8 @@ def _offsets(
 
 def _check_columns(setup: Setup, grid: Grid) -> None:
     """Refuse candidates that are undefined along the data, or whose squares overflow, by name."""
-    states = grid.spline.at_quadrature(setup.scales.smooth.control_points)
-    values = setup.problem.candidates.strong(Points(*(s[:, 0] for s in states)))
+    along = first_points(grid.spline, setup.scales.smooth.control_points)
+    values = setup.problem.candidates.strong(along)
     bad = [t.text for t, v in zip(setup.problem.terms, values, strict=True) if not np.isfinite(v).all()]
     if bad:
         raise DataError(

@@ -24,6 +24,8 @@ __all__ = ["CasadiFunctions", "functions"]
 class CasadiFunctions(NamedTuple):
     """What `functions` returns: three ``casadi.Function`` of columns of length n_dof.
 
+    Those of a law that holds the time take it behind qdot: ``acceleration(q, qdot, t, forces)``.
+
     Attributes
     ----------
     acceleration : casadi.Function
@@ -71,20 +73,21 @@ def functions(model: LagrangianModel) -> CasadiFunctions:
         raise InputError(f"model is of type {type(model).__name__}; expected a LagrangianModel")
     n, mechanics = model.n_dof, model.mechanics
     compiled: Any = sp.lambdify(
-        [*mechanics.q, *mechanics.qdot],
+        mechanics.state,
         [*equations(mechanics), mechanics.energy_expression],
         modules=[{"casadi": casadi}],
         printer=CasadiPrinter(),
         cse=True,
     )
     q, qdot, forces = (casadi.SX.sym(name, n) for name in ("q", "qdot", "forces"))
-    values = compiled(*casadi.vertsplit(q), *casadi.vertsplit(qdot))
+    t = [casadi.SX.sym("t")] if model.timed else []
+    values = compiled(*casadi.vertsplit(q), *casadi.vertsplit(qdot), *t)
     rows = [casadi.horzcat(*values[i * n : (i + 1) * n]) for i in range(n)]
     mass = casadi.sparsify(casadi.SX(casadi.vertcat(*rows)))
     right = casadi.SX(casadi.vertcat(*values[n * n : n * n + n])) + forces
     singular = casadi.sprank(mass) < n
     qddot = casadi.SX.nan(n, 1) if singular else casadi.solve(mass, right)
-    state, names = [q, qdot], ["q", "qdot"]
+    state, names = [q, qdot, *t], ["q", "qdot", *("t" for _ in t)]
     return CasadiFunctions(
         casadi.Function("acceleration", [*state, forces], [qddot], [*names, "forces"], ["qddot"]),
         casadi.Function("energy", state, [casadi.SX(values[-1])], names, ["energy"]),

@@ -65,7 +65,7 @@ def state_space(
         forces = np.zeros(n)
         forces[columns] = u
         q, qdot = np.split(np.asarray(x, dtype=float), 2)
-        return np.concatenate([qdot, mechanics.acceleration(q, qdot, forces)])
+        return np.concatenate([qdot, mechanics.acceleration(q, qdot, forces, t)])
 
     return control.NonlinearIOSystem(rates, lambda t, x, u, params: x, name=name, **_labels(model, columns))
 
@@ -77,6 +77,7 @@ def linearize(
     forces: ArrayLike | None = None,
     actuated: Sequence[str] | None = None,
     name: str | None = None,
+    t: float | None = None,
 ) -> control.StateSpace:
     r"""Linear system of small deviations from a state, by exact derivatives.
 
@@ -92,6 +93,8 @@ def linearize(
         Zero by default. A force that holds the system belongs here.
     actuated, name
         As for `state_space`.
+    t : float, optional
+        Time in seconds; a law that holds the time needs it, and the linear system is that of this instant.
 
     Returns
     -------
@@ -117,9 +120,9 @@ def linearize(
     zero = np.zeros(n)
     given = (("q", q), ("qdot", qdot), ("forces", forces))
     state = [checked_start(model.coordinates, zero if x is None else x, label) for label, x in given]
-    mass = model.mass_matrix(state[0], state[1])
-    qddot = model.acceleration(*state)
-    slopes = _slopes(model, state[0], state[1], qddot)
+    mass = model.mass_matrix(state[0], state[1], t)
+    qddot = model.acceleration(*state, t=t)
+    slopes = _slopes(model, state[0], state[1], qddot, t)
     if not (np.isfinite(qddot).all() and np.isfinite(slopes).all()):
         raise InputError(
             f"the equations cannot be linearised at q = {quoted(state[0].tolist())}: the mass matrix is "
@@ -133,7 +136,9 @@ def linearize(
     )
 
 
-def _slopes(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
+def _slopes(
+    model: LagrangianModel, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, t: float | None
+) -> np.ndarray:
     """∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (n_dof, 2 n_dof)."""
     mechanics = model.mechanics
     held = [sp.Symbol(f"a_{i}", real=True) for i in range(model.n_dof)]
@@ -144,7 +149,7 @@ def _slopes(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray, qddot: np.n
     state = [*mechanics.q, *mechanics.qdot]
     slopes = mechanics.compile([sp.diff(row, x) for row in rows for x in state], held)
     with np.errstate(all="ignore"):
-        values = slopes(*q, *qdot, *qddot)
+        values = slopes(*q, *qdot, *([t] if model.timed else []), *qddot)
     return np.reshape(values, (model.n_dof, 2 * model.n_dof))
 
 

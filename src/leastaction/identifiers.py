@@ -9,12 +9,15 @@ from collections.abc import Iterable
 
 from leastaction.errors import InputError
 
-__all__ = ["FUNCTION_NAMES", "RESERVED_NAMES", "check_coordinate_names", "quoted"]
+__all__ = ["FUNCTION_NAMES", "RESERVED_NAMES", "TIME", "check_coordinate_names", "names_in_terms", "quoted"]
 
 FUNCTION_NAMES = frozenset({"sin", "cos", "tan", "exp", "log", "sqrt", "abs"})
 """Functions that an expression may call."""
 
-RESERVED_NAMES = frozenset({"pi", "t", "E", "I"})
+TIME = "t"
+"""Name of the time in expressions."""
+
+RESERVED_NAMES = frozenset({"pi", TIME, "E", "I"})
 """Names with a fixed meaning: the constants, and the time."""
 
 _ASCII_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
@@ -100,6 +103,18 @@ def check_coordinate_names(names: Iterable[str] | str) -> tuple[str, ...]:
             )
         checked.append(normal)
     return tuple(checked)
+
+
+def names_in_terms(coordinates: Iterable[str]) -> list[str]:
+    """Names that a term may hold: the coordinates, their velocities, and the time.
+
+    Examples
+    --------
+    >>> names_in_terms(["theta"])
+    ['theta', 'theta_dot', 't']
+    """
+    names = list(coordinates)
+    return [*names, *(f"{name}_dot" for name in names), TIME]
 
 
 def _check_one(name: object) -> str:

@@ -26,6 +26,7 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
 from leastaction.findings import Finding, find
+from leastaction.identifiers import names_in_terms
 from leastaction.library import Kind, Library, make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.model.diagnostics import Diagnostics, PathPoint
@@ -174,7 +175,7 @@ def _provenance(model: LagrangianModel, point: PathPoint) -> dict:
 
 def _setup(model: LagrangianModel, before: Diagnostics, point: PathPoint) -> Setup:
     """The problem of the model with the candidates of one structure."""
-    names = [*model.coordinates, *(f"{name}_dot" for name in model.coordinates)]
+    names = names_in_terms(model.coordinates)
     terms: dict[Kind, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
     for kind, term in _terms(model, point):
         terms[kind].append(term)

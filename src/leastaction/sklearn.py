@@ -180,7 +180,11 @@ class SparseLagrangian(BaseEstimator):
         return self
 
     def predict(
-        self, q: ArrayLike, qdot: ArrayLike | None = None, forces: ArrayLike | None = None
+        self,
+        q: ArrayLike,
+        qdot: ArrayLike | None = None,
+        forces: ArrayLike | None = None,
+        t: ArrayLike | None = None,
     ) -> np.ndarray:
         """Accelerations of given states: what a model of motion predicts of a state is its derivative.
 
@@ -190,6 +194,8 @@ class SparseLagrangian(BaseEstimator):
         qdot : array_like, shape (..., n_dof), optional
             Zero by default: the acceleration from rest.
         forces : array_like, shape (..., n_dof), optional
+        t : array_like, shape (...), optional
+            Times in seconds, for a law that holds the time.
 
         Returns
         -------
@@ -197,7 +203,8 @@ class SparseLagrangian(BaseEstimator):
             q̈, as `LagrangianModel.acceleration`. For motions over time there is `simulate`.
         """
         check_is_fitted(self)
-        return self.model_.acceleration(q, np.zeros(self.n_features_in_) if qdot is None else qdot, forces)
+        qdot = np.zeros(self.n_features_in_) if qdot is None else qdot
+        return self.model_.acceleration(q, qdot, forces, t)
 
     def simulate(self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None) -> SimulationResult:
         """Motion from a start, as `LagrangianModel.simulate`.

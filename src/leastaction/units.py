@@ -17,7 +17,7 @@ import sympy as sp
 from leastaction.data.validation import close_match, listed
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
-from leastaction.library import Library
+from leastaction.library import Library, time_symbol
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["CoefficientUnit", "check"]
@@ -121,6 +121,7 @@ def check(
         )
     known = {sp.Symbol(c, real=True): _unit(registry, units[c], c) for c in coordinates}
     known |= {sp.Symbol(f"{c}_dot", real=True): known[sp.Symbol(c, real=True)] / second for c in coordinates}
+    known[time_symbol] = second
     total = _energy(registry, {c: known[sp.Symbol(c, real=True)] for c in coordinates}, forces or {}, energy)
     out = []
     for text, kind, expression in terms:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from scipy.integrate import solve_ivp
 
 import leastaction as la
 from helpers import findings_of, record
+from leastaction.errors import InputError
+from leastaction.model.model import LagrangianModel
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.report.captions import profile_title
 
@@ -267,3 +270,103 @@ def test_the_report_draws_the_profile(model, tmp_path):
     assert "falls evenly to both sides" in page
     skewed = ShapeParameter("a", 1.0, 0.1, [(0.8, 3.9), (1.0, 0.0), (1.6, 4.0)])
     assert profile_title([skewed]) == "The 95 % interval of a reaches 3.0 times as far up as down"
+
+
+# ------------------------------------------------- the time in terms, at known and unknown frequencies
+FREQUENCY = 3.217
+FORCED = {"x_dot**2": 0.5, "x**2": -0.5, "x**4": -0.125}
+
+
+def forced(begins, noise, *, frequency=FREQUENCY, duration=16.0, seed=1):
+    """Duffing oscillators pushed by 0.8 cos(wt), recorded from different times of one clock."""
+    rng, out = np.random.default_rng(seed), []
+    for x0, begin in begins:
+        t = begin + np.linspace(0.0, duration, int(30 * duration) + 1)
+
+        def rates(time, state):
+            return [state[1], -state[0] - 0.5 * state[0] ** 3 + 0.8 * np.cos(frequency * time)]
+
+        x = solve_ivp(rates, (t[0], t[-1]), [x0, 0.0], t_eval=t, rtol=1e-10, atol=1e-10).y[0]
+        out.append(la.Trajectory(t, x + noise * x.std() * rng.normal(size=t.size), coordinates=["x"]))
+    return la.Trajectories(out)
+
+
+BEGINS = [(1.0, 0.0), (0.3, 5.0)]
+CANDIDATES = ["x_dot**2", "x", "x**2", "x**3", "x**4", "t*x"]
+
+
+def test_a_known_frequency_is_exact_without_noise():
+    waves = [f"{f}*{wave}(3.217*t)" for f in ("x", "x**2") for wave in ("cos", "sin")]
+    found = la.discover(forced(BEGINS, 0.0), [*CANDIDATES, *waves], KNOWN)
+    assert found.fit.status == "ok", found.fit.warnings
+    truth = {**FORCED, "x*cos(3.217*t)": 0.8}
+    assert {t.expression: pytest.approx(t.coefficient, abs=1e-6) for t in found.terms} == truth
+
+
+@pytest.fixture(scope="module")
+def rocked():
+    waves = ["x*cos({w}*t)", "x*sin({w}*t)"]
+    return la.discover(forced(BEGINS, 0.01), [*CANDIDATES, *waves], KNOWN)
+
+
+def test_an_unknown_frequency_is_found_without_a_start(rocked):
+    assert rocked.fit.status == "ok", rocked.fit.warnings
+    assert {t.written for t in rocked.terms} == {*FORCED, "x*cos({w}*t)"}
+    for term in rocked.terms:
+        truth = FORCED.get(term.written, 0.8)
+        assert abs(term.coefficient - truth) <= 4.5 * term.standard_error
+    (w,) = rocked.shapes
+    assert abs(w.value - FREQUENCY) <= 4.5 * w.standard_error < 0.01 * FREQUENCY
+
+
+def test_a_law_that_holds_the_time_is_saved_and_computes(rocked, tmp_path):
+    path = tmp_path / "model.json"
+    rocked.save(path)
+    again = la.load(path)
+    assert again.timed
+    assert not LagrangianModel("x", [ModelTerm("x_dot**2", 0.5)]).timed
+    t = np.linspace(7.0, 10.0, 4)
+    truth = forced([(0.4, 7.0)], 0.0, duration=3.0)[0]
+    run = again.simulate([0.4], [0.0], truth.t)
+    assert run.complete
+    assert np.abs(run.q - truth.q).max() < 0.01
+    assert np.abs(again.simulate([0.4], [0.0], truth.t - 7.0).q - truth.q).max() > 0.1
+    with pytest.raises(InputError, match="the law holds the time: give t"):
+        again.acceleration([[0.4]], [[0.0]])
+    with pytest.raises(InputError, match="t has shape \\(4,\\); expected \\(1,\\)"):
+        again.acceleration([[0.4]], [[0.0]], t=t)
+    expected = -0.4 - 0.5 * 0.4**3 + 0.8 * np.cos(FREQUENCY * t)
+    found = again.acceleration(np.full((4, 1), 0.4), np.zeros((4, 1)), t=t)[:, 0]
+    np.testing.assert_allclose(found, expected, atol=0.02)
+    assert again.symmetries == ()
+    equation = again.equations_of_motion()[0].rhs
+    assert {str(s) for s in equation.free_symbols} == {"x", "t"}
+
+
+def test_forecasts_follow_the_clock_of_the_trial(rocked):
+    held = forced([(0.7, 2.3)], 0.01, seed=9)
+    result = rocked.validate(held)
+    assert np.all(result.rms < 2.0 * result.expected_rms)
+    shifted = la.Trajectories([held[0].changed(t=held[0].t + 1.0)])
+    assert np.all(rocked.validate(shifted).rms > 3.0 * result.rms)
+
+
+def test_report_of_a_law_that_holds_the_time(rocked, tmp_path):
+    text = Path(la.write_report(rocked, tmp_path / "report.html")).read_text(encoding="utf-8")
+    assert "No balance: the law depends on the time." in text
+
+
+def test_frequencies_that_would_take_too_long_are_refused():
+    with pytest.raises(InputError, match=r"would have to be tried at more than 4000 numbers .* near zero"):
+        la.discover(forced([(1.0, 1.7e5)], 0.01, duration=4.0), [*CANDIDATES, "x*cos({w}*t)"], KNOWN)
+
+
+def test_a_phase_is_found_with_its_frequency():
+    data = forced([(1.0, 0.0)], 0.01)
+    moved = la.Trajectory(data[0].t - 0.2, data[0].q, coordinates=["x"])
+    lagrangian = ["x_dot**2", "x**2", "x**4", "x*cos({w}*t+{p})"]
+    found = la.discover(moved, lagrangian, KNOWN, shapes={"w": (2.5, 4.0)})
+    phase, w = found.shapes
+    assert abs(w.value - FREQUENCY) <= 4.5 * w.standard_error
+    turns = (phase.value - 0.2 * FREQUENCY) / np.pi
+    assert abs(turns - round(turns)) * np.pi <= 4.5 * phase.standard_error

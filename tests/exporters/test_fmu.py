@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from export_models import COMPILER, MODELS, states
+from export_models import COMPILER, MODELS, states, timed
 from leastaction.errors import InputError
 from leastaction.exporters import compile as _compile
 from leastaction.exporters.fmu import source_files
@@ -138,6 +138,28 @@ def test_driven_motion_is_the_simulation(version, tmp_path):
     np.testing.assert_allclose(found[:, 1:], expected, atol=2e-7)
     free = model.simulate([0.8, -0.4], [0.5, 0.0], t)
     assert np.abs(free.q - found[:, 1:3]).max() > 0.1
+
+
+@needs_compiler
+def test_a_law_that_holds_the_time_follows_the_clock_of_the_simulation(version, tmp_path):
+    model, path = timed(), tmp_path / "rocked.fmu"
+    la.export(model, f"fmu{version}", path)
+    t = 1.5 + np.arange(101) * 0.02
+    result = fmpy.simulate_fmu(
+        str(path),
+        start_time=1.5,
+        stop_time=3.5,
+        output_interval=0.02,
+        start_values={"theta": 0.8, "x": -0.4, "theta_dot": 0.5},
+        output=["theta", "x", "theta_dot", "x_dot", "theta_dot_dot", "energy"],
+    )
+    expected = model.simulate([0.8, -0.4], [0.5, 0.0], t, rtol=1e-11, atol=1e-11)
+    found = np.column_stack([result[name] for name in result.dtype.names[1:]])
+    np.testing.assert_allclose(found[:, :2], expected.q, atol=2e-7)
+    np.testing.assert_allclose(found[:, 2:4], expected.qdot, atol=2e-7)
+    qddot = model.acceleration(expected.q, expected.qdot, t=t)[:, 0]
+    np.testing.assert_allclose(found[:, 4], qddot, atol=2e-6)
+    np.testing.assert_allclose(found[:, 5], model.energy(expected.q, expected.qdot, t), atol=2e-6)
 
 
 @needs_compiler

@@ -11,7 +11,7 @@ import sympy as sp
 from click.testing import CliRunner
 
 import leastaction as la
-from export_models import COMPILER, MODELS, states
+from export_models import COMPILER, MODELS, states, timed
 from helpers import finite_difference
 from leastaction.cli import program
 from leastaction.errors import InputError
@@ -64,6 +64,33 @@ def test_c_agrees(model, tmp_path):
         np.testing.assert_allclose(a, model.acceleration(q, v), rtol=1e-12, atol=1e-12)
         energy = library.leastaction_energy(pointer(q), pointer(v))
         np.testing.assert_allclose(energy, model.energy(q, v), rtol=1e-12, atol=1e-12)
+
+
+def test_a_law_that_holds_the_time_takes_it_behind_the_state():
+    model, namespace = timed(), {}
+    exec(export(model, "python"), namespace)
+    for k, (q, v, f) in enumerate(states(model)):
+        close, t = {"rtol": 1e-12, "atol": 1e-12}, 0.7 * k - 1.0
+        given = q.tolist(), v.tolist(), t
+        expected = model.acceleration(q, v, f, t)
+        np.testing.assert_allclose(namespace["acceleration"](*given, f.tolist()), expected, **close)
+        np.testing.assert_allclose(namespace["energy"](*given), model.energy(q, v, t), **close)
+    script = {}
+    exec(export(model, "sympy"), script)
+    assert sp.simplify(script["lagrangian"] - model.lagrangian) == 0
+    assert sp.simplify(script["dissipation_function"] - model.dissipation_function) == 0
+    assert "\\cos{\\left(3 t \\right)}" in export(model, "latex")
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+def test_c_takes_the_time(tmp_path):
+    model, library = timed(), compiled(timed(), tmp_path)
+    for k, (q, v, f) in enumerate(states(model)):
+        a, t = np.empty(model.n_dof), 0.7 * k - 1.0
+        library.leastaction_acceleration(pointer(q), pointer(v), ctypes.c_double(t), pointer(f), pointer(a))
+        np.testing.assert_allclose(a, model.acceleration(q, v, f, t), rtol=1e-12, atol=1e-12)
+        energy = library.leastaction_energy(pointer(q), pointer(v), ctypes.c_double(t))
+        np.testing.assert_allclose(energy, model.energy(q, v, t), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler")
@@ -147,6 +174,18 @@ def test_file_and_functions_of_casadi_agree_with_the_model(casadi, model, tmp_pa
             )
             np.testing.assert_allclose(float(energy(q, v)), model.energy(q, v), **close)
             np.testing.assert_allclose(mass_matrix(q, v).full(), model.mass_matrix(q, v), **close)
+
+
+def test_casadi_takes_the_time(casadi, tmp_path):
+    model = timed()
+    for acceleration, energy, mass_matrix in (functions_of_file(model, tmp_path), la.casadi.functions(model)):
+        assert acceleration.name_in() == ["q", "qdot", "t", "forces"]
+        for k, (q, v, f) in enumerate(states(model)):
+            close, t = {"rtol": 1e-10, "atol": 1e-10}, 0.7 * k - 1.0
+            found = acceleration(q, v, t, f).full()[:, 0]
+            np.testing.assert_allclose(found, model.acceleration(q, v, f, t), **close)
+            np.testing.assert_allclose(float(energy(q, v, t)), model.energy(q, v, t), **close)
+            np.testing.assert_allclose(mass_matrix(q, v, t).full(), model.mass_matrix(q, v, t), **close)
 
 
 def test_names_of_arguments(casadi):

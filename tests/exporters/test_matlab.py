@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from export_models import MODELS, states
+from export_models import MODELS, states, timed
 from leastaction.errors import InputError
 from leastaction.exporters.write import export
 from leastaction.model.model import LagrangianModel, ModelTerm
@@ -47,6 +47,22 @@ def test_numbers_agree(model):
             made["mass_matrix"](column(q), column(v)), model.mass_matrix(q, v), **close
         )
         np.testing.assert_allclose(made["mass_matrix"](column(q)), model.mass_matrix(q), **close)
+
+
+def test_a_law_that_holds_the_time_takes_it_behind_the_state():
+    model = timed()
+    made = handles(model)
+    for k, (q, v, f) in enumerate(states(model)):
+        close, t = {"rtol": 1e-11, "atol": 1e-11}, 0.7 * k - 1.0
+        free, driven = (column(model.acceleration(q, v, force, t)) for force in (None, f))
+        given = column(q), column(v), t
+        np.testing.assert_allclose(made["acceleration"](*given), free, **close)
+        np.testing.assert_allclose(made["acceleration"](*given, column(f)), driven, **close)
+        np.testing.assert_allclose(made["energy"](*given), model.energy(q, v, t), **close)
+        np.testing.assert_allclose(made["mass_matrix"](*given), model.mass_matrix(q, v, t), **close)
+        state = column([*q, *v])
+        np.testing.assert_allclose(made["state_derivative"](t, state)[2:], free, **close)
+        np.testing.assert_allclose(made["state_derivative"](t, state, column(f))[2:], driven, **close)
 
 
 def test_state_derivative(model):

@@ -284,3 +284,29 @@ def test_large_libraries_take_a_moment(n_dof):
     # per pair of velocities: cos(c)**2 for each c, and two of the six products for each pair of angles
     n_pairs = n_dof * (n_dof + 1) // 2
     assert len(small.dropped) == n_pairs * (n_dof + 2 * n_dof * (n_dof - 1) // 2)
+
+
+def test_terms_with_the_time_are_told_from_functions_of_the_time_alone():
+    texts = ["x_dot**2", "cos(3*t)", "t", "x*cos(3*t)", "x_dot*sin(3*t)", "t*x", "x**2*cos(3*t)", "x*x_dot*t"]
+    library = Library([*texts, "x**2", "x_dot**2*exp(-t/2)", "x*cos({w}*t)", "x_dot*sin({w}*t)"], "x")
+    small = library.reduced()
+    left_out = {d.term.text: (d.reason, d.because) for d in small.dropped}
+    assert left_out == {
+        "cos(3*t)": ("null", "total time derivative"),
+        "t": ("null", "total time derivative"),
+        "x_dot*sin(3*t)": ("duplicate", "equals -3*x*cos(3*t) up to a null term"),
+        "x**2": ("duplicate", "equals -2*x*x_dot*t up to a null term"),
+        "x_dot*sin({w}*t)": ("duplicate", left_out["x_dot*sin({w}*t)"][1]),
+    }
+    assert small.index("x*cos(-3*t)") == 1
+
+
+def test_the_time_is_no_parameter_and_no_shape():
+    with pytest.raises(InputError, match="parameter 't' has the name of something else"):
+        Library(["x_dot**2"], "x", parameters={"t": 1.0})
+    with pytest.raises(InputError, match="'t' is the name of something else"):
+        Library(["x*{t}"], "x")
+    with pytest.raises(InputError, match="the exponent must be a number"):
+        Library(["x**t"], "x")
+    with pytest.raises(InputError, match="a velocity <coordinate>_dot, the time t, a parameter or pi"):
+        Library(["zzz"], "x")

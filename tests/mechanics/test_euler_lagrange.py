@@ -7,8 +7,11 @@ import pytest
 import sympy as sp
 from sympy.calculus.euler import euler_equations
 
-from helpers import euler_lagrange, finite_difference
-from leastaction.mechanics.euler_lagrange import Points
+from helpers import euler_lagrange, finite_difference, terms
+from leastaction.errors import InputError
+from leastaction.library import Library
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.mechanics.euler_lagrange import euler_lagrange as la_euler_lagrange
 
 ONE = ["x"]
 TWO = ["theta1", "theta2"]
@@ -308,3 +311,70 @@ def test_columns_do_not_depend_on_the_name_or_place_of_a_coordinate():
     swapped = euler_lagrange([text.format(a="y", b="x")], ["x", "y"])
     turned = swapped.strong(Points(q[:, ::-1], qdot[:, ::-1], qddot[:, ::-1]))
     np.testing.assert_allclose(turned[:, ::-1], plain, rtol=1e-12, atol=1e-12)
+
+
+# ------------------------------------------------------------------------------------ the time in terms
+TIMED = [
+    "x*cos(3*t)",
+    "x_dot**2*exp(-t/2)",
+    "x*x_dot*sin(2*t)",
+    "x_dot**2*x*t",
+    "x_dot**3*cos(x-t)",
+    "cos(x)*cos({w}*t)",
+    "sqrt(1+t**2*x_dot**2)",
+]
+
+
+@pytest.mark.parametrize("text", TIMED)
+def test_operator_with_time_is_the_gradient_of_the_action(text):
+    """d/dε ∫ L(x + ε η, ẋ + ε η̇, t) dt = −∫ E η dt for every η that vanishes at the ends."""
+    (term,) = terms([text], ONE)
+    term = term.at({"w": 2.7})
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    t, weights = 0.4 + 1.5 * (nodes + 1.0), 1.5 * weights
+    x, rate, turn = np.sin(1.3 * t) + 2.0, 1.3 * np.cos(1.3 * t), -1.69 * np.sin(1.3 * t)
+    bump = (t - 0.4) ** 2 * (3.4 - t) ** 2 * np.cos(t)
+    slope = (2 * (t - 0.4) * (3.4 - t) ** 2 - 2 * (t - 0.4) ** 2 * (3.4 - t)) * np.cos(t)
+    slope -= (t - 0.4) ** 2 * (3.4 - t) ** 2 * np.sin(t)
+    lagrangian = sp.lambdify([sp.Symbol(n, real=True) for n in ("x", "x_dot", "t")], term.expr)
+
+    def action(step):
+        return np.array([weights @ lagrangian(x + e * bump, rate + e * slope, t) for e in step])
+
+    expected = float(finite_difference(action, np.zeros(1), 1e-3)[0, 0])
+    columns = EulerLagrange([term], ONE)
+    points = Points(x[:, None], rate[:, None], turn[:, None], t)
+    assert -weights @ (columns.strong(points)[0, 0] * bump) == pytest.approx(expected, rel=1e-8)
+    momentum, push = columns.weak(points)[:, 0, 0]
+    assert weights @ (momentum * slope + push * bump) == pytest.approx(expected, rel=1e-8)
+
+
+def test_derivatives_and_masses_with_time_are_those_of_the_operator():
+    columns, coefficients = euler_lagrange([t for t in TIMED if "{" not in t], ONE), np.arange(1.0, 7.0)
+    q, qdot, qddot = states(1)
+    t = np.linspace(0.3, 2.0, len(q))
+
+    def error(flat):
+        parts = flat.reshape(3, -1, 1)
+        return coefficients @ columns.strong(Points(*parts, times=t))[:, 0]
+
+    flat = np.concatenate([q, qdot, qddot]).ravel()
+    slopes = finite_difference(error, flat, 1e-4).reshape(len(q), 3, len(q))
+    points = Points(q, qdot, qddot, t)
+    found = columns.jacobian(points, coefficients)
+    for nu in range(3):
+        np.testing.assert_allclose(found[nu, 0, 0], np.diag(slopes[:, nu]), rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(columns.mass_matrix(points, coefficients)[:, 0, 0], found[2, 0, 0])
+
+
+def test_times_are_asked_for_where_a_candidate_holds_the_time():
+    library = Library(["x_dot**2", "x*cos(2*t)"], "x")
+    one = np.ones((3, 1))
+    with pytest.raises(InputError, match=r"the candidate x\*cos\(2\*t\) holds the time; give t"):
+        la_euler_lagrange(library, one, one, one)
+    with pytest.raises(InputError, match=r"t has the shape \(2,\); expected \(3,\)"):
+        la_euler_lagrange(library, one, one, one, t=[0.0, 1.0])
+    found = la_euler_lagrange(library, one, one, one, t=[0.0, 1.0, 2.0])
+    np.testing.assert_allclose(found[:, 0, 1], -np.cos([0.0, 2.0, 4.0]))
+    with pytest.raises(ValueError, match="these points have none"):
+        euler_lagrange(["x*cos(2*t)"], ONE).strong(Points(one, one, one))

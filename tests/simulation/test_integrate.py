@@ -149,3 +149,31 @@ def test_max_steps_is_checked():
         simulate(spring, [1.0], [0.0], T, max_steps=0)
     with pytest.raises(InputError, match="substeps"):
         rk4(spring, [1.0], [0.0], T, substeps=0)
+
+
+def forced(q, qdot, forces, t):
+    """ẍ = −x + cos 2t, whatever the forces."""
+    return -q + np.cos(2.0 * np.asarray(t))[..., None]
+
+
+def forced_from_rest(t, begin):
+    """The solution that rests at zero at the time ``begin``."""
+    particular = [-np.cos(2.0 * time) / 3.0 for time in (t, begin)]
+    slope = 2.0 * np.sin(2.0 * begin) / 3.0
+    return particular[0] - particular[1] * np.cos(t - begin) - slope * np.sin(t - begin)
+
+
+def test_simulate_passes_the_time():
+    t = np.linspace(1.5, 6.0, 40)
+    run = simulate(lambda *a: forced(*a), [0.0], [0.0], t, timed=True, mass_matrix=lambda q, v, t: np.eye(1))
+    assert run.complete
+    np.testing.assert_allclose(run.q[:, 0], forced_from_rest(t, 1.5), atol=1e-7)
+    run = simulate(forced, [0.0], [0.0], t, timed=True, mass_matrix=lambda q, v, t: np.eye(1) * (t - 3.0))
+    assert run.reason.startswith("singular mass matrix at t = 3.")
+
+
+def test_rk4_gives_each_motion_its_own_time():
+    t, begin = np.linspace(0.0, 4.0, 81), np.array([0.0, 0.7, 11.3])
+    q, _ = rk4(forced, np.zeros((3, 1)), np.zeros((3, 1)), t, clock=begin)
+    for k, start in enumerate(begin):
+        np.testing.assert_allclose(q[:, k, 0], forced_from_rest(t + start, start), atol=1e-7)

@@ -64,13 +64,15 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
 
     Empty if they differ nowhere.
     """
-    stride = max(1, fit.grid.spline.n_intervals // _STATES)
-    states_along = fit.grid.spline.at_quadrature(fit.control_points, slice(None, None, stride))
-    q, qdot, qddot = (s[:, 0] for s in states_along)
+    spline = fit.grid.spline
+    some = slice(None, None, max(1, spline.n_intervals // _STATES))
+    q, qdot, qddot = (s[:, 0] for s in spline.at_quadrature(fit.control_points, some))
     middle = q.mean(axis=0)
     states = np.concatenate([np.stack([middle + reach * (q - middle), reach * qdot]) for reach in _REACH], 1)
+    times = np.tile(spline.points[some, 0], len(_REACH))
+    points = Points(states[0], states[1], np.zeros_like(states[0]), times)
     with np.errstate(all="ignore"):
-        apart = _acceleration(fit, states, fit.coefficients) - _acceleration(fit, states, second)
+        apart = _acceleration(fit, points, fit.coefficients) - _acceleration(fit, points, second)
     size = np.sqrt((qddot**2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
@@ -80,9 +82,8 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
     return dict(zip([*names, *(f"{n}_dot" for n in names)], states[:, worst].ravel().tolist(), strict=True))
 
 
-def _acceleration(fit: Fit, states: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+def _acceleration(fit: Fit, at_rest: Points, coefficients: np.ndarray) -> np.ndarray:
     """(n_points, n_dof) free accelerations at (q, q̇); NaN where the mass matrix is not positive definite."""
-    at_rest = Points(states[0], states[1], np.zeros_like(states[0]))
     bias = np.tensordot(coefficients, fit.problem.candidates.strong(at_rest), 1).T
     mass = fit.problem.candidates.mass_matrix(at_rest, coefficients)
     usable = positive_definite(mass) & np.isfinite(bias).all(axis=1)

@@ -18,8 +18,8 @@ import numpy as np
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.wider_search import begun_anew
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.intervals import first_points
 from leastaction.findings import Finding, find
-from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search
 from leastaction.selection.significance import chi_square_cutoff
@@ -65,9 +65,8 @@ def scaled_forces(fit: Fit) -> list[Finding]:
     if fit.grid.forces is None or np.isnan(fit.problem.known).all():
         return []  # without a known coefficient the scale of L follows that of the forces
     some = slice(None, None, 1 + fit.grid.spline.n_intervals // _MOST_POINTS)
-    q, qdot, qddot = (s[:, 0] for s in fit.grid.spline.at_quadrature(fit.control_points, some))
     forces = fit.grid.forces.values[some, 0].T
-    strong = fit.problem.candidates.strong(Points(q, qdot, qddot))
+    strong = fit.problem.candidates.strong(first_points(fit.grid.spline, fit.control_points, some))
     root = np.sqrt(fit.weights.physics)[:, None]
     residual = (root * (np.tensordot(fit.coefficients, strong, 1) - forces)).ravel()
     members = (strong[list(fit.structure)] * root).reshape(len(fit.structure), -1)

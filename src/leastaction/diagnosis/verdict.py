@@ -20,6 +20,7 @@ from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find
+from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
@@ -255,6 +256,8 @@ def _zero_offsets(fit: Fit) -> list[Finding]:
     terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
+            if time_symbol in cosine.free_symbols:  # a phase, not the zero of an angle
+                continue
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
             if beside is not None and abs(beside) < DIAGNOSIS.small_offset * abs(coefficient):
                 angle, offset = str(cosine.args[0]), beside / coefficient

@@ -102,16 +102,19 @@ class AdamProblem:
         firsts: list[np.ndarray] = []
         bases: list[np.ndarray] = []
         forces: list[np.ndarray] = []
+        drawn: list[np.ndarray] = []
         for k, (space, t) in enumerate(zip(self.grid.spaces, times, strict=True)):
             count = int(np.ceil(self.options.collocation * t.size))
             at = rng.uniform(t[0], t[-1], count)
             firsts.append(space.local_basis(at)[0] + self.grid.offsets[k])
             bases.append(np.stack([space.local_basis(at, nu)[1] for nu in range(3)]))
+            drawn.append(at)
             if force is not None:
                 forces.append(force(k, at))
         local = np.arange(self.grid.degree + 1)
         self.index = np.concatenate(firsts)[:, None] + local
         self.basis = np.concatenate(bases, axis=1)
+        self.times = np.concatenate(drawn)
         self.forces = np.concatenate(forces) if forces else None
         self.n_collocation = len(self.index)
 
@@ -128,7 +131,7 @@ class AdamProblem:
         index, basis = self.index[batch], self.basis[:, batch]
         local = control_points[index]
         states = [np.einsum("pb,pbi->pi", b, local) for b in basis]
-        points = Points(*states)
+        points = Points(*states, times=self.times[batch])
         active = np.flatnonzero(coefficients)
         columns = self.physics.columns.subset(active.tolist())
         strong = columns.strong(points)
@@ -174,7 +177,9 @@ class AdamProblem:
             part = slice(start, start + _CHUNK)
             local = control_points[self.index[part]]
             states = [np.einsum("pb,pbi->pi", b, local) for b in self.basis[:, part]]
-            strong = self.physics.columns.strong(Points(*states)).reshape(free.size, -1)
+            strong = self.physics.columns.strong(Points(*states, times=self.times[part])).reshape(
+                free.size, -1
+            )
             target = -coefficients[~free] @ strong[~free]
             if self.forces is not None:
                 target += self.forces[part].T.ravel()

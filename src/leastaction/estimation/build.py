@@ -18,7 +18,7 @@ from leastaction.estimation.problem import Problem
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
-from leastaction.identifiers import quoted
+from leastaction.identifiers import TIME, quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -176,9 +176,10 @@ def _lengths(library: Library) -> np.ndarray | None:
 
 
 def _states(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
-    """Coordinates and velocities along the smooth curve."""
-    q, qdot, _ = scales.smooth.grid.at_quadrature(scales.smooth.control_points)
-    out = {name: q[:, 0, i] for i, name in enumerate(names)}
+    """Coordinates, velocities and time along the smooth curve."""
+    grid = scales.smooth.grid
+    q, qdot, _ = grid.at_quadrature(scales.smooth.control_points)
+    out = {TIME: grid.points[:, 0], **{name: q[:, 0, i] for i, name in enumerate(names)}}
     return out | {f"{name}_dot": qdot[:, 0, i] for i, name in enumerate(names)}
 
 

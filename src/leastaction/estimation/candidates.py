@@ -17,8 +17,8 @@ import numpy as np
 
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.elimination import CurveFactor
-from leastaction.estimation.intervals import by_interval
-from leastaction.estimation.joint import Linearisation, Weights, points_at
+from leastaction.estimation.intervals import by_interval, points_at
+from leastaction.estimation.joint import Linearisation, Weights
 from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candidates
+from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Weights
 from leastaction.estimation.protocols import Linearised
 from leastaction.estimation.structure import Structure
@@ -160,14 +161,12 @@ class Fit:
     def points(self, most: int | None = None) -> Points:
         """States of the fitted curve, one in each knot interval, or about ``most`` of them."""
         stride = 1 if most is None else max(1, self.grid.spline.n_intervals // most)
-        states = self.grid.spline.at_quadrature(self.control_points, slice(None, None, stride))
-        return Points(*(s[:, 0] for s in states))
+        return first_points(self.grid.spline, self.control_points, slice(None, None, stride))
 
     def along(self) -> Iterator[tuple[slice, Points]]:
         """States in each knot interval, in runs of intervals that bound memory."""
         for chunk in self.grid.spline.chunks(_RUN):
-            states = self.grid.spline.at_quadrature(self.control_points, chunk)
-            yield chunk, Points(*(s[:, 0] for s in states))
+            yield chunk, first_points(self.grid.spline, self.control_points, chunk)
 
     def curves(self) -> Iterator[np.ndarray]:
         """(n_times, n_dof) the fitted curve at the samples, trajectory by trajectory."""

@@ -21,6 +21,7 @@ from leastaction.estimation.crew import Alone, Task
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import Measurements
@@ -28,7 +29,6 @@ from leastaction.estimation.streamed import is_long
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weights, start_weights
-from leastaction.mechanics.euler_lagrange import Points
 
 __all__ = ["Grid", "greville_sites"]
 
@@ -176,8 +176,7 @@ class Grid:
     def regular(self, coefficients: np.ndarray, control_points: np.ndarray) -> float:
         """Share of the motion along which the mass matrix of all candidates is positive definite."""
         stride = max(1, self.spline.n_intervals // _POINTS)
-        states = self.spline.at_quadrature(control_points, slice(None, None, stride))
-        points = Points(*(s[:, 0] for s in states))
+        points = first_points(self.spline, control_points, slice(None, None, stride))
         mass = self.problem.candidates.mass_matrix(points, coefficients)
         return float(np.mean(positive_definite(mass)))
 

@@ -9,10 +9,25 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.mechanics.euler_lagrange import Points
 
-__all__ = ["by_interval", "local_jacobian"]
+__all__ = ["by_interval", "first_points", "local_jacobian", "points_at"]
 
 _TRANSPOSED, _STRIPE = 128, 256  # knot intervals of a piece
+
+
+def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Points:
+    """States at the quadrature points of a run of knot intervals: quadrature point, then interval."""
+    n = control_points.shape[1]
+    states = grid.at_quadrature(control_points, chunk)
+    q, qdot, qddot = (s.transpose(1, 0, 2).reshape(-1, n) for s in states)
+    return Points(q, qdot, qddot, lambda: grid.points[chunk].T.ravel(), intervals=chunk)
+
+
+def first_points(grid: SplineGrid, control_points: np.ndarray, chunk: slice = slice(None)) -> Points:
+    """States at the first quadrature point of each of some knot intervals."""
+    q, qdot, qddot = (s[:, 0] for s in grid.at_quadrature(control_points, chunk))
+    return Points(q, qdot, qddot, lambda: grid.points[chunk, 0])
 
 
 def by_interval(values: np.ndarray, out: np.ndarray) -> None:

@@ -19,10 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.elimination import NormalEquations
-from leastaction.estimation.intervals import by_interval, local_jacobian
+from leastaction.estimation.intervals import by_interval, local_jacobian, points_at
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -35,7 +34,6 @@ __all__ = [
     "Physics",
     "Weights",
     "linearise",
-    "points_at",
 ]
 
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
@@ -334,13 +332,6 @@ def linearise(
         volume_term(grid, physics.columns, control_points, coefficients, free),
         physics.columns.prescribed,
     )
-
-
-def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Points:
-    """States at the quadrature points of a run of knot intervals: quadrature point, then interval."""
-    states = grid.at_quadrature(control_points, chunk)
-    n = control_points.shape[1]
-    return Points(*(s.transpose(1, 0, 2).reshape(-1, n) for s in states), intervals=chunk)
 
 
 def _equations(

@@ -3,12 +3,16 @@
 In ``exp(-{a}*x)`` a is compared with 1/x, in ``(x-{p})**2`` p with x, in ``x**2+{h}**2`` h with |x|, and in
 ``r**{n}`` n is an exponent.  So the data give a range wherever the user gives none.  It says where starts are
 tried; only a range from the user is a bound.
+
+In ``cos({w}*t)`` w is a frequency, and its likelihood is a comb: A cos wt looks like A₀ cos w₀t as long as
+(w − w₀) t stays below a quarter of a turn at all times.  So starts are a quarter of a turn apart at the
+latest time, from half a turn over the recording to what the knots of the curve resolve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -18,10 +22,13 @@ from scipy.stats import qmc
 from leastaction.errors import InputError
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.identifiers import quoted
-from leastaction.library import Term, is_constant, shape_names, shape_symbol
+from leastaction.library import Term, is_constant, shape_names, shape_symbol, time_symbol
 
 __all__ = ["ShapeRange", "shape_ranges", "shape_starts"]
 
+_QUARTER = np.pi / 2.0
+_MOST_FREQUENCIES = 4000
+_PHASES = 4  # numbers of other parameters beside each frequency
 # tried as starts: the powers of laws
 _EXPONENTS = (-12.0, -9.0, -6.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.5, 2.5, 3.0, 4.0, 5.0, 6.0)
 
@@ -34,19 +41,24 @@ class ShapeRange:
     ----------
     low, high : float
         In the units of the parameter.
-    spacing : {"linear", "log", "exponent"}
+    spacing : {"linear", "log", "exponent", "frequency"}
         Of the starts.
     bounded : bool
         Whether the parameter has to stay there, because the user said so.
+    apart : float
+        How far apart the starts of a frequency are.
     """
 
     low: float
     high: float
-    spacing: Literal["linear", "log", "exponent"]
+    spacing: Literal["linear", "log", "exponent", "frequency"]
     bounded: bool = False
+    apart: float = 0.0
 
     def starts(self, count: int) -> np.ndarray:
-        """About ``count`` numbers over the range, rising."""
+        """About ``count`` numbers over the range, rising; as many frequencies as it takes."""
+        if self.spacing == "frequency":
+            return np.linspace(self.low, self.high, 1 + int(np.ceil((self.high - self.low) / self.apart)))
         if self.spacing == "exponent":
             inside = [x for x in _EXPONENTS if self.low <= x <= self.high]
             if len(inside) > 2:
@@ -65,15 +77,20 @@ class ShapeRange:
     def stepped(self, value: float, step: float) -> float:
         """The value after a step, no farther than half of it (or of a quarter of a linear range).
 
+        A frequency goes no farther than its starts are apart.
+
         What the user has bounded stays within its bounds.
         """
         size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
-        moved = value + float(np.clip(step, -ESTIMATION.shape_step * size, ESTIMATION.shape_step * size))
+        most = self.apart if self.spacing == "frequency" else ESTIMATION.shape_step * size
+        moved = value + float(np.clip(step, -most, most))
         return float(np.clip(moved, self.low, self.high)) if self.bounded else moved
 
 
 def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[str, float]]:
     """About ``count`` numbers over the ranges: even for one parameter, a Sobol sequence for several.
+
+    Beside each frequency a few numbers of the others.
 
     Examples
     --------
@@ -83,6 +100,12 @@ def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[
     if len(ranges) == 1:
         ((name, only),) = ranges.items()
         yield from ({name: x} for x in only.starts(count).tolist())
+        return
+    frequencies = [name for name, r in ranges.items() if r.spacing == "frequency"]
+    if frequencies:
+        others = {name: r for name, r in ranges.items() if name != frequencies[0]}
+        for x in ranges[frequencies[0]].starts(count).tolist():
+            yield from ({**rest, frequencies[0]: x} for rest in shape_starts(others, _PHASES))
         return
     shares = qmc.Sobol(len(ranges), seed=0).random_base2(int(np.ceil(np.log2(count))))
     for row in shares[:count]:
@@ -120,11 +143,25 @@ def shape_ranges(
         found = _from_part(shape_symbol(name), [t.expr for t in terms if name in t.shapes], states)
         if name in given:
             low, high = map(float, given[name])
+            if found.spacing == "frequency":
+                out[name] = _checked(name, replace(found, low=low, high=high, bounded=True))
+                continue
             log = low > 0.0 and found.spacing != "exponent" and high > ESTIMATION.shape_scales * low
             spacing = "log" if log else "exponent" if found.spacing == "exponent" else "linear"
             found = ShapeRange(low, high, spacing, bounded=True)
-        out[name] = found
+        out[name] = _checked(name, found)
     return out
+
+
+def _checked(name: str, found: ShapeRange) -> ShapeRange:
+    """The range, unless it holds more frequencies than can be tried."""
+    if found.spacing == "frequency" and found.high - found.low > _MOST_FREQUENCIES * found.apart:
+        raise InputError(
+            f"the frequency {{{name}}} would have to be tried at more than {_MOST_FREQUENCIES} numbers "
+            f"between {found.low:.4g} and {found.high:.4g}, {found.apart:.2g} apart; give a narrower range "
+            "in shapes, or let the times of the data begin near zero"
+        )
+    return found
 
 
 def _check_ends(name: str, ends: object) -> None:
@@ -145,6 +182,9 @@ def _from_part(
     """The range of a parameter from what it is added to, multiplied with, or an exponent of."""
     for expr in expressions:
         chain = _ancestors(expr, symbol)
+        found = _in_wave(symbol, chain, states)
+        if found is not None:
+            return found
         for place in range(len(chain) - 1, 0, -1):
             child, parent = chain[place], chain[place - 1]
             above = chain[place - 2] if place > 1 else None
@@ -152,6 +192,31 @@ def _from_part(
             if found is not None:
                 return found
     return ShapeRange(1.0 / ESTIMATION.shape_scales, ESTIMATION.shape_scales, "log")
+
+
+def _in_wave(
+    symbol: sp.Symbol, chain: Sequence[sp.Basic], states: Mapping[str, np.ndarray]
+) -> ShapeRange | None:
+    """The range of a frequency or phase: what stands beside the time in a sine or cosine."""
+    wave = next((part for part in chain if isinstance(part, sp.sin | sp.cos)), None)
+    if wave is None or time_symbol not in wave.free_symbols:
+        return None
+    angle = wave.args[0]
+    rate, slope = sp.diff(angle, time_symbol), sp.diff(angle, symbol)
+    if symbol in rate.free_symbols and _still(rate):
+        times = states[str(time_symbol)]
+        latest, steps = float(np.abs(times).max()), np.diff(times)
+        resolved = 1.0 / float(np.median(steps[steps > 0.0]))
+        scale = abs(float(sp.diff(rate, symbol).xreplace({s: sp.Float(1.0) for s in rate.free_symbols})))
+        return ShapeRange(
+            np.pi / float(np.ptp(times)) / scale,
+            resolved / scale,
+            "frequency",
+            apart=_QUARTER / latest / scale,
+        )
+    if _still(slope) and _still(angle - time_symbol * rate):
+        return ShapeRange(0.0, np.pi, "linear")  # the sign of the wave is that of its coefficient
+    return None
 
 
 def _ancestors(expr: sp.Expr, symbol: sp.Symbol) -> list[sp.Basic]:

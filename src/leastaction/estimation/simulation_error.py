@@ -13,6 +13,7 @@ errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import sympy as sp
@@ -112,6 +113,8 @@ class _Runs:
 
     Attributes
     ----------
+    begin : (n_runs,) array
+        Times at which they begin.
     nodes : (n_steps + 1,) array
         Seconds since the begin.
     q : (n_runs, n_steps + 1, n_dof) array
@@ -127,6 +130,7 @@ class _Runs:
         owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
         keep = np.linspace(0, owner.size - 1, min(owner.size, _MOST_RUNS)).round().astype(int)
         begin, owner = np.concatenate(begins)[keep], owner[keep]
+        self.begin = begin
         self.n_runs, n_dof = begin.size, grid.problem.trajectories.n_dof
         self.q = np.empty((self.n_runs, self.nodes.size, n_dof))
         self.qdot = np.empty((self.n_runs, n_dof))
@@ -178,12 +182,13 @@ class _Flow:
         given = (x * self.size).T[:, :, None]
         shape = (len(x), *runs.qdot.shape)
         q, _ = rk4(
-            lambda q, qdot, forces: self.mechanics.acceleration(q, qdot, forces, given),
+            partial(self.mechanics.acceleration, parameters=given),
             np.broadcast_to(runs.q[:, 0], shape),
             np.broadcast_to(runs.qdot, shape),
             runs.nodes,
             substeps=1,
             forces=None if forces is None else (lambda times: forces[:, None]),
+            clock=runs.begin if self.mechanics.timed else None,
         )
         error = (np.moveaxis(q, 0, 2) - runs.q) / self.scale
         return np.clip(np.where(np.isnan(error), np.inf, error), -_LOST, _LOST)

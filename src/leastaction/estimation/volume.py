@@ -9,7 +9,8 @@ from functools import reduce
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
-from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.estimation.intervals import first_points
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["Volume", "add_volumes", "positive_definite", "volume_term"]
 
@@ -54,8 +55,7 @@ def volume_term(
     log_mean = regular = 0.0
     slope, corner = np.zeros((n, k)), np.zeros((k, k))
     for some, share in _volume_samples(grid):
-        q, qdot, _ = (s[:, 0] for s in grid.at_quadrature(control_points, some))
-        points = Points(q, qdot)
+        points = first_points(grid, control_points, some)
         mass = columns.mass_matrix(points, coefficients)
         usable = positive_definite(mass)
         regular += share * np.count_nonzero(usable)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from leastaction.exporters.shared import CPrinter, about, assignments, equations
+from leastaction.exporters.shared import CPrinter, about, assignments, clock, equations
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
@@ -51,13 +51,14 @@ def write(model: LagrangianModel) -> str:
 def definitions(mechanics: Mechanics, parameters: str = "") -> str:
     """Return the functions of acceleration and energy; `parameters` names an array that they take first."""
     n, first_argument = mechanics.n_dof, f"const double {parameters}[], " if parameters else ""
-    arguments = [*([parameters] if parameters else []), "q", "qdot"]
+    time = clock(mechanics, "double t")
+    arguments = [*([parameters] if parameters else []), "q", "qdot", *(["t"] if time else [])]
     not_used = [f"    (void){name};" for name in arguments]
     first, values = assignments(equations(mechanics), mechanics, CPrinter().doprint)
     rows = ",\n        ".join(f"{{{', '.join(values[i * n : (i + 1) * n])}}}" for i in range(n))
     acceleration = [
         "/* Accelerations qddot; forces may be NULL. NaN where the mass matrix is singular. */",
-        f"void leastaction_acceleration({first_argument}const double q[{n}], const double qdot[{n}],",
+        f"void leastaction_acceleration({first_argument}const double q[{n}], const double qdot[{n}]{time},",
         f"                              const double forces[{n}], double qddot[{n}])",
         "{",
         f"    enum {{ n = {n} }};",
@@ -72,7 +73,7 @@ def definitions(mechanics: Mechanics, parameters: str = "") -> str:
     energy = [
         "",
         "/* Energy: the sum of qdot * dL/dqdot, less L. */",
-        f"double leastaction_energy({first_argument}const double q[{n}], const double qdot[{n}])",
+        f"double leastaction_energy({first_argument}const double q[{n}], const double qdot[{n}]{time})",
         "{",
         *(f"    const double {name} = {code};" for name, code in first),
         *not_used,

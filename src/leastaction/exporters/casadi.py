@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sympy as sp
 
-from leastaction.exporters.shared import PythonPrinter, about, assignments, equations
+from leastaction.exporters.shared import PythonPrinter, about, assignments, clock, equations
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["CasadiPrinter", "write"]
@@ -34,15 +34,15 @@ def _functions():
     q = casadi.SX.sym("q", N_DOF)
     qdot = casadi.SX.sym("qdot", N_DOF)
     forces = casadi.SX.sym("forces", N_DOF)
-    mass, right = _equations(q, qdot)
+{symbol}    mass, right = _equations(q, qdot{t})
     if casadi.sprank(mass) < N_DOF:  # singular everywhere
         qddot = casadi.SX.nan(N_DOF, 1)
     else:
         qddot = casadi.solve(mass, right + forces)
-    state, names = [q, qdot], ["q", "qdot"]
+    state, names = [q, qdot{t}], ["q", "qdot"{name}]
     return (
         casadi.Function("acceleration", [*state, forces], [qddot], [*names, "forces"], ["qddot"]),
-        casadi.Function("energy", state, [_energy(q, qdot)], names, ["energy"]),
+        casadi.Function("energy", state, [_energy(q, qdot{t})], names, ["energy"]),
         casadi.Function("mass_matrix", state, [casadi.densify(mass)], names, ["mass"]),
     )
 
@@ -54,10 +54,11 @@ acceleration, energy, mass_matrix = _functions()
 def write(model: LagrangianModel) -> str:
     """Return the module."""
     n, mechanics = model.n_dof, model.mechanics
-    code = CasadiPrinter().doprint
+    code, t = CasadiPrinter().doprint, clock(mechanics)
     lines = [
         *(f"# {line}" for line in about(model)),
-        "# Functions of casadi: acceleration(q, qdot, forces), energy(q, qdot), mass_matrix(q, qdot).",
+        f"# Functions of casadi: acceleration(q, qdot{t}, forces), energy(q, qdot{t}), "
+        f"mass_matrix(q, qdot{t}).",
         "import casadi",
         "",
         f"N_DOF = {n}",
@@ -67,7 +68,7 @@ def write(model: LagrangianModel) -> str:
     first, values = assignments(equations(mechanics), mechanics, code)
     rows = ", ".join(f"casadi.horzcat({', '.join(values[i * n : (i + 1) * n])})" for i in range(n))
     lines += [
-        "def _equations(q, qdot):",
+        f"def _equations(q, qdot{t}):",
         *(f"    {name} = {value}" for name, value in first),
         f"    mass = casadi.SX(casadi.vertcat({rows}))",
         f"    right = casadi.SX(casadi.vertcat({', '.join(values[n * n :])}))",
@@ -77,8 +78,10 @@ def write(model: LagrangianModel) -> str:
     ]
     first, values = assignments([mechanics.energy_expression], mechanics, code)
     lines += [
-        "def _energy(q, qdot):",
+        f"def _energy(q, qdot{t}):",
         *(f"    {name} = {value}" for name, value in first),
         f"    return casadi.SX({values[0]})",
     ]
-    return "\n".join(lines) + "\n" + _FUNCTIONS
+    symbol = '    t = casadi.SX.sym("t")\n' if t else ""
+    functions = _FUNCTIONS.format(t=t, symbol=symbol, name=clock(mechanics, '"t"'))
+    return "\n".join(lines) + "\n" + functions

@@ -13,7 +13,7 @@ import sympy as sp
 from leastaction.exporters import c
 from leastaction.exporters.compile import compile_library, platform_name
 from leastaction.exporters.fmu_description import build_description, model_description, variables
-from leastaction.exporters.shared import about
+from leastaction.exporters.shared import about, clock
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
@@ -83,13 +83,16 @@ def source_files(model: LagrangianModel, version: int, name: str, token: str) ->
         f"#define START_MAX_STEP {_max_step(model)!r}\n\n"
         f"enum {{ N_DOF = {n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
         f"#define START_COEFFICIENTS {{{numbers}}}\n\n"
+        "/* What the equations are functions of. */\n"
+        f"#define AT(q, qdot, t) q, qdot{clock(mechanics)}\n\n"
         "/* Several FMUs in one program must not meet. */\n"
         + "".join(f"#define {function} {name}_{function}\n" for function in _SHARED_NAMES)
         + "\n"
         f"void leastaction_acceleration(const double p[], const double q[{n_dof}], "
-        f"const double qdot[{n_dof}],\n"
+        f"const double qdot[{n_dof}]{clock(mechanics, 'double t')},\n"
         f"                              const double forces[{n_dof}], double qddot[{n_dof}]);\n"
-        f"double leastaction_energy(const double p[], const double q[{n_dof}], const double qdot[{n_dof}]);\n"
+        f"double leastaction_energy(const double p[], const double q[{n_dof}], "
+        f"const double qdot[{n_dof}]{clock(mechanics, 'double t')});\n"
         "\n#endif\n"
     )
     includes = '#include <math.h>\n#include <stddef.h>\n\n#include "model.h"\n'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from leastaction.errors import InputError
-from leastaction.exporters.shared import CPrinter, about, assignments, equations
+from leastaction.exporters.shared import CPrinter, about, assignments, clock, equations
 from leastaction.identifiers import quoted
 from leastaction.model.model import LagrangianModel
 
@@ -59,9 +59,9 @@ class _MatlabPrinter(CPrinter):
 
 
 _FUNCTIONS = """
-function qddot = acceleration(q, qdot, forces)
-[mass, right] = equations(q, qdot);
-if nargin > 2
+function qddot = acceleration(q, qdot{t}, forces)
+[mass, right] = equations(q, qdot{t});
+if nargin > {given}
     right = right + forces(:);
 end
 qddot = mass \\ right;
@@ -72,19 +72,19 @@ q = x(1:{n});
 qdot = x({first}:{last});
 qdot = qdot(:);
 if nargin < 3
-    xdot = [qdot; acceleration(q, qdot)];
+    xdot = [qdot; acceleration(q, qdot{t})];
 elseif isa(forces, 'function_handle')
-    xdot = [qdot; acceleration(q, qdot, forces(t))];
+    xdot = [qdot; acceleration(q, qdot{t}, forces(t))];
 else
-    xdot = [qdot; acceleration(q, qdot, forces)];
+    xdot = [qdot; acceleration(q, qdot{t}, forces)];
 end
 end
 
-function mass = mass_matrix(q, qdot)
+function mass = mass_matrix(q, qdot{t})
 if nargin < 2
     qdot = zeros({n}, 1);
 end
-[mass, right] = equations(q, qdot);
+[mass, right] = equations(q, qdot{t});
 end
 """
 
@@ -98,16 +98,16 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
         If MATLAB could not call a file of this name.
     """
     name = "leastaction_model" if file is None else _function_name(file)
-    n, mechanics = model.n_dof, model.mechanics
+    n, mechanics, t = model.n_dof, model.mechanics, clock(model.mechanics)
     lines = [
         f"function model = {name}()",
         *(f"% {line}" for line in about(model, "q({i})", 1)),
         "%",
         f"% model = {name}();",
-        "% qddot = model.acceleration(q, qdot, forces)    forces may be left out",
+        f"% qddot = model.acceleration(q, qdot{t}, forces)    forces may be left out",
         "% xdot  = model.state_derivative(t, x, forces)   x = [q; qdot]; forces may be a function of t",
-        "% E     = model.energy(q, qdot)",
-        "% M     = model.mass_matrix(q, qdot)",
+        f"% E     = model.energy(q, qdot{t})",
+        f"% M     = model.mass_matrix(q, qdot{t})",
         "% [t, x] = ode45(@(t, x) model.state_derivative(t, x), [0 10], [q0; qdot0]);",
         "model.acceleration = @acceleration;",
         "model.state_derivative = @state_derivative;",
@@ -115,7 +115,7 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
         "model.mass_matrix = @mass_matrix;",
         "end",
     ]
-    functions = _FUNCTIONS.format(n=n, first=n + 1, last=2 * n)
+    functions = _FUNCTIONS.format(n=n, first=n + 1, last=2 * n, t=t, given=3 if t else 2)
 
     def body(expressions):
         return assignments(expressions, mechanics, _MatlabPrinter().doprint, "{array}({i})", 1)
@@ -124,7 +124,7 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
     rows = "; ".join(", ".join(values[i * n : (i + 1) * n]) for i in range(n))
     more = [
         "",
-        "function [mass, right] = equations(q, qdot)",
+        f"function [mass, right] = equations(q, qdot{t})",
         *(f"{variable} = {value};" for variable, value in first),
         f"mass = [{rows}];",
         f"right = [{'; '.join(values[n * n :])}];",
@@ -133,7 +133,7 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
     first, values = body([mechanics.energy_expression])
     more += [
         "",
-        "function E = energy(q, qdot)",
+        f"function E = energy(q, qdot{t})",
         *(f"{variable} = {value};" for variable, value in first),
         f"E = {values[0]};",
         "end",

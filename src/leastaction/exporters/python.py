@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from leastaction.exporters.shared import PythonPrinter, about, assignments, equations
+from leastaction.exporters.shared import PythonPrinter, about, assignments, clock, equations
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["write"]
@@ -31,12 +31,12 @@ def _solve(a, b):
 def write(model: LagrangianModel) -> str:
     """Return the module."""
     n, mechanics = model.n_dof, model.mechanics
-    code = PythonPrinter().doprint
+    code, t = PythonPrinter().doprint, clock(mechanics)
     lines = [*(f"# {line}" for line in about(model)), "import math", "", f"N_DOF = {n}", "", ""]
     first, values = assignments(equations(mechanics), mechanics, code)
     rows = ", ".join(f"[{', '.join(values[i * n : (i + 1) * n])}]" for i in range(n))
     lines += [
-        "def acceleration(q, qdot, forces=None):",
+        f"def acceleration(q, qdot{t}, forces=None):",
         f'    """Accelerations, a list; q, qdot and forces are sequences of length {n}."""',
         *(f"    {name} = {value}" for name, value in first),
         f"    mass = [{rows}]",
@@ -49,7 +49,7 @@ def write(model: LagrangianModel) -> str:
     ]
     first, values = assignments([mechanics.energy_expression], mechanics, code)
     lines += [
-        "def energy(q, qdot):",
+        f"def energy(q, qdot{t}):",
         '    """Energy, the sum of qdot * dL/dqdot, less L."""',
         *(f"    {name} = {value}" for name, value in first),
         f"    return {values[0]}",

@@ -12,7 +12,7 @@ from leastaction.library import format_expression
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["CPrinter", "PythonPrinter", "about", "assignments", "equations", "unused"]
+__all__ = ["CPrinter", "PythonPrinter", "about", "assignments", "clock", "equations", "unused"]
 
 
 def unused(name: str, taken: Sequence[str]) -> str:
@@ -30,6 +30,8 @@ def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> lis
             "; its motion is prescribed: its force is its acceleration" if name in model.prescribed else ""
         )
         lines.append(f"{element.format(i=base + i)}: {name}{driven}")
+    if model.timed:
+        lines.append("t: time in seconds, as in the data")
     groups = (
         ("L", model.terms, model.expressions),
         ("psi", model.dissipation, model.dissipation_expressions),
@@ -39,6 +41,11 @@ def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> lis
             start = f"{name} = " if k == 0 else " " * len(name) + " + "
             lines.append(f"{start}{term.coefficient!r} * ({format_expression(expr)})")
     return [line.encode("ascii", "backslashreplace").decode().replace("*/", "* /") for line in lines]
+
+
+def clock(mechanics: Mechanics, name: str = "t") -> str:
+    """The argument that stands for the time behind q and qdot; empty where the law does not hold it."""
+    return f", {name}" if mechanics.timed else ""
 
 
 def equations(mechanics: Mechanics) -> list[sp.Expr]:

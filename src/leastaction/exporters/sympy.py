@@ -5,6 +5,7 @@ from __future__ import annotations
 from sympy.printing.pycode import SymPyPrinter
 
 from leastaction.exporters.shared import unused
+from leastaction.identifiers import TIME, names_in_terms
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["write"]
@@ -12,7 +13,9 @@ __all__ = ["write"]
 
 def write(model: LagrangianModel) -> str:
     """Return the script."""
-    names = [*model.coordinates, *(f"{c}_dot" for c in model.coordinates)]
+    names = names_in_terms(model.coordinates)
+    if not model.timed:
+        names.remove(TIME)
     # A coordinate may have the name of anything else in the script.
     module, lagrangian, dissipation = (
         unused(name, names) for name in ("sympy", "lagrangian", "dissipation_function")

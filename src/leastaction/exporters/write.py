@@ -72,6 +72,9 @@ def export(model, format, path=None):
     ``"fmu3"``    the same for FMI 3.0
     ============  =========================================================================================
 
+    A law that holds the time takes it, ``t``, behind q and qdot in Python, C, CasADi and MATLAB. That of an
+    FMU is the time of the simulation, and the script for SymPy has a symbol ``t``.
+
     Where the mass matrix is exactly singular the accelerations are NaN (MATLAB also warns, an FMU refuses the
     step); where a function is not defined (logarithm of a negative number), C and CasADi return NaN,
     Python raises what `math` raises, and MATLAB stops with its own message.

@@ -22,7 +22,13 @@ Imports from outside this folder: ``errors`` and ``identifiers`` only.
 from __future__ import annotations
 
 from leastaction.library.library import Library
-from leastaction.library.parser import format_expression, is_constant, parse_expression, shape_symbol
+from leastaction.library.parser import (
+    format_expression,
+    is_constant,
+    parse_expression,
+    shape_symbol,
+    time_symbol,
+)
 from leastaction.library.shapes import shape_names, tangent
 from leastaction.library.term import Dropped, Kind, Template, Term, make_term, smooth_abs
 
@@ -40,4 +46,5 @@ __all__ = [
     "shape_symbol",
     "smooth_abs",
     "tangent",
+    "time_symbol",
 ]

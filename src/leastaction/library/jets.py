@@ -1,7 +1,7 @@
 """Values and derivatives of expressions at many points, without symbolic differentiation.
 
-A jet holds, at each point, u itself, du/dt along the motion (q̇, q̈), ∂u/∂q_i, ∂u/∂q̇_i and
-d/dt ∂u/∂q̇_i; sums, products and functions of jets follow from the chain rule.  One walk over an
+A jet holds, at each point, u itself, du/dt along the motion (q̇, q̈; of the time itself, 1), ∂u/∂q_i,
+∂u/∂q̇_i and d/dt ∂u/∂q̇_i; sums, products and functions of jets follow from the chain rule.  One walk over an
 expression so gives E_i[φ] = d/dt ∂φ/∂q̇_i − ∂φ/∂q_i, in double or in high precision.
 """
 
@@ -15,6 +15,7 @@ import mpmath
 import numpy as np
 import sympy
 
+from leastaction.library.parser import time_symbol
 from leastaction.library.term import Term
 
 __all__ = ["Jets", "Points"]
@@ -34,10 +35,21 @@ def _lift(values: np.ndarray, digits: int) -> np.ndarray:
 
 
 class Points:
-    """States q, q̇, q̈, each an array (n_dof, n_points): floats, or numbers of so many `digits`."""
+    """States q, q̇, q̈, each an array (n_dof, n_points), at ``times``, an array (n_points,); zero by default.
 
-    def __init__(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, digits: int | None = None) -> None:
+    Floats, or numbers of so many `digits`.
+    """
+
+    def __init__(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        qddot: np.ndarray,
+        times: np.ndarray | None = None,
+        digits: int | None = None,
+    ) -> None:
         self.q, self.qdot, self.qddot, self.digits = q, qdot, qddot, digits
+        self.times = np.zeros(q.shape[1]) if times is None else times
 
     @classmethod
     def draw(cls, rng: np.random.Generator, n_dof: int, n_points: int) -> Points:
@@ -45,10 +57,11 @@ class Points:
         signs = rng.choice([-1.0, 1.0], (2, n_dof, n_points))
         signs[0, :, ::2] = 1.0
         q, qdot = rng.uniform(0.2, 2.5, (2, n_dof, n_points)) * signs
-        return cls(q, qdot, rng.normal(size=(n_dof, n_points)))
+        return cls(q, qdot, rng.normal(size=(n_dof, n_points)), rng.uniform(0.2, 2.5, n_points))
 
     def __getitem__(self, columns: np.ndarray | slice) -> Points:
-        return Points(self.q[:, columns], self.qdot[:, columns], self.qddot[:, columns], self.digits)
+        states = (array[:, columns] for array in (self.q, self.qdot, self.qddot))
+        return Points(*states, self.times[columns], self.digits)  # type: ignore[misc]
 
     @property
     def n_points(self) -> int:
@@ -57,7 +70,8 @@ class Points:
 
     def with_digits(self, digits: int) -> Points:
         """Return the same points as numbers of so many digits."""
-        return Points(*(_lift(values, digits) for values in (self.q, self.qdot, self.qddot)), digits)  # type: ignore[call-arg]
+        lifted = (_lift(values, digits) for values in (self.q, self.qdot, self.qddot, self.times))
+        return Points(*lifted, digits)  # type: ignore[arg-type]
 
 
 def _itself(function: Any) -> Any:
@@ -137,6 +151,9 @@ class Jets:
         self._arithmetic = _Arithmetic(points.digits)
         self._q, self._v, self._vt = slice(2, 2 + n), slice(2 + n, 2 + 2 * n), slice(2 + 2 * n, 2 + 3 * n)
         self._cache: dict[sympy.Expr, np.ndarray] = {}
+        clock = self._zeros()
+        clock[0], clock[1] = points.times, 1
+        self._cache[time_symbol] = clock
         for i, name in enumerate(coordinates):
             for symbol, value, rate, place in (
                 (name, points.q[i], points.qdot[i], 2 + i),

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, overload
 
 from leastaction.errors import InputError
-from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
+from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, names_in_terms
 from leastaction.library.collect import collect, read_terms
 from leastaction.library.families import check_angles, check_count, mechanical_terms
 from leastaction.library.grammar import description_lengths, grown_terms
@@ -31,7 +31,7 @@ class Library(Sequence[Term]):
     terms
         Candidates φ_k as text, SymPy expressions or terms.  Text may use ``+ - * / **``, brackets,
         sin cos tan exp log sqrt abs, numbers, pi, the coordinates, their velocities
-        ``<coordinate>_dot`` and the parameters.
+        ``<coordinate>_dot``, the time ``t`` in seconds and the parameters.
     coordinates
         Names of the generalised coordinates.
     angles
@@ -72,7 +72,7 @@ class Library(Sequence[Term]):
     ) -> None:
         self._coordinates = check_coordinate_names(coordinates)
         self._angles = check_angles(angles, self._coordinates)
-        names = [*self._coordinates, *self.velocities]
+        names = names_in_terms(self._coordinates)
         clash = {normalise(str(name)) for name in parameters or ()} & {*names, *FUNCTION_NAMES, "pi"}
         if clash:
             raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
@@ -117,7 +117,7 @@ class Library(Sequence[Term]):
         Library(['theta_dot**2', 'cos(theta)'], coordinates=['theta'])
         """
         checked = check_coordinate_names(coordinates)
-        terms = read_terms(path, [*checked, *(f"{name}_dot" for name in checked)], parameters)
+        terms = read_terms(path, names_in_terms(checked), parameters)
         return cls(terms, checked, angles=angles, parameters=parameters, dissipation=dissipation)
 
     @classmethod

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import sympy
 
 from leastaction.errors import InputError
+from leastaction.identifiers import names_in_terms
 from leastaction.library.reduction import same_functions
 from leastaction.library.term import Candidate, Kind, Term, make_term
 
@@ -46,7 +47,7 @@ def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) ->
 
 def place_within(library: Library, expression: Candidate, kind: Kind) -> int:
     """Return the place of an expression in one of the two lists of a library; a term's own kind decides."""
-    names = [*library.coordinates, *library.velocities]
+    names = names_in_terms(library.coordinates)
     kind = expression.kind if isinstance(expression, Term) else kind
     terms = library.terms if kind == "lagrangian" else library.dissipation
     return place_of(make_term(expression, names, kind=kind), terms, library.coordinates)

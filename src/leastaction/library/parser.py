@@ -15,6 +15,7 @@ from fractions import Fraction
 import sympy
 
 from leastaction.errors import InputError
+from leastaction.identifiers import TIME
 from leastaction.library.scanner import MAX_DEPTH, Source, scan
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "normalise",
     "parse_expression",
     "shape_symbol",
+    "time_symbol",
 ]
 
 MAX_EXPONENT = 32
@@ -47,7 +49,7 @@ def parse_expression(
         Expression in Python's notation, for example ``"theta_dot**2*sin(theta)"``: at most 2000
         characters, 500 nodes and 60 levels of nesting.
     names
-        Names that may occur: the coordinates and their velocities ``<coordinate>_dot``.
+        Names that may occur: the coordinates, their velocities ``<coordinate>_dot`` and the time ``t``.
     parameters
         Numbers to put in place of further names.
     shapes
@@ -125,8 +127,12 @@ def shape_symbol(name: str) -> sympy.Symbol:
     return sympy.Symbol(f"{{{name}}}", real=True)
 
 
+time_symbol = sympy.Symbol(TIME, real=True)
+"""The time in expressions, in seconds, as the time column of the data has it."""
+
+
 def is_constant(expr: sympy.Expr) -> bool:
-    """Tell whether an expression holds no coordinates or velocities: numbers and shape parameters only.
+    """Tell whether an expression holds only numbers and shape parameters: no coordinate, velocity or time.
 
     Examples
     --------

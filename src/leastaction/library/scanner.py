@@ -13,7 +13,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from leastaction.errors import InputError
-from leastaction.identifiers import FUNCTION_NAMES
+from leastaction.identifiers import FUNCTION_NAMES, TIME
 
 __all__ = ["FUNCTIONS", "MAX_DEPTH", "MAX_LENGTH", "MAX_NODES", "Source", "scan"]
 
@@ -116,7 +116,7 @@ class _Scanner:
         self.text = text
         self.shapes = shapes
         self.known = [*names, *parameters, "pi"]
-        self.coordinates = [name for name in names if not name.endswith("_dot")]
+        self.coordinates = [name for name in names if not (name.endswith("_dot") or name == TIME)]
         self.numbers: dict[int, str] = {}
         self.brackets: list[int] = []
         self.nodes = 0
@@ -206,7 +206,8 @@ class _Scanner:
         else:
             close = _closest(token, self.known)
             names = ", ".join(self.coordinates[:8]) + (", ..." if len(self.coordinates) > 8 else "")
-            listing = f"expected a coordinate ({names}), a velocity <coordinate>_dot, a parameter or pi"
+            listing = f"expected a coordinate ({names}), a velocity <coordinate>_dot, "
+            listing += "the time t, a parameter or pi"
             what = "name"
         guess = f"; did you mean {close!r}?" if close else ""
         shown = token if len(token) <= 40 else token[:40] + "..."

@@ -1,1 +1,67 @@
-"""Equations of motion of candidate terms and of whole models."""
+"""Equations of motion of candidate terms and of whole models, and the states at which they are computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+__all__ = ["Points"]
+
+
+class Points:
+    """States at many points, with the functions of them that candidates share.
+
+    Parameters
+    ----------
+    q, qdot, qddot : (n_points, n_dof) arrays
+        ``qddot`` may be left out where no strong form is needed.
+    times : (n_points,) array or function that makes it, optional
+        In seconds; only candidates that hold the time ask for them.
+    intervals : slice, optional
+        Knot intervals whose quadrature points these are: first point of each, then second point of each, …
+    """
+
+    def __init__(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        qddot: np.ndarray | None = None,
+        times: np.ndarray | Callable[[], np.ndarray] | None = None,
+        *,
+        intervals: slice | None = None,
+    ) -> None:
+        self.intervals = intervals
+        self._times = times
+        self.n_points, self.n_dof = q.shape
+        blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
+        self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
+        self._cache: dict[tuple[sp.Basic, tuple[float, ...]], np.ndarray] = {}
+
+    @property
+    def times(self) -> np.ndarray:
+        """(n_points,) seconds."""
+        if self._times is None:
+            raise ValueError("a candidate holds the time, and these points have none")
+        if callable(self._times):
+            self._times = self._times()
+        return self._times
+
+    def value(
+        self, atom: sp.Basic, function: Callable[..., Any], timed: bool, numbers: tuple[float, ...] = ()
+    ) -> np.ndarray:
+        """Value of sin(θ), √(…) and the like, computed once for all candidates.
+
+        ``numbers`` are those of the shape parameters, as the function takes them behind the state and, where
+        it is ``timed``, the time.
+        """
+        key = (atom, numbers)
+        if key not in self._cache:
+            # a candidate may be undefined at some points (log of a negative number): NaN is checked later
+            with np.errstate(all="ignore"):
+                clock = (self.times,) if timed else ()
+                values = function(*self.columns[: 2 * self.n_dof], *clock, *numbers)
+            self._cache[key] = np.broadcast_to(values, self.n_points)
+        return self._cache[key]

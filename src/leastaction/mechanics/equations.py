@@ -1,8 +1,8 @@
 """Equations of motion of one Lagrangian and one dissipation function: symbolic, and compiled for arrays.
 
-The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f are M(q, q̇) q̈ = r(q, q̇) + f with
+The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f are M(q, q̇, t) q̈ = r(q, q̇, t) + f with
 
-    M_ij = ∂²L/∂q̇_i∂q̇_j,    r_i = ∂L/∂q_i − ∂ψ/∂q̇_i − Σ_j (∂²L/∂q̇_i∂q_j) q̇_j.
+    M_ij = ∂²L/∂q̇_i∂q̇_j,    r_i = ∂L/∂q_i − ∂ψ/∂q̇_i − Σ_j (∂²L/∂q̇_i∂q_j) q̇_j − ∂²L/∂q̇_i∂t.
 
 Where the motion of a coordinate is prescribed, q̈_i = f_i takes the place of its equation: its force is its
 acceleration.
@@ -19,7 +19,7 @@ import numpy as np
 import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 
-from leastaction.library import Term
+from leastaction.library import Term, time_symbol
 
 __all__ = ["Mechanics", "RealAbs", "RealSign", "state_symbols"]
 
@@ -76,7 +76,12 @@ class Mechanics:
     Notes
     -----
     `mass`, `right` and `energy_expression` are written in the neutral symbols `q` and `qdot`, so that no
-    name of a coordinate can meet a name in generated code.
+    name of a coordinate can meet a name in generated code, and in `t`, which is no name of a coordinate.
+
+    Attributes
+    ----------
+    timed : bool
+        Whether L or ψ holds the time; then whatever is computed needs `t`.
     """
 
     def __init__(
@@ -96,6 +101,7 @@ class Mechanics:
         swap = dict(zip([*self._named[0], *self._named[1]], [*self.q, *self.qdot], strict=True))
         self._lagrangian = lagrangian.replace(sp.Abs, RealAbs).xreplace(swap)
         self._dissipation = dissipation.replace(sp.Abs, RealAbs).xreplace(swap)
+        self.timed = time_symbol in self._lagrangian.free_symbols | self._dissipation.free_symbols
 
     @classmethod
     def of_terms(
@@ -111,6 +117,11 @@ class Mechanics:
         for term, value in zip(terms, values, strict=True):
             parts[term.kind] += value * term.expr
         return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters, prescribed)
+
+    @property
+    def state(self) -> list[sp.Symbol]:
+        """The symbols `q` and `qdot`, and the time where it matters."""
+        return [*self.q, *self.qdot, *([time_symbol] if self.timed else [])]
 
     @cached_property
     def momentum(self) -> list[sp.Expr]:
@@ -134,6 +145,7 @@ class Mechanics:
             sp.diff(self._lagrangian, self.q[i])
             - sp.diff(self._dissipation, self.qdot[i])
             - sp.Add(*(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True)))
+            - sp.diff(self.momentum[i], time_symbol)
             if i not in self.prescribed
             else sp.Integer(0)
             for i in range(self.n_dof)
@@ -190,26 +202,33 @@ class Mechanics:
     def compile(
         self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()
     ) -> Callable[..., list[Any]]:
-        """Return a function of the entries of `q`, those of `qdot`, and `more`, to a list of values."""
+        """Return a function of the entries of `state`, and `more`, to a list of values."""
         printer = _Printer(
             {"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True}
         )
-        symbols = [*self.q, *self.qdot, *more]
-        return sp.lambdify(symbols, list(expressions), modules="numpy", printer=printer, cse=True)
+        return sp.lambdify(
+            [*self.state, *more], list(expressions), modules="numpy", printer=printer, cse=True
+        )
 
-    def _columns(self, q: np.ndarray, qdot: np.ndarray) -> list[np.ndarray]:
-        return [x[..., i] for x in (q, qdot) for i in range(self.n_dof)]
+    def _columns(self, q: np.ndarray, qdot: np.ndarray, t: Any) -> list[Any]:
+        """Values of the symbols of `state`; each has the shape (...) or is broadcast to it."""
+        columns = [x[..., i] for x in (q, qdot) for i in range(self.n_dof)]
+        if not self.timed:
+            return columns
+        if t is None:
+            raise ValueError("the law depends on the time; give t")
+        return [*columns, t]
 
     def mass_and_right(
-        self, q: np.ndarray, qdot: np.ndarray, parameters: Iterable[np.ndarray] = ()
+        self, q: np.ndarray, qdot: np.ndarray, parameters: Iterable[np.ndarray] = (), t: Any = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return M, shape (..., n_dof, n_dof), and r, shape (..., n_dof), of float arrays of one shape.
 
-        ``parameters`` have values of a shape that can be broadcast to (...).
+        ``parameters`` and ``t`` have values of a shape that can be broadcast to (...).
         """
         n = self.n_dof
         with np.errstate(all="ignore"):
-            values = iter(self._equations_function(*self._columns(q, qdot), *parameters))
+            values = iter(self._equations_function(*self._columns(q, qdot, t), *parameters))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
         for i, j in product(range(n), repeat=2):
             mass[..., i, j] = next(values)
@@ -217,25 +236,26 @@ class Mechanics:
             right[..., i] = next(values)
         return mass, right
 
-    def mass_matrix(self, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    def mass_matrix(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
         """Return M, shape (..., n_dof, n_dof)."""
-        return self.mass_and_right(q, qdot)[0]
+        return self.mass_and_right(q, qdot, t=t)[0]
 
     def acceleration(
         self,
         q: np.ndarray,
         qdot: np.ndarray,
         forces: np.ndarray | None = None,
+        t: Any = None,
         parameters: Iterable[np.ndarray] = (),
     ) -> np.ndarray:
         """Return q̈; NaN where the mass matrix is exactly singular."""
-        mass, right = self.mass_and_right(q, qdot, parameters)
+        mass, right = self.mass_and_right(q, qdot, parameters, t)
         return _solve(mass, right if forces is None else right + forces)
 
-    def energy(self, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    def energy(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
         """Return q̇·∂L/∂q̇ − L, shape (...)."""
         with np.errstate(all="ignore"):
-            (value,) = self._energy_function(*self._columns(q, qdot))
+            (value,) = self._energy_function(*self._columns(q, qdot, t))
         return np.array(np.broadcast_to(value, q.shape[:-1]), dtype=float)
 
 

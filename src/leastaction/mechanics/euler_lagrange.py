@@ -1,8 +1,8 @@
 """Candidate terms put through the Euler–Lagrange operator, with exact symbolic derivatives.
 
-For a candidate φ(q, q̇) of the Lagrangian the operator is, by the chain rule,
+For a candidate φ(q, q̇, t) of the Lagrangian the operator is, by the chain rule,
 
-    E_i[φ] = Σ_j φ_{q̇i q̇j} q̈_j + Σ_j φ_{q̇i qj} q̇_j − φ_{qi},
+    E_i[φ] = Σ_j φ_{q̇i q̇j} q̈_j + Σ_j φ_{q̇i qj} q̇_j + φ_{q̇i t} − φ_{qi},
 
 and a Rayleigh candidate ψ contributes ∂ψ/∂q̇_i on the same side, so that the equations of motion read
 
@@ -23,50 +23,10 @@ import sympy as sp
 from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
-from leastaction.library import Library, Template, Term, shape_symbol
+from leastaction.library import Library, Template, Term, shape_symbol, time_symbol
+from leastaction.mechanics import Points
 
 __all__ = ["EulerLagrange", "Points", "euler_lagrange"]
-
-
-class Points:
-    """States at many points, with the functions of them that candidates share.
-
-    Parameters
-    ----------
-    q, qdot, qddot : (n_points, n_dof) arrays
-        ``qddot`` may be left out where no strong form is needed.
-    intervals : slice, optional
-        Knot intervals whose quadrature points these are: first point of each, then second point of each, …
-    """
-
-    def __init__(
-        self,
-        q: np.ndarray,
-        qdot: np.ndarray,
-        qddot: np.ndarray | None = None,
-        *,
-        intervals: slice | None = None,
-    ) -> None:
-        self.intervals = intervals
-        self.n_points, self.n_dof = q.shape
-        blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
-        self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
-        self._cache: dict[tuple[sp.Basic, tuple[float, ...]], np.ndarray] = {}
-
-    def value(
-        self, atom: sp.Basic, function: Callable[..., Any], numbers: tuple[float, ...] = ()
-    ) -> np.ndarray:
-        """Value of sin(θ), √(…) and the like, computed once for all candidates.
-
-        ``numbers`` are those of the shape parameters, as the function takes them behind the state.
-        """
-        key = (atom, numbers)
-        if key not in self._cache:
-            # a candidate may be undefined at some points (log of a negative number): NaN is checked later
-            with np.errstate(all="ignore"):
-                values = function(*self.columns[: 2 * self.n_dof], *numbers)
-            self._cache[key] = np.broadcast_to(values, self.n_points)
-        return self._cache[key]
 
 
 def _symbols(coordinates: Sequence[str]) -> tuple[list[sp.Symbol], list[sp.Symbol], list[sp.Symbol]]:
@@ -89,7 +49,7 @@ def _gradient(expr: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]:
 
 
 class _Compiled:
-    """Several expressions of (q, q̇, q̈) and shape parameters as one numpy function; zeros are left out."""
+    """Several expressions of (q, q̇, q̈), the time and shape parameters as one numpy function; no zeros."""
 
     def __init__(
         self,
@@ -104,12 +64,12 @@ class _Compiled:
         stand_ins = [sp.Symbol(f"_shared{k}", real=True) for k in range(len(atoms))]
         swap = dict(zip(atoms, stand_ins, strict=True))
         bodies = [e.xreplace(swap) for e in entries.values()]
-        state = (*symbols[: 2 * n_dof], *shapes)
-        self._atoms = [(a, _atom_function(a, state)) for a in atoms]
+        state = tuple(symbols[: 2 * n_dof])
+        self._atoms = [(a, _atom_function(a, (*state, *_clock(a), *shapes)), bool(_clock(a))) for a in atoms]
+        self._clock = _clock(sp.Tuple(*bodies))
+        arguments = [*symbols, *stand_ins, *self._clock, *shapes]
         # dummify: a coordinate may bear the name of a numpy function
-        self._function = sp.lambdify(
-            [*symbols, *stand_ins, *shapes], bodies, modules="numpy", cse=len(bodies) > 2, dummify=True
-        )
+        self._function = sp.lambdify(arguments, bodies, modules="numpy", cse=len(bodies) > 2, dummify=True)
         self._n_symbols = len(symbols)
 
     def __call__(
@@ -117,10 +77,16 @@ class _Compiled:
     ) -> Iterable[tuple[tuple[int, ...], np.ndarray | float]]:
         if not self.keys:
             return ()
-        shared = [points.value(atom, function, numbers) for atom, function in self._atoms]
+        shared = [points.value(*atom, numbers) for atom in self._atoms]
         with np.errstate(all="ignore"):
-            values = self._function(*points.columns[: self._n_symbols], *shared, *numbers)
+            clock = (points.times,) if self._clock else ()
+            values = self._function(*points.columns[: self._n_symbols], *shared, *clock, *numbers)
         return zip(self.keys, values, strict=True)
+
+
+def _clock(expr: sp.Basic) -> tuple[sp.Symbol, ...]:
+    """The time, where an expression holds it."""
+    return tuple(symbol for symbol in (time_symbol,) if symbol in expr.free_symbols)
 
 
 def _shared_atoms(expr: sp.Expr) -> set[sp.Basic]:
@@ -186,7 +152,7 @@ class _Column:
             return {(i,): momentum for i, momentum in enumerate(momenta)}
         out: dict[tuple[int, ...], sp.Expr] = {}
         slopes = _gradient(self.term.expr, self.q)
-        state, rates = [*self.qdot, *self.q], [*self.qddot, *self.qdot]
+        state, rates = [*self.qdot, *self.q, time_symbol], [*self.qddot, *self.qdot, sp.S.One]
         for i, (momentum, slope) in enumerate(zip(momenta, slopes, strict=True)):
             pieces = [d * rate for d, rate in zip(_gradient(momentum, state), rates, strict=True)]
             out[(i,)] = sp.Add(*pieces, -slope)
@@ -340,7 +306,9 @@ class EulerLagrange:
         return EulerLagrange(terms, self.coordinates, self.prescribed)
 
 
-def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: ArrayLike) -> np.ndarray:
+def euler_lagrange(
+    library: Library, q: ArrayLike, qdot: ArrayLike, qddot: ArrayLike, t: ArrayLike | None = None
+) -> np.ndarray:
     """Put every candidate of a library through the Euler–Lagrange operator at given states.
 
     Parameters
@@ -348,6 +316,8 @@ def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: Array
     library : Library
     q, qdot, qddot : array_like, shape (n_times, n_dof)
         Coordinates, velocities (1/s) and accelerations (1/s²).
+    t : array_like, shape (n_times,), optional
+        Times in seconds, for candidates that hold the time.
 
     Returns
     -------
@@ -359,7 +329,8 @@ def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: Array
     Raises
     ------
     InputError
-        If the shapes do not match each other or the library, or a shape parameter has no number.
+        If the shapes do not match each other or the library, a shape parameter has no number, or a candidate
+        holds the time and there is no `t`.
 
     Examples
     --------
@@ -377,4 +348,18 @@ def euler_lagrange(library: Library, q: ArrayLike, qdot: ArrayLike, qddot: Array
         )
     library = library.at({})  # says which shape parameter has no number
     columns = EulerLagrange((*library.terms, *library.dissipation), library.coordinates)
-    return columns.strong(Points(*states)).transpose(2, 1, 0)
+    points = Points(states[0], states[1], states[2], _times(columns, t, len(states[0])))
+    return columns.strong(points).transpose(2, 1, 0)
+
+
+def _times(columns: EulerLagrange, t: ArrayLike | None, n_times: int) -> np.ndarray | None:
+    """Times for columns that need them."""
+    if t is None:
+        timed = [term.text for term in columns.terms if time_symbol in term.expr.free_symbols]
+        if timed:
+            raise InputError(f"the candidate {timed[0]} holds the time; give t, one time for each state")
+        return None
+    times = np.asarray(t, dtype=float)
+    if times.shape != (n_times,):
+        raise InputError(f"t has the shape {times.shape}; expected ({n_times},), one time for each state")
+    return times

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import real_array
 from leastaction.errors import InputError
-from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.identifiers import check_coordinate_names, names_in_terms, quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import make_term, parse_expression
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -28,6 +28,7 @@ __all__ = [
     "checked_fields",
     "checked_start",
     "checked_states",
+    "checked_times",
     "held_out",
     "prescribed_in",
 ]
@@ -84,7 +85,7 @@ def _shapes(
 ) -> tuple[ShapeParameter, ...]:
     """The shape parameters, which must be those of the templates."""
     items = tuple(_shape(item, i) for i, item in enumerate(shapes))
-    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    names = names_in_terms(coordinates)
     used = [make_term(term.template, names).shapes for term in terms if term.template]
     lacking = {name for shapes_of in used for name in shapes_of} ^ {item.name for item in items}
     if lacking or len(items) > len({item.name for item in items}):
@@ -124,7 +125,7 @@ def _terms(terms: Iterable[object], label: str) -> tuple[ModelTerm, ...]:
 
 
 def _parsed(terms: Sequence[ModelTerm], label: str, coordinates: Sequence[str]) -> tuple[sp.Expr, ...]:
-    names = [*coordinates, *(f"{c}_dot" for c in coordinates)]
+    names = names_in_terms(coordinates)
     seen: dict[sp.Expr, int] = {}
     for i, term in enumerate(terms):
         try:
@@ -178,8 +179,8 @@ def _noise_std(value: ArrayLike | None, coordinates: Sequence[str]) -> np.ndarra
     return noise
 
 
-def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | None]) -> list[np.ndarray]:
-    """Return the arrays that are given, as float64 of one shape (..., n_dof).
+def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | None]) -> list[Any]:
+    """Return the arrays as float64 of one shape (..., n_dof), None for one that is not given.
 
     Raises
     ------
@@ -195,10 +196,28 @@ def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | 
                 f"{', '.join(coordinates)}"
             )
     try:
-        return list(np.broadcast_arrays(*given.values()))
+        whole = dict(zip(given, np.broadcast_arrays(*given.values()), strict=True))
+        return [whole.get(label) for label in arrays]
     except ValueError:
         shapes = ", ".join(f"{label} {array.shape}" for label, array in given.items())
         raise InputError(f"the shapes do not fit together: {shapes}; make them equal") from None
+
+
+def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
+    """Return times in seconds that can be broadcast to a shape.
+
+    Raises
+    ------
+    InputError
+        If there are none, or they cannot be broadcast.
+    """
+    if t is None:
+        raise InputError("the law holds the time: give t, the time of each state in seconds")
+    times = real_array(t, "t")
+    try:
+        return np.broadcast_to(times, shape)
+    except ValueError:
+        raise InputError(f"t has shape {times.shape}; expected {shape}, a time for each state") from None
 
 
 def checked_start(coordinates: Sequence[str], value: ArrayLike, label: str) -> np.ndarray:

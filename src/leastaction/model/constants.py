@@ -278,8 +278,8 @@ def _scalings(model: LagrangianModel) -> list[tuple[object, ...] | None]:
     grown = np.array([[1.0 if name in angles else 1.5] for name in names])
     states = (
         points,
-        Points(points.q * grown, points.qdot * grown, points.qddot),
-        Points(points.q, points.qdot * 1.5, points.qddot),
+        Points(points.q * grown, points.qdot * grown, points.qddot, points.times),
+        Points(points.q, points.qdot * 1.5, points.qddot, points.times),
     )
     jets = [Jets(names, state) for state in states]
     out: list[tuple[object, ...] | None] = []

@@ -27,16 +27,14 @@ from leastaction.simulation.integrate import SimulationResult, simulate
 from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from leastaction.model.diagnostics import Diagnostics
 
 __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LagrangianModel:
-    r"""A Lagrangian L(q, q̇) and a dissipation function ψ(q, q̇) with numbers and their errors.
+class LagrangianModel(model_text.Written):
+    r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t) with numbers and their errors.
 
     The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
 
@@ -162,14 +160,23 @@ class LagrangianModel:
         """
         return self.mechanics.equations(forces)
 
-    def acceleration(self, q: ArrayLike, qdot: ArrayLike, forces: ArrayLike | None = None) -> np.ndarray:
-        """q̈, the solution of M q̈ = f − ∂ψ/∂q̇ + ∂L/∂q − (∂²L/∂q̇∂q) q̇.
+    @property
+    def timed(self) -> bool:
+        """Whether L or ψ holds the time; then what is computed from a state needs `t`, too."""
+        return self.mechanics.timed
+
+    def acceleration(
+        self, q: ArrayLike, qdot: ArrayLike, forces: ArrayLike | None = None, t: ArrayLike | None = None
+    ) -> np.ndarray:
+        """q̈, the solution of M q̈ = f − ∂ψ/∂q̇ + ∂L/∂q − (∂²L/∂q̇∂q) q̇ − ∂²L/∂q̇∂t.
 
         Parameters
         ----------
         q, qdot : array_like, shape (..., n_dof)
             They are broadcast against each other, and so are `forces`.
         forces : array_like, shape (..., n_dof), optional
+        t : array_like, shape (...), optional
+            Times in seconds; a model that is `timed` needs them.
 
         Returns
         -------
@@ -179,26 +186,28 @@ class LagrangianModel:
         Raises
         ------
         InputError
-            If the last axis does not hold one number per coordinate.
+            If the last axis does not hold one number per coordinate, or times are lacking.
         """
-        given = {"q": q, "qdot": qdot, "forces": forces}
-        q, qdot, *rest = checks.checked_states(self.coordinates, given)
-        return self.mechanics.acceleration(q, qdot, *rest)
+        return self.mechanics.acceleration(*self._states(t, q=q, qdot=qdot, forces=forces))
 
-    def energy(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
-        """q̇·∂L/∂q̇ − L, which is conserved where nothing drives or damps the system.
+    def energy(self, q: ArrayLike, qdot: ArrayLike, t: ArrayLike | None = None) -> np.ndarray:
+        """q̇·∂L/∂q̇ − L, which is conserved where nothing drives or damps the system, and L holds no time.
 
         Parameters
         ----------
         q, qdot : array_like, shape (..., n_dof)
+        t : array_like, shape (...), optional
+            As for `acceleration`.
 
         Returns
         -------
         ndarray, shape (...)
         """
-        return self.mechanics.energy(*checks.checked_states(self.coordinates, {"q": q, "qdot": qdot}))
+        return self.mechanics.energy(*self._states(t, q=q, qdot=qdot))
 
-    def mass_matrix(self, q: ArrayLike, qdot: ArrayLike | None = None) -> np.ndarray:
+    def mass_matrix(
+        self, q: ArrayLike, qdot: ArrayLike | None = None, t: ArrayLike | None = None
+    ) -> np.ndarray:
         """∂²L/∂q̇∂q̇.
 
         Parameters
@@ -206,13 +215,15 @@ class LagrangianModel:
         q : array_like, shape (..., n_dof)
         qdot : array_like, shape (..., n_dof), optional
             Zero by default; it matters only if L is not quadratic in the velocities.
+        t : array_like, shape (...), optional
+            As for `acceleration`.
 
         Returns
         -------
         ndarray, shape (..., n_dof, n_dof)
         """
-        given = {"q": q, "qdot": np.zeros(self.n_dof) if qdot is None else qdot}
-        return self.mechanics.mass_matrix(*checks.checked_states(self.coordinates, given))
+        qdot = np.zeros(self.n_dof) if qdot is None else qdot
+        return self.mechanics.mass_matrix(*self._states(t, q=q, qdot=qdot))
 
     @single_threaded()
     def simulate(
@@ -253,7 +264,7 @@ class LagrangianModel:
         q0, qdot0 = (checks.checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
         if callable(forces):
             checks.check_force_function(self.coordinates, forces, t)
-        limits.setdefault("mass_matrix", self.mechanics.mass_matrix)
+        limits = {"mass_matrix": self.mechanics.mass_matrix, "timed": self.timed, **limits}
         return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
 
     @single_threaded()
@@ -298,62 +309,12 @@ class LagrangianModel:
             If the coordinates differ, or no trial is long enough for one forecast.
         """
         data = checks.held_out(self, trajectories)
-        law = self.mechanics
-        return forecast(law.acceleration, data, self.noise_std, horizon, window, tolerance, law.prescribed)
+        law, lengths = self.mechanics, (horizon, window, tolerance)
+        return forecast(law.acceleration, data, self.noise_std, *lengths, law.prescribed, law.timed)
 
-    def table(self) -> pd.DataFrame:
-        """Coefficients with their errors; shape parameters come last, under their names in braces.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation" or "shape"), ``coefficient``,
-            ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
-
-        Raises
-        ------
-        InputError
-            Which is also an ImportError, if pandas is not installed (extra ``pandas``).
-        """
-        return model_text.frame(self)
-
-    def format_rows(self) -> list[tuple[str, ...]]:
-        """Rows of text for a table, the first one the header; numbers are rounded to their errors."""
-        return model_text.rows(self)
-
-    def format_table(self) -> str:
-        """Table of the terms, the status of the fit and its warnings, as plain text."""
-        return model_text.table(self)
-
-    def latex(self, digits: int | None = None, uncertainty: bool = False) -> str:
-        r"""L, and ψ if there is one, as LaTeX for math mode, with velocities as ``\dot{\theta}_{1}``.
-
-        Parameters
-        ----------
-        digits : int, optional
-            Significant digits of the coefficients. By default each ends at the second digit of its
-            standard error, and has six digits if it has none.
-        uncertainty : bool
-            Write the error behind the number, as in 0.5577(12).
-
-        Examples
-        --------
-        >>> LagrangianModel("x", [ModelTerm("x_dot**2", 0.50123, 0.002)]).latex(uncertainty=True)
-        'L = 0.5012(20) \\, \\dot{x}^{2}'
-        """
-        return model_text.latex(self, digits, uncertainty)
-
-    def __repr__(self) -> str:
-        return model_text.summary(self)
-
-    def __str__(self) -> str:
-        return model_text.table(self)
-
-    def _repr_latex_(self) -> str:
-        return f"$\\displaystyle {self.latex()}$"
-
-    def _repr_html_(self) -> str:
-        return model_text.html_table(self)
+    def _states(self, t: ArrayLike | None, **arrays: ArrayLike | None) -> list[Any]:
+        states = checks.checked_states(self.coordinates, arrays)
+        return [*states, checks.checked_times(t, states[0].shape[:-1]) if self.timed else None]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the model as JSON types, as in the file of `save`; null stands for "not available"."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import sympy as sp
 
-from leastaction.library import is_constant, shape_symbol
+from leastaction.library import is_constant, shape_symbol, time_symbol
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.term import ModelTerm, ShapeParameter
 
@@ -129,11 +129,12 @@ def z_text(z: float) -> str:
 
 
 def latex_symbols(coordinates: Sequence[str]) -> dict[sp.Symbol, str]:
-    r"""LaTeX of the symbols of coordinates, velocities and accelerations.
+    r"""LaTeX of the symbols of the time, coordinates, velocities and accelerations.
 
     Examples
     --------
     >>> for text in latex_symbols(["theta1", "x_cart"]).values(): print(text)
+    t
     \theta_{1}
     x_{\mathrm{cart}}
     \dot{\theta}_{1}
@@ -145,7 +146,7 @@ def latex_symbols(coordinates: Sequence[str]) -> dict[sp.Symbol, str]:
     # q1 and q_1 would look alike.
     upright = [(rf"\mathrm{{{c}}}".replace("_", r"\_"), "") for c in coordinates]
     split = [other if split.count(one) > 1 else one for one, other in zip(split, upright, strict=True)]
-    out: dict[sp.Symbol, str] = {}
+    out: dict[sp.Symbol, str] = {time_symbol: "t"}
     for accent, symbols in zip(("", r"\dot", r"\ddot"), state_symbols(coordinates), strict=True):
         for symbol, (head, subscript) in zip(symbols, split, strict=True):
             out[symbol] = (f"{accent}{{{head}}}" if accent else head) + subscript

@@ -120,8 +120,11 @@ class Symmetry:
 def find_symmetries(model: LagrangianModel) -> tuple[Symmetry, ...]:
     """The symmetries of a model: of its coordinates, of bodies, of the time.
 
-    Translations and rotations that follow from others are left out, and so are exchanges that do.
+    Translations and rotations that follow from others are left out, and so are exchanges that do.  None are
+    looked for where the law holds the time.
     """
+    if model.timed:
+        return ()
     return tuple(_Search(model).run())
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from leastaction.errors import InputError, MissingPackageError
-from leastaction.identifiers import quoted
+from leastaction.identifiers import names_in_terms, quoted
 from leastaction.library import parse_expression, shape_symbol
 from leastaction.model.notation import (
     coefficient_text,
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CONSERVED",
+    "Written",
     "agreement",
     "frame",
     "html_table",
@@ -48,6 +49,69 @@ __all__ = [
 ]
 
 _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
+
+
+class Written:
+    """How a model shows itself."""
+
+    @property
+    def _whole(self) -> LagrangianModel:
+        return cast("LagrangianModel", self)
+
+    def table(self) -> pd.DataFrame:
+        """Coefficients with their errors; shape parameters come last, under their names in braces.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation" or "shape"), ``coefficient``,
+            ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
+
+        Raises
+        ------
+        InputError
+            Which is also an ImportError, if pandas is not installed (extra ``pandas``).
+        """
+        return frame(self._whole)
+
+    def format_rows(self) -> list[tuple[str, ...]]:
+        """Rows of text for a table, the first one the header; numbers are rounded to their errors."""
+        return rows(self._whole)
+
+    def format_table(self) -> str:
+        """Table of the terms, the status of the fit and its warnings, as plain text."""
+        return table(self._whole)
+
+    def latex(self, digits: int | None = None, uncertainty: bool = False) -> str:
+        r"""L, and ψ if there is one, as LaTeX for math mode, with velocities as ``\dot{\theta}_{1}``.
+
+        Parameters
+        ----------
+        digits : int, optional
+            Significant digits of the coefficients. By default each ends at the second digit of its
+            standard error, and has six digits if it has none.
+        uncertainty : bool
+            Write the error behind the number, as in 0.5577(12).
+
+        Examples
+        --------
+        >>> from leastaction.model.model import LagrangianModel, ModelTerm
+        >>> LagrangianModel("x", [ModelTerm("x_dot**2", 0.50123, 0.002)]).latex(uncertainty=True)
+        'L = 0.5012(20) \\, \\dot{x}^{2}'
+        """
+        return latex(self._whole, digits, uncertainty)
+
+    def __repr__(self) -> str:
+        return summary(self._whole)
+
+    def __str__(self) -> str:
+        return table(self._whole)
+
+    def _repr_latex_(self) -> str:
+        return f"$\\displaystyle {self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        return html_table(self._whole)
 
 
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
@@ -115,7 +179,7 @@ def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
 
 def _written(model: LagrangianModel, term: ModelTerm, expr: sp.Expr) -> sp.Expr:
     """The expression of a term with its shape parameters as symbols."""
-    names = [*model.coordinates, *(f"{c}_dot" for c in model.coordinates)]
+    names = names_in_terms(model.coordinates)
     return parse_expression(term.template, names, shapes=True) if term.template else expr
 
 

@@ -187,6 +187,8 @@ def _energy(series: Series) -> dict[str, Any]:
     if model.prescribed:
         names = ", ".join(model.prescribed)
         return {"energy": None, "no_energy": f"No balance: the forces that move {names} are not known."}
+    if model.timed:
+        return {"energy": None, "no_energy": "No balance: the law depends on the time."}
     everything = [Energy.of(series, k) for k in range(min(len(data), _MOST_ENERGIES))]
     if series.trial >= len(everything):
         everything[-1] = Energy.of(series, series.trial)

@@ -29,7 +29,15 @@ def forecast_error(fit: Fit, horizon: float) -> float:
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
     noise = fit.weights.position_std
     try:
-        result = forecast(mechanics.acceleration, data, noise, horizon, window, prescribed=problem.prescribed)
+        result = forecast(
+            mechanics.acceleration,
+            data,
+            noise,
+            horizon,
+            window,
+            prescribed=problem.prescribed,
+            timed=mechanics.timed,
+        )
     except InputError:  # too short for a simulation
         return np.inf
     errors = np.array([trace.rms / result.std for trace in result.traces])

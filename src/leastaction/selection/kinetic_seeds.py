@@ -15,7 +15,7 @@ import sympy as sp
 
 from leastaction.curve.smoothing import Smooth
 from leastaction.estimation.grid import Grid
-from leastaction.mechanics.euler_lagrange import Points
+from leastaction.estimation.intervals import first_points
 
 __all__ = ["Option", "cheapest_combinations", "kinetic_bases"]
 
@@ -31,9 +31,8 @@ _TINY = 1e-9  # relative: rounding
 def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:
     """Positions among the free columns, the simplest expressions first; at least the empty set."""
     problem = grid.problem
-    states = grid.spline.at_quadrature(smooth.control_points)
     stride = max(1, grid.spline.n_intervals // _POINTS)
-    points = Points(*(s[::stride, 0] for s in states))
+    points = first_points(grid.spline, smooth.control_points, slice(None, None, stride))
     n = problem.trajectories.n_dof
     options: list[list[Option]] = [[] for _ in range(n)]
     fixed = problem.completed(np.zeros(len(problem.candidates)))

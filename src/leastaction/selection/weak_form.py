@@ -142,11 +142,12 @@ class WeakForm:
         rows: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.widths]
         for chunk, tests in zip(self._chunks, self._tests, strict=True):
             q, qdot, _ = (s.reshape(-1, s.shape[2]) for s in self.grid.at_quadrature(control_points, chunk))
+            times = self.grid.points[chunk].ravel()
             forces = None if self.forces is None else self.forces[chunk].reshape(-1, q.shape[1])
             overlap = max(test.overlap for test in tests)
             for start in range(0, max(1, len(q) - overlap), _BLOCK):
                 here = slice(start, min(start + _BLOCK + overlap, len(q)))
-                values = self.columns.weak(Points(q[here], qdot[here]))
+                values = self.columns.weak(Points(q[here], qdot[here], times=times[here]))
                 force = None if forces is None else forces[here]
                 for w, test in enumerate(tests):
                     rows[w].append(test.apply(values, force, here, _BLOCK, self))

@@ -11,7 +11,7 @@ from leastaction.simulation.integrate import rk4
 
 __all__ = ["Acceleration", "Start", "StartResult", "run_starts"]
 
-Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
+Acceleration = Callable[..., np.ndarray]
 
 # Bounds the memory of one batch.
 _MAX_BATCH = 400
@@ -57,6 +57,7 @@ def run_starts(
     scale: np.ndarray,
     window: float,
     horizon: float,
+    timed: bool = False,
 ) -> list[StartResult]:
     """Fit and run all starts.
 
@@ -71,11 +72,13 @@ def run_starts(
         Noise, and size of the motion.
     window, horizon : float
         Seconds.
+    timed : bool
+        Whether the acceleration takes the time as its last argument.
     """
     out: list[StartResult] = []
     for a in range(0, len(starts), _MAX_BATCH):
         chunk = slice(a, a + _MAX_BATCH)
-        batch = _Batch(acceleration, starts[chunk], sigma, scale, window, horizon)
+        batch = _Batch(acceleration, starts[chunk], sigma, scale, window, horizon, timed)
         # A motion that diverges is an answer here: it must not warn, nor disturb the others.
         with np.errstate(all="ignore"):
             out += batch.run(state[chunk])
@@ -83,7 +86,10 @@ def run_starts(
 
 
 class _Batch:
-    def __init__(self, acceleration, starts, sigma, scale, window: float, horizon: float) -> None:
+    def __init__(
+        self, acceleration, starts, sigma, scale, window: float, horizon: float, timed: bool
+    ) -> None:
+        self.clock = np.array([start.begin for start in starts]) if timed else None
         self.acceleration, self.starts = acceleration, starts
         self.sigma, self.scale = sigma, scale
         self.window, self.horizon = window, horizon
@@ -164,7 +170,8 @@ class _Batch:
         n_steps = int(np.ceil(self.n_steps * share - 1e-9))
         nodes = h * np.arange(n_steps + 1)
         forces = (lambda times: self._forces(times)[:, None]) if self.driven else None
-        q, v = rk4(self.acceleration, state[..., :n], state[..., n:], nodes, substeps=1, forces=forces)
+        begin = state[..., :n], state[..., n:]
+        q, v = rk4(self.acceleration, *begin, nodes, substeps=1, forces=forces, clock=self.clock)
         k = np.clip((self.t / h).astype(int), 0, n_steps - 1)
         u = np.clip(self.t / h - k, 0.0, 1.0)[..., None, None]
         start = np.arange(len(self.starts))[:, None]

@@ -218,12 +218,14 @@ def forecast(
     window: float | None = None,
     tolerance: float = 0.4,
     prescribed: Sequence[int] = (),
+    timed: bool = False,
 ) -> ForecastResult:
     """Run the forecasts of `LagrangianModel.validate`, which says what the arguments mean.
 
     `acceleration` is vectorised, ``acceleration(q, qdot, forces)`` -> array of the shape of q, where
     `forces` has the shape of q or broadcasts to it.  Those on coordinates that are `prescribed` are the
-    accelerations of their smoothed measurements.
+    accelerations of their smoothed measurements.  Where it is `timed`, the acceleration takes the time as its
+    last argument.
     """
     horizon, window = _lengths(data, horizon, window)
     if not _positive(tolerance):
@@ -247,7 +249,7 @@ def forecast(
     # Data without noise, or a coordinate at rest, must not divide by zero.
     tiny = np.finfo(float).tiny
     sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
-    results = run_starts(acceleration, starts, state, sigma, np.fmax(std, sigma), window, horizon)
+    results = run_starts(acceleration, starts, state, sigma, np.fmax(std, sigma), window, horizon, timed)
     limit = tolerance * std + 3.0 * sigma
     traces = [_trace(data, s, r, sigma, limit, window, horizon) for s, r in zip(starts, results, strict=True)]
     std = np.fmax(std, tiny)

@@ -1,6 +1,7 @@
 """Forward integration of q̈ = a(q, q̇, f): fixed-step RK4 for many motions at once, DOP853 for one.
 
-Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` where nothing is driven.
+Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` where nothing is driven. The time
+comes behind them where the law holds it.
 `simulate` never raises for a numerical failure: it returns what it has, with a status and a reason.
 """
 
@@ -18,7 +19,7 @@ from scipy.optimize import brentq
 
 from leastaction.errors import InputError
 
-Acceleration = Callable[[np.ndarray, np.ndarray, "np.ndarray | None"], np.ndarray]
+Acceleration = Callable[..., np.ndarray]
 Event = Callable[[float, np.ndarray, np.ndarray], float]
 
 # A state beyond this is taken as diverging; still far from overflow, so that products stay finite.
@@ -77,6 +78,7 @@ def rk4(
     t: ArrayLike,
     substeps: int = 4,
     forces: Callable[[np.ndarray], np.ndarray] | None = None,
+    clock: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate many motions at once by the classical fixed-step Runge–Kutta method of degree 4.
 
@@ -92,6 +94,9 @@ def rk4(
         Equal steps in each interval of ``t``; the error falls with its fourth power.
     forces : callable, optional
         ``forces(times)`` with ``times`` of shape (m,) -> (m, ..., n_dof), broadcastable to ``q0``.
+    clock : ndarray, optional
+        What to add to ``t`` for the time of each motion, broadcastable to (...); then the acceleration takes
+        the time as its last argument.
 
     Returns
     -------
@@ -118,22 +123,27 @@ def rk4(
     out_q[0], out_v[0] = q, v
     with np.errstate(all="ignore"):
         for step in range(n_steps):
-            f0, f1, f2 = (None, None, None) if table is None else table[2 * step : 2 * step + 3]
-            q, v = _rk4_step(acceleration, q, v, edges[2 * step + 2] - edges[2 * step], f0, f1, f2)
+            stages = slice(2 * step, 2 * step + 3)
+            times = edges[stages]
+            pushes = [(None,)] * 3 if table is None else [(f,) for f in table[stages]]
+            if clock is not None:
+                pushes = [(*push, clock + time) for push, time in zip(pushes, times, strict=True)]
+            q, v = _rk4_step(acceleration, q, v, times[2] - times[0], *pushes)
             if (step + 1) % substeps == 0:
                 out_q[(step + 1) // substeps], out_v[(step + 1) // substeps] = q, v
     return out_q, out_v
 
 
-def _rk4_step(acceleration, q, v, h, f0, f1, f2):
+def _rk4_step(acceleration, q, v, h, at0, at1, at2):
+    """One step; forces, and the time where it matters, are those at its begin, middle and end."""
     half = 0.5 * h
-    a0 = acceleration(q, v, f0)
+    a0 = acceleration(q, v, *at0)
     v1 = v + half * a0
-    a1 = acceleration(q + half * v, v1, f1)
+    a1 = acceleration(q + half * v, v1, *at1)
     v2 = v + half * a1
-    a2 = acceleration(q + half * v1, v2, f1)
+    a2 = acceleration(q + half * v1, v2, *at1)
     v3 = v + h * a2
-    a3 = acceleration(q + h * v2, v3, f2)
+    a3 = acceleration(q + h * v2, v3, *at2)
     # The stage velocities in terms of the accelerations: fewer operations than the textbook form.
     return q + h * v + (h * h / 6.0) * (a0 + a1 + a2), v + (h / 6.0) * (a0 + 2.0 * (a1 + a2) + a3)
 
@@ -148,6 +158,7 @@ def simulate(
     mass_matrix: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     events: Event | Sequence[Event] | Mapping[str, Event] = (),
     max_steps: int = 100_000,
+    timed: bool = False,
     rtol: float = 1e-9,
     atol: float = 1e-9,
 ) -> SimulationResult:
@@ -171,6 +182,8 @@ def simulate(
     max_steps : int
         Limit on the steps of the integrator and, times 16, on the calls of the acceleration (a step takes
         12, and 3 more where samples fall into it); it does not depend on the clock.
+    timed : bool
+        Whether ``acceleration`` and ``mass_matrix`` take the time as their last argument.
     rtol, atol : float
         Tolerances of the local error.
 
@@ -204,9 +217,13 @@ def simulate(
     if max_steps < 1:
         raise InputError(f"max_steps={max_steps!r}; expected at least 1")
     force = _force_function(forces, t, q0.size)
-    watch = _Watch(mass_matrix, _named_events(events), q0.size)
+    watch = _Watch(mass_matrix, _named_events(events), q0.size, timed)
+
+    def accelerate(time: float, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+        return acceleration(q, qdot, force(time), *((time,) if timed else ()))
+
     with np.errstate(all="ignore"):
-        return _integrate(acceleration, force, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
+        return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
 
 
 def _force_function(forces, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
@@ -232,8 +249,8 @@ def _named_events(events: Event | Sequence[Event] | Mapping[str, Event]) -> list
 class _Watch:
     """Looks at each accepted step for what must stop the motion."""
 
-    def __init__(self, mass_matrix, events, n_dof: int) -> None:
-        self.mass_matrix, self.events, self.n_dof = mass_matrix, events, n_dof
+    def __init__(self, mass_matrix, events, n_dof: int, timed: bool) -> None:
+        self.mass_matrix, self.events, self.n_dof, self.timed = mass_matrix, events, n_dof, timed
         self.sign: float | None = None
         self.values: list[float] = []
 
@@ -244,7 +261,8 @@ class _Watch:
     def mass(self, time: float, y: np.ndarray) -> str:
         if self.mass_matrix is None:
             return ""
-        matrix = np.asarray(self.mass_matrix(y[: self.n_dof], y[self.n_dof :]), dtype=float)
+        clock = (time,) if self.timed else ()
+        matrix = np.asarray(self.mass_matrix(y[: self.n_dof], y[self.n_dof :], *clock), dtype=float)
         if not np.isfinite(matrix).all():
             return f"singular mass matrix (not finite) at t = {time:.6g}"
         size = np.linalg.svd(matrix, compute_uv=False)
@@ -283,7 +301,7 @@ class _Stop(Exception):
     """Raised inside the right-hand side to leave the integrator."""
 
 
-def _integrate(acceleration, force, y0, t, watch, max_steps, rtol, atol) -> SimulationResult:
+def _integrate(accelerate, y0, t, watch, max_steps, rtol, atol) -> SimulationResult:
     n_dof, calls = y0.size // 2, 0
 
     def rates(time, y):
@@ -292,7 +310,7 @@ def _integrate(acceleration, force, y0, t, watch, max_steps, rtol, atol) -> Simu
         if calls > 16 * max_steps:
             raise _Stop(f"step limit: {calls - 1} evaluations")
         try:
-            a = acceleration(y[:n_dof], y[n_dof:], force(time))
+            a = accelerate(time, y[:n_dof], y[n_dof:])
         except np.linalg.LinAlgError:
             raise _Stop(f"singular mass matrix at t = {time:.6g}") from None
         return np.concatenate([y[n_dof:], np.reshape(a, n_dof)])

@@ -32,10 +32,10 @@ const char *motion_get(const Motion *motion, size_t reference, double *value)
     if (reference >= N_VALUES) return "there is no variable of this value reference";
     if (reference >= QDDOT && reference < ENERGY) {
         double qddot[N_DOF];
-        leastaction_acceleration(v + COEFFICIENTS, v + Q, v + QDOT, v + FORCES, qddot);
+        leastaction_acceleration(v + COEFFICIENTS, AT(v + Q, v + QDOT, v[TIME]), v + FORCES, qddot);
         *value = qddot[reference - QDDOT];
     } else if (reference == ENERGY) {
-        *value = leastaction_energy(v + COEFFICIENTS, v + Q, v + QDOT);
+        *value = leastaction_energy(v + COEFFICIENTS, AT(v + Q, v + QDOT, v[TIME]));
     } else {
         *value = v[reference];
     }
@@ -43,20 +43,21 @@ const char *motion_get(const Motion *motion, size_t reference, double *value)
 }
 
 /* Derivative of (q, qdot). */
-static void rates(const double *parameters, const double *forces, const double *state, double *out)
+static void rates(const double *parameters, const double *forces, double t, const double *state, double *out)
 {
+    (void)t;
     for (int i = 0; i < N_DOF; i++) out[i] = state[N_DOF + i];
-    leastaction_acceleration(parameters, state, state + N_DOF, forces, out + N_DOF);
+    leastaction_acceleration(parameters, AT(state, state + N_DOF, t), forces, out + N_DOF);
 }
 
 /* One step of the classical Runge-Kutta method of degree 4. */
-static void runge_kutta(const double *parameters, const double *forces, double h, double *state)
+static void runge_kutta(const double *parameters, const double *forces, double t, double h, double *state)
 {
     static const double part[4] = {0.0, 0.5, 0.5, 1.0}, weight[4] = {1.0, 2.0, 2.0, 1.0};
     double sum[2 * N_DOF] = {0.0}, slope[2 * N_DOF] = {0.0}, at[2 * N_DOF];
     for (int stage = 0; stage < 4; stage++) {
         for (int i = 0; i < 2 * N_DOF; i++) at[i] = state[i] + part[stage] * h * slope[i];
-        rates(parameters, forces, at, slope);
+        rates(parameters, forces, t + part[stage] * h, at, slope);
         for (int i = 0; i < 2 * N_DOF; i++) sum[i] += weight[stage] * slope[i];
     }
     for (int i = 0; i < 2 * N_DOF; i++) state[i] += h / 6.0 * sum[i];
@@ -73,7 +74,7 @@ const char *motion_step(Motion *motion, double from, double size)
     if (count > 1e9) return "the step is more than 1e9 times max_step; make max_step larger";
     memcpy(state, v + Q, sizeof state);
     for (long k = 0; k < (long)count; k++) {
-        runge_kutta(v + COEFFICIENTS, v + FORCES, size / count, state);
+        runge_kutta(v + COEFFICIENTS, v + FORCES, from + (double)k * (size / count), size / count, state);
         for (int i = 0; i < 2 * N_DOF; i++)
             if (!isfinite(state[i])) {
                 motion->stuck = 1;
