@@ -26,8 +26,8 @@ from leastaction.library import Term, is_constant, shape_names, shape_symbol, ti
 
 __all__ = ["ShapeRange", "shape_ranges", "shape_starts"]
 
-_QUARTER = np.pi / 2.0
-_MOST_FREQUENCIES = 4000
+_QUARTER = np.pi / 2.0  # of a turn
+_MOST_FREQUENCIES = 4000  # bounds time
 _PHASES = 4  # numbers of other parameters beside each frequency
 # tried as starts: the powers of laws
 _EXPONENTS = (-12.0, -9.0, -6.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.5, 2.5, 3.0, 4.0, 5.0, 6.0)

@@ -84,7 +84,8 @@ def _best(
 ) -> ProfilePoint | None:
     """The best support after Gauss–Newton steps from the best few starts beside simple and all candidates.
 
-    Ends where noise explains what is left.
+    Ends beside as many plain candidates as let noise explain what is left.  All of the starts are compared
+    there: the first that does may be a harmonic of the numbers, which more terms make up for.
     """
     tried = [profile.point({**others, **start}, bearers) for start in starts]
     best: ProfilePoint | None = None
@@ -93,6 +94,6 @@ def _best(
             found = profile.searched(profile.refined(point, bearers))
             if best is None or found.score < best.score:
                 best = found
-            if best.ratio < SELECTION.rows_explained:
-                return best
+        if best is not None and best.ratio < SELECTION.rows_explained:
+            return best
     return best
