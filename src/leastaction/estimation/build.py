@@ -140,31 +140,7 @@ def build_problem(
         lengths=_lengths(library),
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
     )
-    _check_scales(problem.on(searched))
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
-
-
-def _check_scales(problem: Problem) -> None:
-    """Refuse candidates that no coefficients could couple to anything known."""
-    forces = [np.any(t.forces != 0.0, axis=0) for t in problem.trajectories if t.forces is not None]
-    pushed = np.flatnonzero(np.any(forces, axis=0)).tolist() if forces else []
-    free = [int(k) for k in problem.free]
-    for name in problem.unreached(free, pushed):
-        text = _first_with(name, problem, free)
-        if text:
-            raise InputError(
-                f"nothing known reaches {quoted(name)}: no force acts on it, no coefficient of its terms is "
-                "known, and no candidate couples it to a coordinate of which that is so. Then its part of L "
-                "may be multiplied by any number; give the coefficient of one of its terms, e.g. "
-                f"known={{'{text}': 1.0}}"
-            )
-
-
-def _first_with(name: str, problem: Problem, candidates: Iterable[int]) -> str:
-    """The first candidate that holds a coordinate or its velocity; empty if there is none."""
-    terms = (problem.terms[k] for k in candidates)
-    symbols = {sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)}
-    return next((term.text for term in terms if symbols & term.expr.free_symbols), "")
 
 
 def _lengths(library: Library) -> np.ndarray | None:
