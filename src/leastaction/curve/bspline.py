@@ -183,7 +183,8 @@ class SplineGrid:
     def first(self) -> np.ndarray:
         """(n_intervals,) number of the first control point of each interval."""
         return np.concatenate(
-            [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)]
+            [o + np.arange(s.n_intervals) for o, s in zip(self.offsets[:-1], self.spaces, strict=True)],
+            dtype=np.int32,
         )
 
     @cached_property

@@ -142,7 +142,7 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
     if fit.grid.forces is None:
         return []
     given = [trajectory.forces for trajectory in fit.problem.trajectories]
-    rates = force_rates(fit.grid.spline, fit.grid.times, given)
+    rates = force_rates(fit.grid.spline, fit.grid.times, given, fit.grid.forces.values.dtype.type)
     chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(rates))
     model, base = beside(fit, late)

@@ -22,7 +22,8 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from shutil import rmtree
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -33,7 +34,7 @@ from leastaction.threads import single_threaded
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
-__all__ = ["Alone", "Crew", "DaskCrew", "Held", "ProcessCrew", "Task", "employ", "opened"]
+__all__ = ["Alone", "Crew", "DaskCrew", "Held", "ProcessCrew", "Shelf", "Task", "employ", "opened"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
 _IDLE = 300.0  # seconds, after which a child ends, and so one whose parent was killed
@@ -67,6 +68,60 @@ class Held:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _read, (self.path,)  # what arrives is the value itself
+
+
+class _Folder:
+    """A temporary folder, made with its first file; it goes with this value, or when it is closed."""
+
+    def __init__(self) -> None:
+        self._names = itertools.count()
+        self._path: Path | None = None
+        self._remove: weakref.finalize[..., Any] | None = None
+
+    def new_path(self) -> Path:
+        """A name that no other file of the folder has."""
+        if self._path is None:
+            self._path = Path(mkdtemp(prefix="leastaction-"))
+            self._remove = weakref.finalize(self, rmtree, self._path, ignore_errors=True)
+        return self._path / str(next(self._names))
+
+    def close(self) -> None:
+        """Remove it with its files."""
+        if self._remove is not None:
+            self._remove()
+        self._path = self._remove = None
+
+
+@dataclass(frozen=True, eq=False)
+class Shelf:
+    """A file for an array that a task computes, wherever that is, and that is read here, or never.
+
+    Attributes
+    ----------
+    path : Path
+    """
+
+    path: Path
+
+    @classmethod
+    def of(cls, path: Path) -> Shelf:
+        """A shelf whose file goes with it; its copies in other processes remove nothing."""
+        shelf = cls(path)
+        weakref.finalize(shelf, path.unlink, missing_ok=True)
+        return shelf
+
+    def put(self, array: np.ndarray) -> bool:
+        """Write the array; False where the disk is full."""
+        try:
+            with self.path.open("wb") as file:
+                np.save(file, array, allow_pickle=False)
+        except OSError:
+            return False
+        return True
+
+    def array(self) -> np.ndarray:
+        """What was put there."""
+        return np.load(self.path, allow_pickle=False)
 
 
 def opened(value: Any) -> Any:
@@ -130,11 +185,18 @@ class Crew(Protocol):
         """A value that many tasks will be given, in the form in which they are given it."""
         ...
 
+    def shelf(self) -> Shelf | None:
+        """A place on disk for an array that a task leaves there; None where not all share one disk."""
+        ...
+
 
 class Alone:
     """The thread that asks: a task is computed when its result is asked for."""
 
     keeps = False
+
+    def __init__(self) -> None:
+        self._folder = _Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         return Task(function, given)
@@ -144,6 +206,9 @@ class Alone:
 
     def held(self, value: Any) -> Any:
         return value
+
+    def shelf(self) -> Shelf | None:
+        return Shelf.of(self._folder.new_path())
 
 
 class ProcessCrew:
@@ -167,15 +232,14 @@ class ProcessCrew:
     def __init__(self, workers: int) -> None:
         self._workers, self._starts_left = workers, _MOST_STARTS
         self._pool: ProcessPoolExecutor | None = None
-        self._folder: TemporaryDirectory[str] | None = None
-        self._names = itertools.count()
+        self._folder = _Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
         try:
             pool = self._started()
             if pool is not None:
-                path = self._new_path()
+                path = self._folder.new_path()
                 task.future = pool.submit(_to_file, path, function, *given), path
         except (RuntimeError, OSError, ImportError):  # a child was killed, or the system allows no processes
             self._pool = None
@@ -185,15 +249,17 @@ class ProcessCrew:
         return [self._result(task) for task in tasks]
 
     def held(self, value: Any) -> Any:
-        return Held.write(value, self._new_path()) if self._starts_left else value
+        return Held.write(value, self._folder.new_path()) if self._starts_left else value
+
+    def shelf(self) -> Shelf | None:
+        return Shelf.of(self._folder.new_path())
 
     def close(self) -> None:
         """End the processes. Whoever holds an old fit computes on his own."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, kill_workers=True)
-        if self._folder is not None:
-            self._folder.cleanup()
-        self._pool, self._folder, self._starts_left = None, None, 0
+        self._folder.close()
+        self._pool, self._starts_left = None, 0
 
     def _started(self) -> ProcessPoolExecutor | None:
         if self._pool is None and self._starts_left:
@@ -204,11 +270,6 @@ class ProcessCrew:
                 self._workers, timeout=_IDLE, initializer=_begin_child, env=_MEMORY_STAYS
             )
         return self._pool
-
-    def _new_path(self) -> Path:
-        if self._folder is None:
-            self._folder = TemporaryDirectory(prefix="leastaction-", ignore_cleanup_errors=True)
-        return Path(self._folder.name) / f"{next(self._names)}.pickle"
 
     def _result(self, task: Task) -> Any:
         if task.future is None:
@@ -254,6 +315,9 @@ class DaskCrew:
 
     def held(self, value: Any) -> Any:
         return value
+
+    def shelf(self) -> Shelf | None:
+        return None
 
     def _result(self, task: Task) -> Any:
         if task.future is None:

@@ -59,7 +59,7 @@ class ForceBias:
     @property
     def size(self) -> dict[str, float]:
         """Coordinate → root mean square of its slow force."""
-        rms = _rms(self.added)
+        rms = _rms(self.added) if self.seconds else np.zeros(0)
         return {self.trajectories.coordinates[i]: float(rms[i]) for i in self.seconds}
 
     def followed(self, fit: Fit) -> ForceBias | None:
@@ -102,7 +102,7 @@ class ForceBias:
 
 def no_bias(trajectories: Trajectories, seconds: Mapping[int, float]) -> ForceBias:
     """Nothing found yet."""
-    added = tuple(np.zeros(t.q.shape) for t in trajectories)
+    added = tuple(np.broadcast_to(0.0, t.q.shape) for t in trajectories)  # takes no memory
     errors = dict.fromkeys(seconds, np.nan)
     return ForceBias(trajectories, dict(seconds), added, errors, 0, np.full(trajectories.n_dof, np.inf))
 

@@ -38,7 +38,10 @@ class GridForces:
 
 
 def forces_on(
-    grid: SplineGrid, times: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+    grid: SplineGrid,
+    times: Sequence[np.ndarray],
+    forces: Sequence[np.ndarray | None],
+    dtype: type[np.floating[Any]] = np.float64,
 ) -> GridForces | None:
     """Return the slow part of forces, from their samples; None if nothing acts anywhere.
 
@@ -52,6 +55,8 @@ def forces_on(
     times : sequence of (n_times,) arrays
     forces : sequence of (n_times, n_dof) arrays
         None where nothing acts.
+    dtype : type
+        Of the values.
 
     Examples
     --------
@@ -68,7 +73,7 @@ def forces_on(
     n_dof = next((f.shape[1] for f in forces if f is not None), 0)
     if not n_dof:
         return None
-    values = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof))
+    values = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof), dtype)
     squares, freedom, stop = np.zeros(n_dof), 0.0, 0
     for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
         own = slice(stop, stop := stop + space.n_intervals)
@@ -83,11 +88,14 @@ def forces_on(
 
 
 def force_rates(
-    grid: SplineGrid, times: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+    grid: SplineGrid,
+    times: Sequence[np.ndarray],
+    forces: Sequence[np.ndarray | None],
+    dtype: type[np.floating[Any]] = np.float64,
 ) -> np.ndarray:
     """(n_intervals, n_quadrature, n_dof) derivatives in time of what `forces_on` returns."""
     n_dof = next((f.shape[1] for f in forces if f is not None), 0)
-    rates, stop = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof)), 0
+    rates, stop = np.zeros((grid.n_intervals, grid.n_quadrature, n_dof), dtype), 0
     for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
         own = slice(stop, stop := stop + space.n_intervals)
         if samples is not None:

@@ -191,7 +191,12 @@ def _runs(times: Sequence[np.ndarray]) -> list[slice]:
 def _forces(
     spline: SplineGrid, data: Trajectories, samples: Sequence[np.ndarray | None]
 ) -> GridForces | None:
-    return forces_on(spline, [t.t for t in data], samples) if data.driven else None
+    if not data.driven:
+        return None
+    times = [t.t for t in data]
+    # of long recordings in single precision: there are as many as numbers in the samples, times four
+    dtype = np.float32 if is_long(times, data.n_dof) else np.float64
+    return forces_on(spline, times, samples, dtype)
 
 
 def greville_sites(knots: np.ndarray, degree: int) -> np.ndarray:

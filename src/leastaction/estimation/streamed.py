@@ -7,14 +7,15 @@ stays of a block k are its share of the sums and
     X_k = H_k⁻¹ [g_k, C_k],
 
 from which the step of its control points follows, −X_k (1, δ), as soon as that of the coefficients, δ, is
-known.  Memory holds the samples, the control points and X, and beside them one block for each worker; the
-blocks do not depend on the number of workers, and so neither do the results.
+known.  X, the largest of all, waits in temporary files.  Memory holds the samples and the control points, and
+beside them one block for each worker; the blocks do not depend on the number of workers, and so neither do
+the results.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
-from leastaction.estimation.crew import Crew, Held, opened
+from leastaction.estimation.crew import Crew, Held, Shelf, opened
 from leastaction.estimation.elimination import Condensed
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
@@ -55,13 +56,17 @@ class _Point(NamedTuple):
 
 
 class _Passed(NamedTuple):
-    """What a pass keeps of a block; no system where H is not positive definite, or none was asked for."""
+    """What a pass keeps of a block; no system where H is not positive definite, or none was asked for.
+
+    ``shelf`` is where the solution of the system is, if not there.
+    """
 
     squares: np.ndarray
     equation: np.ndarray
     terms: np.ndarray
     volume: Volume
     system: Condensed | None
+    shelf: Shelf | None = None
 
 
 class StreamedObservations:
@@ -87,32 +92,18 @@ class StreamedObservations:
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Apply a function to every block, with what it is given there."""
-        return list(self._one_by_one(function, given))
-
-    def _one_by_one(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-        """The same, where a result may be dropped before the next one is looked at."""
         tasks = deque(self.crew.task(function, b, *g) for b, g in zip(self._blocks, given, strict=True))
-        while tasks:
-            yield self.crew.results([tasks.popleft()])[0]
+        out: list[Any] = []
+        while tasks:  # a task that is done goes, with what it was given
+            out += self.crew.results([tasks.popleft()])
+        return out
 
     def passed(self, given: Sequence[tuple[Any, ...]]) -> list[_Passed]:
-        """One pass; the X of the blocks end up in one array.
-
-        Arrays of some hundred kilobytes that stay, among larger ones that go, would leave memory in pieces.
-        """
-        out: list[_Passed] = []
-        whole = np.empty((0, 0))
-        for part, points in zip(self._one_by_one(_pass, given), self.points, strict=True):
-            if part.system is None:
-                out.append(part)
-                continue
-            solution = part.system.solution
-            if not whole.size:
-                whole = np.empty((self.grid.n_ctrl * self.n_dof, solution.shape[1]), solution.dtype)
-            own = whole[points.start * self.n_dof : points.stop * self.n_dof]
-            own[:] = solution
-            out.append(part._replace(system=part.system._replace(solution=own)))
-        return out
+        """One pass; the X of the blocks stay on disk where there is one that all share."""
+        shelves = [self.crew.shelf() for _ in self.points]
+        parts = self.each(_pass, [(*g, shelf) for g, shelf in zip(given, shelves, strict=True)])
+        # what comes from another process is a copy, and the file goes with the shelf that was made here
+        return [p._replace(shelf=p.shelf and own) for p, own in zip(parts, shelves, strict=True)]
 
     def _forces_of(self, physics: Physics) -> list[Any]:
         """The forces on each block, which are the same for one step after the other."""
@@ -148,7 +139,7 @@ class StreamedObservations:
         )
         if weights is None:
             return out
-        return replace(out, ahead=(weights, tuple(part.system for part in found)))
+        return replace(out, ahead=(weights, tuple(found)))
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""
@@ -170,7 +161,7 @@ class StreamedLinearisation(Costs):
     terms: np.ndarray
     at_mass: Volume
     prescribed: tuple[int, ...]
-    ahead: tuple[Weights, tuple[Condensed | None, ...]] | None = None
+    ahead: tuple[Weights, tuple[_Passed, ...]] | None = None
 
     def lean(self) -> StreamedLinearisation:
         """The same without what was computed ahead."""
@@ -215,7 +206,7 @@ class StreamedSystem:
 
     at: StreamedLinearisation
     weights: Weights
-    ready: tuple[Condensed | None, ...] | None = None
+    ready: tuple[_Passed, ...] | None = None
 
     def lean(self) -> StreamedSystem:
         """The same without what was computed ahead."""
@@ -225,22 +216,24 @@ class StreamedSystem:
         """See :meth:`NormalEquations.eliminate`."""
         parts = None if damping else self.ready
         if parts is None:
-            given = [(point, self.weights, damping) for point in self.at.at]
-            parts = tuple(p.system for p in self.at.observations.passed(given))
-        whole = [part for part in parts if part is not None]
+            parts = tuple(
+                self.at.observations.passed([(point, self.weights, damping) for point in self.at.at])
+            )
+        whole = [part.system for part in parts if part.system is not None]
         if len(whole) < len(parts):
             raise np.linalg.LinAlgError("the normal matrix of a block is not positive definite")
         gradient, matrix = _total(p.gradient for p in whole), _total(p.matrix for p in whole)
         held, reach = _total(p.held for p in whole), _total(p.reach for p in whole)
         factor = StreamedFactor(self.at, self.weights, damping, sum(part.logdet for part in whole))
-        return StreamedQuadratic(gradient, matrix, held, reach, factor, tuple(p.solution for p in whole))
+        solutions = tuple(p.shelf or s.solution for p, s in zip(parts, whole, strict=True))
+        return StreamedQuadratic(gradient, matrix, held, reach, factor, solutions)
 
 
 @dataclass(frozen=True, eq=False)
 class StreamedQuadratic:
     """The cost as a function of the coefficients alone; see `Quadratic`.
 
-    ``reach`` is gᵀH⁻¹[g, C], and ``solutions`` are the X of the blocks.
+    ``reach`` is gᵀH⁻¹[g, C], and ``solutions`` are the X of the blocks, or where they are.
     """
 
     gradient: np.ndarray
@@ -248,16 +241,15 @@ class StreamedQuadratic:
     held: np.ndarray
     reach: np.ndarray
     factor: StreamedFactor
-    solutions: tuple[np.ndarray, ...]
+    solutions: tuple[np.ndarray | Shelf, ...]
 
     def curve_step(self, step: np.ndarray) -> np.ndarray:
         """See :meth:`Quadratic.curve_step`."""
-        both = np.concatenate([[1.0], step])
-        out = np.empty(sum(map(len, self.solutions)))
-        stop = 0
-        for solution in self.solutions:
-            own = slice(stop, stop := stop + len(solution))
-            np.matmul(solution, both, out=out[own])
+        both, seen = np.concatenate([[1.0], step]), self.factor.at.observations
+        out = np.empty(seen.grid.n_ctrl * seen.n_dof)
+        for solution, points in zip(self.solutions, seen.points, strict=True):
+            own = slice(points.start * seen.n_dof, points.stop * seen.n_dof)
+            np.matmul(solution.array() if isinstance(solution, Shelf) else solution, both, out=out[own])
         return out
 
     def predicted(self, shift: np.ndarray, step: np.ndarray) -> float:
@@ -304,16 +296,21 @@ def _linearised(block: _Block, point: _Point) -> Linearisation:
     return linearise(_seen(block), physics, point.control_points, point.coefficients)
 
 
-def _pass(block: _Block, point: _Point, weights: Weights | None, damping: float) -> _Passed:
+def _pass(
+    block: _Block, point: _Point, weights: Weights | None, damping: float, shelf: Shelf | None
+) -> _Passed:
     at, system = _linearised(block, point), None
-    if weights is not None:
-        try:
-            system = at.normal(weights).condense(damping)
-            # single precision: X is the largest array of all, and a step needs no more
-            system = system._replace(solution=system.solution.astype(np.float32))
-        except np.linalg.LinAlgError:
-            system = None
-    return _Passed(at.squares, at.equation, at.terms, at.at_mass, system)
+    if weights is None:
+        return _Passed(at.squares, at.equation, at.terms, at.at_mass, None)
+    try:
+        system = at.normal(weights).condense(damping)
+    except np.linalg.LinAlgError:
+        return _Passed(at.squares, at.equation, at.terms, at.at_mass, None)
+    # single precision: a step needs no more
+    solution = system.solution.astype(np.float32)
+    shelf = shelf if shelf is not None and shelf.put(solution) else None
+    system = system._replace(solution=np.empty((0, 0)) if shelf else solution)  # no view: it would stay
+    return _Passed(at.squares, at.equation, at.terms, at.at_mass, system, shelf)
 
 
 def _residuals(block: _Block, points: np.ndarray) -> list[np.ndarray]:

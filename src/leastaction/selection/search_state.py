@@ -37,7 +37,7 @@ class Search:
     grid : Grid
         On which the next fit is made: of pieces of long recordings until all data are taken.
     curve : Smooth
-        The smooth curve on that grid.
+        The smooth curve on that grid, or through the pieces of long recordings.
     bias : ForceBias
         Slow forces that were found beside the known ones.
     fit : Fit or None

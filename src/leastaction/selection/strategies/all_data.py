@@ -30,10 +30,15 @@ def run(search: Search) -> Search:
         return search
     search.report("confirm", {})
     grid = Grid.lay(search.problem, found.grid.knots_per_second)
-    curve = grid.smooth(search.scales.smooth.penalty)  # as strongly as on the pieces
+    fit = refine(grid.fit(found.structure, _start(search, grid)), search.report, _ROUNDS)
+    on_all = replace(search, feeding=()).now(fit)
+    return feeding_friction.run(irrelevant_terms.run(on_all))
+
+
+def _start(search: Search, grid: Grid) -> Start:
+    """The law on the curve through all samples, which are smoothed as strongly as the pieces were."""
+    found = search.found
+    points = grid.smooth(search.scales.smooth.penalty).control_points
     longer = grid.spline.n_ctrl / len(found.control_points)
     weights = replace(found.weights, slack=longer * found.weights.slack)
-    start, _ = grid.fit_curve(found.structure, Start(curve.control_points, found.coefficients, weights))
-    fit = refine(grid.fit(found.structure, start), search.report, _ROUNDS)
-    on_all = replace(search, curve=curve, feeding=()).now(fit)
-    return feeding_friction.run(irrelevant_terms.run(on_all))
+    return grid.fit_curve(found.structure, Start(points, found.coefficients, weights))[0]
