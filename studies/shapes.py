@@ -24,8 +24,7 @@ from studies._tables import (
     results,
     title_of,
 )
-from studies.attempt import attempt
-from studies.case import Case
+from studies.case import Case, attempt
 from studies.laws import LAWS, motions
 
 __all__ = ["SHAPED", "Shaped", "pose", "solve", "tables"]

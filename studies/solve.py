@@ -10,8 +10,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies import names, shapes, unlisted
-from studies.attempt import attempt
-from studies.case import Case
+from studies.case import Case, attempt
 from studies.faults import FAULTS, Question
 from studies.names import COULOMB, friction_candidates
 from studies.noises import measured

@@ -15,8 +15,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 from studies._tables import Records, Table, binomial, cells, median, number, percent, results, title_of
-from studies.attempt import attempt
-from studies.case import Case
+from studies.case import Case, attempt
 from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, motions
 from studies.said import codes_in
 

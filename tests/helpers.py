@@ -272,17 +272,19 @@ def assert_same_model(a, b, factors=None, *, rtol=2e-3, of_error=0.05) -> None:
 
 
 def free_motions(
-    force: Callable[[float], float],
+    force: Callable[..., float],
     starts: Iterable[float] = (0.5, 0.9, 1.3),
     noise: float = 0.02,
     seed: int = 0,
+    *,
+    timed: bool = False,
 ) -> list[Trajectory]:
-    """Measured motions of ẍ = force(x) from rest, with noise relative to the spread of each."""
+    """Measured motions of ẍ = force(x), or force(x, t), from rest; noise relative to the spread of each."""
     rng, times = np.random.default_rng(seed), np.linspace(0.0, 15.0, 751)
     out: list[Trajectory] = []
     for start in starts:
         run = solve_ivp(
-            lambda t, y: [y[1], force(y[0])],
+            lambda t, y: [y[1], force(y[0], t) if timed else force(y[0])],
             (0.0, times[-1]),
             [start, 0.0],
             t_eval=times,

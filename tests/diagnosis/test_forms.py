@@ -73,6 +73,41 @@ def test_nothing_is_named_where_no_family_helps(condition, answer, monkeypatch):
     assert not _named(model)
 
 
+# ---------------------------- time: a law that depends on it is named as such, and only such a law
+@pytest.mark.parametrize(
+    ("force", "texts", "numbers"),
+    [
+        (lambda x, t: -4.0 * x + 1.5 * np.cos(3.3 * t), {"x*cos({w}*t)"}, {"w": 3.3}),
+        (lambda x, t: -4.0 * x * (1.0 + 0.3 * np.sin(3.1 * t)), {"x**2*sin({w}*t)"}, {"w": 3.1}),
+        (lambda x, t: -4.0 * x * np.exp(-0.05 * t), {"x**2*exp(-{a}*t)"}, {"a": 0.05}),
+        (
+            lambda x, t: -4.0 * x + np.cos(3.3 * t) + 0.8 * np.cos(5.2 * t),
+            {"x*cos({w}*t)", "x*cos({w1}*t)"},
+            {"w": 3.3, "w1": 5.2},
+        ),
+    ],
+    ids=["forced", "parametric", "softening", "two frequencies"],
+)
+def test_a_law_that_depends_on_time_is_named(force, texts, numbers):
+    runs = free_motions(force, (0.5, 0.9, 1.6), timed=True)
+    doubtful = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
+    (finding,) = [f for f in doubtful.fit.findings if f.code == "time-dependent"]
+    found = dict(pair.split(" = ") for pair in finding.values["numbers"])
+    # the frequencies are named in the sequence in which they are found
+    assert sorted(map(float, found.values())) == pytest.approx(sorted(numbers.values()), rel=0.01)
+    assert {*finding.subject} == texts
+    model = la.discover(runs, ["x_dot**2", "x**2", *texts], known={"x_dot**2": 0.5})
+    assert {term.written for term in model.terms if "t)" in term.written} == texts
+
+
+def test_a_law_that_lacks_a_term_is_not_said_to_depend_on_time():
+    """What is missing repeats with the motion, and so does a wave; it leaves a doubt about the form."""
+    runs = free_motions(lambda x: -9.0 * x**3 * np.exp(-x * x) - 2.0 * np.sin(3.0 * x), (0.6, 1.0, 1.6))
+    model = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
+    assert model.fit.status == "doubtful"
+    assert "time-dependent" not in {f.code for f in model.fit.findings}
+
+
 # ------------------- smooth changes: right laws pass, and laws that the library cannot write do not
 def _codes(model: la.LagrangianModel) -> list[str]:
     return [f.code for f in model.fit.findings if f.code.startswith("form-")]

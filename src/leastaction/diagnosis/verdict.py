@@ -16,6 +16,7 @@ from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
+from leastaction.diagnosis.time_dependence import time_dependence
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
@@ -109,7 +110,8 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
     short = fit.problem.trajectories.n_samples <= MOST_SAMPLES
     if off and short and not any(cause.holds for cause in known):
         # what needs no further term comes first
-        found = exchanged_forces(search) or search_afresh(search) or lacking_family(search)
+        found = exchanged_forces(search) or search_afresh(search)
+        found = found or lacking_family(search) or time_dependence(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.

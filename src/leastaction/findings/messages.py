@@ -44,6 +44,14 @@ def _missing_term_remedy(f: dict[str, Any]) -> str:
     return f"add {it} to the candidates" + (fill(force, f) if f["constant_force"] else "")
 
 
+def _time_dependent(f: dict[str, Any]) -> str:
+    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
+    numbers = fill(" ({numbers})", f) if f["numbers"] else ""
+    return fill("the law seems to depend on time: with {subject}", f) + (
+        f"{numbers}, {f['free_terms']} free {terms} {explain} the motion"
+    )
+
+
 def _unmodelled_friction(f: dict[str, Any]) -> str:
     gain = f", -2 log likelihood {f['gain']:.0f}" if "gain" in f else ""
     return fill("friction seems to act on {velocities} (coefficient about {coefficient:.2g}", f) + f"{gain})"
@@ -153,6 +161,9 @@ CODES: dict[str, Message] = {
     ),
     # a likely cause
     "missing-term": Message("warning", _missing_term, _missing_term_remedy),
+    "time-dependent": Message(
+        "warning", _time_dependent, "add {subject} to the candidates, or measure what moves it"
+    ),
     "unmodelled-friction": Message(
         "warning", _unmodelled_friction, "give {subject} as a candidate for dissipation"
     ),
