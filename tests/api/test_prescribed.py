@@ -280,6 +280,38 @@ def test_misuse_is_named(data, given, message):
         la.discover(data, [*KNOWN, *CRANE], KNOWN, **given)
 
 
+def test_a_motion_that_is_given_is_followed():
+    """Samples of the trolley do what its acceleration does; forces on the rest still act."""
+    x, v, a = drive(1)
+    t = np.arange(0.0, 4.0, 0.01)
+    model, push = crane(), lambda time: np.array([0.0, 0.3 * np.sin(time)])
+    given = model.simulate([0.0, 0.7], [0.0, 0.0], t, push, inputs={"x": [x(time) for time in t]})
+    forces = np.array([[a(time), push(time)[1]] for time in t])
+    known = model.simulate([x(0.0), 0.7], [v(0.0), 0.0], t, forces)
+    assert np.abs(given.q - known.q).max() < 1e-6
+    with pytest.raises(
+        la.InputError, match="inputs gives the motion of 'theta'; in this model x can be moved"
+    ):
+        model.simulate([0.0, 0.7], [0.0, 0.0], t, inputs={"theta": t})
+    with pytest.raises(la.InputError, match=r"an input has shape \(3,\); expected finite numbers of shape"):
+        model.simulate([0.0, 0.7], [0.0, 0.0], t, inputs={"x": t[:3]})
+
+
+def test_a_length_that_is_reeled_in_is_an_input():
+    """L = l² θ̇²/2 + g l cos θ with l measured: the terms hold an input that changes."""
+    t, rng = np.linspace(0.0, 8.0, 801), np.random.default_rng(3)
+    length = 1.0 + 0.3 * np.sin(1.7 * t) + 0.1 * np.sin(0.6 * t)
+    terms = [ModelTerm("l**2*theta_dot**2", 0.5), ModelTerm("l*cos(theta)", 9.81)]
+    law = la.LagrangianModel(("theta", "l"), terms, provenance={"options": {"prescribed": ["l"]}})
+    motions = [law.simulate([start, 0.0], [0.0, 0.0], t, inputs={"l": length}) for start in (0.5, 1.0)]
+    noise = 0.005 * rng.normal(size=(2, t.size, 2))
+    runs = [la.Trajectory(t, m.q + e, None, ("theta", "l")) for m, e in zip(motions, noise, strict=True)]
+    library = la.Library.mechanical(["theta", "l"], ["theta"], size="compact")
+    model = la.discover(runs, library, {"l*cos(theta)": 9.81}, prescribed=["l"])
+    assert model.fit.status == "ok"
+    assert {term.expression for term in model.terms} == {"l*cos(theta)", "theta_dot**2*l**2"}
+
+
 def test_estimator_passes_it_on(data):
     pytest.importorskip("sklearn")
     estimator = la.SparseLagrangian(
@@ -308,6 +340,16 @@ def test_command_line(tmp_path, data):
     )
     assert ran.exit_code == 0, ran.output
     assert la.load(out / "model.json").prescribed == ("x",)
+    as_input = ["--coordinates", "theta", "--input", "x", *common[2:], *given[2:]]
+    ran = CliRunner().invoke(
+        program, ["discover", str(tmp_path / "crane.csv"), *as_input, "--output", str(tmp_path / "other")]
+    )
+    assert ran.exit_code == 0, ran.output
+    other = la.load(tmp_path / "other" / "model.json")
+    assert (other.coordinates, other.prescribed) == (("theta", "x"), ("x",))
+    written = {term.expression: term.coefficient for term in other.terms}
+    for term in la.load(out / "model.json").terms:
+        assert written[term.expression] == pytest.approx(term.coefficient, rel=1e-6)
     free = ["--initial", "theta=1", "--duration", "1", "--rate", "50", "-o", str(tmp_path / "run.csv")]
     ran = CliRunner().invoke(program, ["simulate", str(out / "model.json"), *free])
     assert ran.exit_code == 0

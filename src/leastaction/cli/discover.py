@@ -176,7 +176,7 @@ def discover(
             candidates,
             known=given,
             force_offset=offsets,
-            prescribed=name_list(prescribed) if prescribed else (),
+            prescribed=list(dict.fromkeys([*options.inputs, *(name_list(prescribed) if prescribed else ())])),
             robust=not keep_outliers,
             method=method,
             seed=seed,

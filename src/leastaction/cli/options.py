@@ -214,6 +214,7 @@ class DataOptions:
     velocities: dict[str, str] = field(default_factory=dict)
     accelerations: dict[str, str] = field(default_factory=dict)
     force_delay: float = 0.0
+    inputs: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
@@ -223,7 +224,13 @@ class DataOptions:
         coordinates, angles, forces = given["coordinates"], given["angles"], given["forces"]
         with blame("--coordinates"):
             columns = _by_name(coordinates) if coordinates is not None else {c: c for c in default}
-            names = check_coordinate_names(columns)
+            check_coordinate_names(columns)
+        with blame("--input"):
+            moved = _by_name(given["input"]) if given.get("input") else {}
+            for name in {*moved} & {*columns}:
+                raise InputError(f"{quoted(name)} is named in --coordinates, too; name it in one of the two")
+            names = check_coordinate_names([*columns, *moved])
+        columns |= moved
         columns = dict(zip(names, columns.values(), strict=True))
         with blame("--angles"):
             turning = check_coordinate_names(name_list(angles)) if angles else ()
@@ -240,7 +247,8 @@ class DataOptions:
             if delay and not driving:
                 raise InputError("there are no forces to shift; name their columns with --forces")
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
-        return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay)
+        inputs = names[len(names) - len(moved) :]
+        return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -313,9 +321,16 @@ def _check_are_coordinates(given: Iterable[str], names: Sequence[str]) -> None:
             raise InputError(f"{quoted(name)} is not a coordinate; the coordinates are {', '.join(names)}")
 
 
+_INPUT = click.option(
+    "--input",
+    metavar="A,B",
+    help="Columns of measured inputs, such as a support that is shaken or a length that is reeled in: "
+    "candidates may hold them and their velocities, and they have no equation. The same as naming them in "
+    "--coordinates and --prescribed.",
+)
 _DATA_PARAMETERS = (
     *("data", "coordinates", "time", "trial", "forces", "force_delay", "angles"),
-    *("velocity", "acceleration"),
+    *("velocity", "acceleration", "input"),
 )
 
 
@@ -366,10 +381,13 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
         ),
     )
 
+    if coordinates_required:
+        decorators += (_INPUT,)
+
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_data(*args: Any, **given: Any) -> Any:
-            own = {name: given.pop(name) for name in _DATA_PARAMETERS}
+            own = {name: given.pop(name, None) for name in _DATA_PARAMETERS}
             return command(*args, data=partial(DataOptions.of, own), **given)
 
         for decorator in reversed(decorators):

@@ -26,6 +26,7 @@ __all__ = [
     "angles_in",
     "check_force_function",
     "checked_fields",
+    "checked_inputs",
     "checked_start",
     "checked_states",
     "checked_times",
@@ -239,6 +240,20 @@ def check_force_function(coordinates: Sequence[str], forces: Callable[[float], A
         raise InputError(
             f"forces(time) has shape {shape}; expected {(len(coordinates),)}, one per coordinate"
         )
+
+
+def checked_inputs(
+    coordinates: Sequence[str], prescribed: Sequence[str], inputs: Mapping[str, ArrayLike]
+) -> dict[int, ArrayLike]:
+    """Return the places of coordinates whose motion is given; only prescribed ones can be moved."""
+    for name in inputs:
+        if name not in prescribed:
+            listing = ", ".join(prescribed) or "no coordinate"
+            raise InputError(
+                f"inputs gives the motion of {quoted(name)}; in this model {listing} can be moved (a "
+                "coordinate that was prescribed in the discovery)"
+            )
+    return {coordinates.index(name): values for name, values in inputs.items()}
 
 
 def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]) -> Trajectories:

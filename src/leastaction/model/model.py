@@ -23,7 +23,7 @@ from leastaction.model.constants import SimpleConstants, find_simple_constants
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
-from leastaction.simulation.integrate import SimulationResult, simulate
+from leastaction.simulation.integrate import SimulationResult, follow, simulate
 from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -227,7 +227,14 @@ class LagrangianModel(model_text.Written):
 
     @single_threaded()
     def simulate(
-        self, q0: ArrayLike, qdot0: ArrayLike, t: ArrayLike, forces: Any = None, **limits: Any
+        self,
+        q0: ArrayLike,
+        qdot0: ArrayLike,
+        t: ArrayLike,
+        forces: Any = None,
+        *,
+        inputs: Mapping[str, ArrayLike] | None = None,
+        **limits: Any,
     ) -> SimulationResult:
         """Integrate one motion by an adaptive method of degree 8 (DOP853).
 
@@ -240,6 +247,9 @@ class LagrangianModel(model_text.Written):
         forces : array_like, shape (n_times, n_dof), or callable, optional
             Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; accelerations of coordinates that are
             `prescribed`.
+        inputs : mapping of str to array_like, shape (n_times,), optional
+            Where coordinates that are `prescribed` are at `t`; they start there, and need no force. Smooth
+            numbers: noise would become noise of accelerations.
         **limits
             ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
 
@@ -264,6 +274,9 @@ class LagrangianModel(model_text.Written):
         q0, qdot0 = (checks.checked_start(self.coordinates, x, k) for k, x in (("q0", q0), ("qdot0", qdot0)))
         if callable(forces):
             checks.check_force_function(self.coordinates, forces, t)
+        if inputs:
+            places = checks.checked_inputs(self.coordinates, self.prescribed, inputs)
+            q0, qdot0, forces = follow(places, q0, qdot0, t, forces)
         limits = {"mass_matrix": self.mechanics.mass_matrix, "timed": self.timed, **limits}
         return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.optimize import brentq
 
 from leastaction.errors import InputError
@@ -24,6 +24,8 @@ Event = Callable[[float, np.ndarray, np.ndarray], float]
 
 # A state beyond this is taken as diverging; still far from overflow, so that products stay finite.
 _BLOW_UP = 1e12
+# Of the spline through an input, whose second derivative is smooth.
+_DEGREE = 5
 # A mass matrix whose reciprocal condition number is below this is taken as singular.
 _SINGULAR = 1e-12
 
@@ -224,6 +226,56 @@ def simulate(
 
     with np.errstate(all="ignore"):
         return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
+
+
+def follow(
+    inputs: Mapping[int, ArrayLike],
+    q0: np.ndarray,
+    qdot0: np.ndarray,
+    t: ArrayLike,
+    forces: ArrayLike | Callable[[float], Any] | None,
+) -> tuple[np.ndarray, np.ndarray, Callable[[float], np.ndarray]]:
+    """Start and forces with which some coordinates move as given, where their force is their acceleration.
+
+    Parameters
+    ----------
+    inputs : mapping of int to array_like, shape (n_times,)
+        Numbers of coordinates, and where they are at `t`; joined by a spline of degree five.
+    q0, qdot0, t, forces
+        See `simulate`; the start of those coordinates has no say.
+
+    Raises
+    ------
+    InputError
+        If there are not as many numbers as times, or not all are finite.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 1.0, 11)
+    >>> q0, qdot0, forces = follow({0: t**2}, np.zeros(2), np.zeros(2), t, None)
+    >>> q0, qdot0.round(9), forces(0.5).round(9)
+    (array([0., 0.]), array([0., 0.]), array([2., 0.]))
+    """
+    times, q0, qdot0 = _check_times(t), q0.copy(), qdot0.copy()
+    others = _force_function(forces, times, q0.size)
+    curves = {}
+    for k, values in inputs.items():
+        samples = np.asarray(values, dtype=float)
+        if samples.shape != times.shape or not np.isfinite(samples).all():
+            raise InputError(
+                f"an input has shape {samples.shape}; expected finite numbers of shape {times.shape}, as t"
+            )
+        curves[k] = make_interp_spline(times, samples, k=min(_DEGREE, times.size - 1))
+        q0[k], qdot0[k] = samples[0], float(curves[k](times[0], 1))
+
+    def moved(time: float) -> np.ndarray:
+        given = others(time)
+        out = np.zeros(q0.size) if given is None else np.array(given)
+        for k, curve in curves.items():
+            out[k] = curve(time, 2)
+        return out
+
+    return q0, qdot0, moved
 
 
 def _force_function(forces, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
