@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import socket
@@ -13,7 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
-from urllib.request import Request, urlopen
 
 import pytest
 
@@ -49,37 +47,9 @@ def chromium() -> str:
 
 @pytest.fixture(scope="module")
 def address(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A server of its own, as a user starts it."""
-    folder = tmp_path_factory.mktemp("server")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    log = folder / "log.txt"
-    source = str(Path(la.__file__).parents[1])
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("NICEGUI", "PYTEST"))}
-    environment["PYTHONPATH"] = os.pathsep.join(filter(None, [source, environment.get("PYTHONPATH")]))
-    with log.open("w") as stream:
-        command = [sys.executable, "-m", "leastaction", "app", "--no-browser", "--port", str(port)]
-        process = subprocess.Popen(command, cwd=folder, env=environment, stdout=stream, stderr=stream)
-    url = f"http://127.0.0.1:{port}/"
-    try:
-        end = time.monotonic() + 60
-        while True:
-            try:
-                urlopen(url, timeout=5).close()
-                break
-            except OSError:
-                assert process.poll() is None, log.read_text()
-                assert time.monotonic() < end, log.read_text()
-                time.sleep(0.2)
-        yield url
-    finally:
-        process.terminate()
-        process.wait(30)
-    text = log.read_text()
-    assert text.splitlines() == [f"leastaction app: {url.removesuffix('/')} (end it with Ctrl-C)"], text
-    # Nothing is left beside the log: the app keeps no files.
-    assert [path.name for path in folder.iterdir()] == ["log.txt"]
+    """A server of its own, as a user starts it; the address with the token."""
+    with app_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
+        yield printed
 
 
 @dataclass
@@ -92,7 +62,8 @@ class Tab:
     complaints: list[str] = field(default_factory=list)
 
     def watch(self) -> None:
-        own = (self.address, self.address.replace("http:", "ws:"), "data:", "blob:")
+        base = self.address.partition("?")[0]
+        own = (base, base.replace("http:", "ws:"), "data:", "blob:")
         page = self.page
         page.on("request", lambda r: None if r.url.startswith(own) else self.foreign.append(r.url))
         page.on("websocket", lambda w: None if w.url.startswith(own) else self.foreign.append(w.url))
@@ -130,6 +101,7 @@ def open_tab(chromium: str, address: str, tmp_path: Path):
             tab.watch()
             tab.page.goto(address)
             tab.see("Or a measured example")
+            assert tab.page.url == address.partition("?")[0]  # the token does not stay
             tabs.append(tab)
             return tab
 
@@ -275,18 +247,35 @@ def test_every_screen_fits_its_window(open_tab, size, scheme):
     assert tab.overflow() <= 0
 
 
+def test_a_link_of_another_site_opens_the_app_if_the_browser_has_been_let_in(open_tab, address):
+    tab = open_tab()
+    home = address.partition("?")[0]
+    elsewhere = home.replace("127.0.0.1", "localhost") + "elsewhere"  # another site, as browsers count
+    tab.page.route(
+        elsewhere, lambda route: route.fulfill(body=f'<a href="{home}">go</a>', content_type="text/html")
+    )
+    tab.page.goto(elsewhere)
+    tab.page.get_by_text("go").click()
+    tab.see("Or a measured example")
+    assert tab.page.url == home
+    assert tab.foreign == [elsewhere]
+    tab.foreign.clear()
+    # the first answer of the two, without the cookie
+    assert [text for text in tab.complaints if "403" not in text] == []
+    tab.complaints.clear()
+
+
 def test_the_server_answers_to_this_computer_only(address):
-    with urlopen(address) as answer:
-        policy = answer.headers["Content-Security-Policy"]
-        page = answer.read().decode()
+    cookie = app_helpers.cookie_for(address)
+    _, headers, page = app_helpers.ask(address.partition("?")[0], cookie=cookie)
+    policy = headers["content-security-policy"]
     assert "default-src 'self'" in policy
     assert "http" not in policy
+    assert "<html" in page
     assert "https://" not in page
-    with pytest.raises(OSError, match="400"):
-        urlopen(Request(address, headers={"Host": "evil.example"}))
-    with pytest.raises(OSError, match="413"):
-        urlopen(Request(address, data=b"", headers={"Content-Length": "999999999"}))
-    port = int(address.rstrip("/").rpartition(":")[2])
+    assert app_helpers.ask(address, host="evil.example")[0] == 400
+    assert app_helpers.ask(address, "POST", content_length="999999999")[0] == 413
+    port = urlsplit(address).port
     others = [info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
     for host in {host for host in others if not host.startswith("127.")}:
         with pytest.raises(OSError, match=r"."):
@@ -295,18 +284,18 @@ def test_the_server_answers_to_this_computer_only(address):
 
 def test_a_browser_that_leaves_before_its_answer_is_no_fault(address):
     # what the server logs is looked at when it ends
-    place = urlsplit(address)
-    with urlopen(address) as answer:
-        (script, *_) = re.findall(r'src="(/[^"]+)"', answer.read().decode())
+    place, cookie = urlsplit(address), app_helpers.cookie_for(address)
+    home = f"http://{place.netloc}/"
+    (script, *_) = re.findall(r'src="(/[^"]+)"', app_helpers.ask(home, cookie=cookie)[2])
     for _ in range(50):
         with socket.create_connection((place.hostname, place.port)) as connection:
-            connection.sendall(f"GET {script} HTTP/1.1\r\nHost: {place.netloc}\r\n\r\n".encode())
-    with urlopen(address) as answer:
-        assert answer.status == 200
+            lines = f"GET {script} HTTP/1.1", f"Host: {place.netloc}", f"Cookie: {cookie}"
+            connection.sendall("\r\n".join([*lines, "", ""]).encode())
+    assert app_helpers.ask(home, cookie=cookie)[0] == 200
 
 
 def test_a_port_in_use_is_one_line(address):
-    port = address.rstrip("/").rpartition(":")[2]
+    port = str(urlsplit(address).port)
     command = [sys.executable, "-m", "leastaction", "app", "--no-browser", "--port", port]
     result = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert result.returncode == 2

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -257,3 +260,125 @@ def test_a_free_port_is_found_and_a_taken_one_named():
             _server.free_port(port)
     assert _server.free_port(port) == port
     assert _server.free_port(None) in _server._PORTS
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A server as a user starts it; the address with the token."""
+    with app_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
+        yield printed
+
+
+_SOCKET = "_nicegui_ws/socket.io/?EIO=4&transport="
+_UPGRADE = {
+    "connection": "Upgrade",
+    "upgrade": "websocket",
+    "sec_websocket_version": "13",
+    "sec_websocket_key": "MDEyMzQ1Njc4OWFiY2RlZg==",
+}
+# What the app answers, and to what kind of request.
+_ASKED = [
+    ("", "GET", {}),
+    ("anything", "GET", {}),
+    ("favicon.ico", "GET", {}),
+    ("_nicegui/client/1/upload/2", "POST", {}),
+    (f"{_SOCKET}polling", "GET", {}),
+    (f"{_SOCKET}polling", "POST", {}),
+    (f"{_SOCKET}websocket", "GET", _UPGRADE),
+]
+
+
+def parts_of(address: str) -> tuple[str, str, str]:
+    """Address without the token, cookie, and path of a static file."""
+    home, cookie = address.partition("?")[0], app_helpers.cookie_for(address)
+    text = app_helpers.ask(home, cookie=cookie)[2]
+    (script, *_) = re.findall(r'src="/([^"]+)"', text)
+    return home, cookie, script
+
+
+def test_without_the_token_or_its_cookie_nothing_is_answered(address):
+    home, cookie, script = parts_of(address)
+    name = cookie.partition("=")[0]
+    for more in ({}, {"cookie": f"{name}=wrong"}, {"cookie": "other=" + cookie.partition("=")[2]}):
+        for path, method, headers in [*_ASKED, (script, "GET", {})]:
+            status, _, text = app_helpers.ask(home + path, method, **headers, **more)
+            assert status == 403, path
+            assert "the whole address that it printed in the terminal" in text
+            assert len(text.splitlines()) == 1
+    for token in ("?token=", "?token=wrong", "?token=%C3%A9", address.partition(home)[2][:-1]):
+        assert app_helpers.ask(home + token)[0] == 403
+    assert app_helpers.ask(address, "POST")[0] == 403
+    # NiceGUI says of its files that they may be kept for a year; not what was refused.
+    assert app_helpers.ask(home + script)[1]["vary"] == "Cookie"
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_the_token_is_exchanged_for_a_cookie_that_opens_everything(address, host):
+    address = address.replace("127.0.0.1", host)
+    status, headers, _ = app_helpers.ask(address)
+    assert (status, headers["location"]) == (303, "/")
+    assert headers["referrer-policy"] == "no-referrer"
+    cookie, *attributes = headers["set-cookie"].split("; ")
+    assert sorted(attributes) == ["HttpOnly", "Path=/", "SameSite=Strict"]
+    assert f"-{urlsplit(address).port}=" in cookie
+    assert address.partition("token=")[2] not in cookie
+    home, _, script = parts_of(address)
+    own = {"cookie": f"other=1; {cookie}", "origin": home.rstrip("/")}
+    assert app_helpers.ask(home, **own)[2].startswith("<!doctype html>")
+    assert app_helpers.ask(home + script, **own)[0] == 200
+    assert app_helpers.ask(f"{home}{_SOCKET}polling", **own)[0] == 200
+    assert app_helpers.ask(f"{home}{_SOCKET}websocket", **_UPGRADE, **own)[0] == 101
+    assert app_helpers.ask(f"{home}_nicegui/client/1/upload/2", "POST", **own)[0] != 403
+    # As often as one likes, also in a browser that is in already.
+    assert app_helpers.ask(address, **own)[0] == 303
+
+
+def test_pages_of_other_origins_are_refused(address):
+    home, cookie, script = parts_of(address)
+    port = urlsplit(address).port
+    strangers = [
+        "https://evil.example",
+        "null",
+        f"https://127.0.0.1:{port}",
+        f"http://localhost:{port}",
+        f"http://127.0.0.1:{port + 1}",
+        "http://127.0.0.1",
+        f"http://127.0.0.1:{port}.evil.example",
+    ]
+    for origin in strangers:
+        for path, method, headers in [*_ASKED, (script, "GET", {}), (f"{_SOCKET}polling", "OPTIONS", {})]:
+            status, found, text = app_helpers.ask(
+                home + path, method, **headers, cookie=cookie, origin=origin
+            )
+            assert status == 403, (origin, path)
+            assert "A page of another address may not use this app" in text
+            assert not [name for name in found if name.startswith("access-control")]
+        assert app_helpers.ask(address, origin=origin)[0] == 403
+
+
+def test_a_link_of_another_site_is_asked_again_by_the_app_itself(address):
+    home = address.partition("?")[0]
+    _, headers, _ = app_helpers.ask(home, sec_fetch_site="cross-site")
+    assert headers["refresh"] == "0; url=/"
+    for site in ("none", "same-origin", "same-site"):  # or it would ask for ever
+        assert "refresh" not in app_helpers.ask(home, sec_fetch_site=site)[1]
+
+
+def test_the_browser_is_started_with_a_ticket_that_opens_once(monkeypatch):
+    given = {}
+    monkeypatch.setattr(_server, "install", lambda keys: None)
+    monkeypatch.setattr(_server.ui, "run", lambda root, **settings: given.update(settings))
+    keys = _server.Keys(8137)
+    _server.serve(8137, keys, show=False)
+    assert given["show"] is False
+    _server.serve(8137, keys, show=True)
+    token, ticket = (text.partition("token=")[2] for text in (keys.address, given["show"]))
+    assert given["show"].startswith("/?token=")
+    assert ticket != token
+    assert [keys.opens(ticket), keys.opens(ticket)] == [True, False]
+    assert [keys.opens(token), keys.opens(token), keys.opens("")] == [True, True, False]
+    name, _, value = keys.cookie.partition(";")[0].partition("=")
+    assert keys.fits({name: value})
+    assert not keys.fits({name: token})
+    # Two apps of one computer keep theirs side by side.
+    assert not _server.Keys(8138).cookie.startswith(f"{name}=")

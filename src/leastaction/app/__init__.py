@@ -2,8 +2,8 @@
 
 NiceGUI, which it is built on, is an extra and is imported when the app starts and nowhere else.
 
-* ``server.py``: start, port, guards: host names, size of uploads, a policy that lets the browser load
-  from this server only.
+* ``server.py``: start, port, token and cookie; guards: origins, host names, size of uploads, a policy that
+  lets the browser load from this server only.
 * ``page.py``: header and steps; one session per browser tab, which outlives a reload.
 * ``data_view.py``, ``candidates_view.py``, ``result_view.py``, ``walk_view.py``, ``parts.py``: the three
   steps, the trade-off curve, small pieces.
@@ -48,7 +48,7 @@ def run(port: int | None = None, show: bool = True, announce: Callable[[str], No
     show : bool
         Open it in the browser.
     announce : callable, optional
-        Called with the address before the server starts.
+        Called with the address before the server starts. Who has it can use the app: it holds a token.
 
     Raises
     ------
@@ -59,9 +59,10 @@ def run(port: int | None = None, show: bool = True, announce: Callable[[str], No
         import nicegui  # noqa: F401
     except ImportError:
         raise InputError("the app needs NiceGUI; install it with: pip install 'leastaction[app]'") from None
-    from leastaction.app.server import HOST, free_port, serve
+    from leastaction.app.server import Keys, free_port, serve
 
     chosen = free_port(port)
+    keys = Keys(chosen)
     if announce is not None:
-        announce(f"http://{HOST}:{chosen}")
-    serve(chosen, show)
+        announce(keys.address)
+    serve(chosen, keys, show)

@@ -1,19 +1,22 @@
-"""The server: this computer only, nothing from other hosts, uploads of limited size."""
+"""The server: for whoever started it on this computer, nothing from other hosts, uploads of limited size."""
 
 from __future__ import annotations
 
+import hmac
 import logging
+import secrets
 import socket
 from typing import Any
 
-from nicegui import app, ui
+from nicegui import app, core, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.requests import HTTPConnection
 
 from leastaction.app.page import close_sessions, root
 from leastaction.app.session import MOST_BYTES
 from leastaction.errors import InputError
 
-__all__ = ["HOST", "free_port", "serve"]
+__all__ = ["HOST", "Keys", "free_port", "serve"]
 
 HOST = "127.0.0.1"
 _PORTS = range(8137, 8157)
@@ -22,6 +25,13 @@ _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{host}; object-src 'none'; "
     "base-uri 'self'; form-action 'self'; frame-ancestors 'none'"
+)
+_NO_KEY = (
+    "This is an app of leastaction, for the person who started it: open the whole address that it printed in "
+    "the terminal, with ?token= and what follows, in a browser that accepts cookies."
+)
+_FOREIGN = (
+    "A page of another address may not use this app of leastaction: open the app itself in the browser."
 )
 _FAVICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><path d="M4 5Q9 29 28 27" fill="none" '
@@ -48,6 +58,108 @@ def free_port(port: int | None) -> int:
             return candidate
     what = f"port {port} is" if port is not None else f"ports {_PORTS[0]} to {_PORTS[-1]} are"
     raise InputError(f"{what} in use, perhaps by another app that still runs; give another one with --port")
+
+
+class Keys:
+    """What opens the app on one port: the token of its address, and a cookie that the token is exchanged for.
+
+    The browser is started with a ticket instead, which opens once: command lines can be read by all users
+    of a computer.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+        self._token, self._ticket, self._value = (secrets.token_urlsafe() for _ in range(3))
+        self._cookie = f"leastaction-{port}"  # browsers keep cookies by host name, whatever the port
+
+    @property
+    def address(self) -> str:
+        """What the user opens, in as many browsers and as often as they like."""
+        return f"http://{HOST}:{self._port}/?token={self._token}"
+
+    @property
+    def path_once(self) -> str:
+        """Path that opens for whoever comes first."""
+        return f"/?token={self._ticket}"
+
+    @property
+    def cookie(self) -> str:
+        """As the header `Set-Cookie` has it; it ends with the browser."""
+        return f"{self._cookie}={self._value}; Path=/; HttpOnly; SameSite=Strict"
+
+    def opens(self, token: str) -> bool:
+        """Whether a token is exchanged for the cookie; a ticket is used up by that."""
+        if _same(token, self._ticket):
+            self._ticket = secrets.token_urlsafe()
+            return True
+        return _same(token, self._token)
+
+    def fits(self, cookies: dict[str, str]) -> bool:
+        """Whether the cookie is among those of a request."""
+        return _same(cookies.get(self._cookie, ""), self._value)
+
+
+def _same(given: str, wanted: str) -> bool:
+    """In a time that does not tell how much of it is right."""
+    return hmac.compare_digest(given.encode(), wanted.encode())
+
+
+class Door:
+    """Lets requests in that have the cookie; refuses all others, and those of foreign pages.
+
+    A page of another port of this computer counts as the same site, so that the browser adds the cookie to
+    what it sends: the origin has to be that of the very address that is asked for.
+    """
+
+    def __init__(self, application: Any, keys: Keys) -> None:
+        self.application, self.keys = application, keys
+
+    async def __call__(self, scope, receive, send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self.application(scope, receive, send)
+            return
+        asked = HTTPConnection(scope)
+        origin = asked.headers.get("origin")
+        if origin is not None and origin != f"http://{asked.headers.get('host')}":
+            await _answer(scope, send, 403, _FOREIGN)
+        elif self._brings_token(asked):
+            headers = {"location": "/", "set-cookie": self.keys.cookie}
+            await _answer(scope, send, 303, "The app is at the address without the token.", headers)
+        elif self.keys.fits(asked.cookies):
+            await self.application(scope, receive, send)
+        else:
+            headers = {}
+            if asked.headers.get("sec-fetch-site") == "cross-site":
+                # Browsers leave the cookie out when a link of another site is followed. When this page asks
+                # for the app, they send it.
+                headers["refresh"] = "0; url=/"
+            await _answer(scope, send, 403, _NO_KEY, headers)
+
+    def _brings_token(self, asked: HTTPConnection) -> bool:
+        if asked.scope["type"] != "http" or asked.scope["method"] != "GET":
+            return False
+        return self.keys.opens(asked.query_params.get("token", ""))
+
+
+async def _answer(
+    scope: Any, send: Any, status: int, text: str, headers: dict[str, str] | None = None
+) -> None:
+    """One sentence instead of the app; to a socket, too, where the server can say one."""
+    kind = "http"
+    if scope["type"] == "websocket":
+        if "websocket.http.response" not in scope.get("extensions", {}):
+            await send({"type": "websocket.close", "code": 1008})  # the server makes it a 403
+            return
+        kind = "websocket.http"
+    all_headers = {
+        "content-type": "text/plain; charset=utf-8",
+        "cache-control": "no-store",
+        "vary": "Cookie",  # NiceGUI lets files of its own be kept: not this answer, once there is a cookie
+        **(headers or {}),
+    }
+    lines = [(name.encode(), value.encode()) for name, value in all_headers.items()]
+    await send({"type": f"{kind}.response.start", "status": status, "headers": lines})
+    await send({"type": f"{kind}.response.body", "body": f"{text}\n".encode()})
 
 
 class Guard:
@@ -99,22 +211,24 @@ def _worth_telling(record: logging.LogRecord) -> bool:
     return not (isinstance(error, RuntimeError) and str(error) == "No response returned.")
 
 
-def install() -> None:
-    """Put the guards before NiceGUI, and end all work with it."""
+def install(keys: Keys) -> None:
+    """Put door and guards before NiceGUI, and end all work with it."""
     logging.getLogger("uvicorn.error").addFilter(_worth_telling)
+    core.sio.eio.cors_allowed_origins = None  # the same origin only; NiceGUI lets all of them in
+    app.add_middleware(Door, keys=keys)
     app.add_middleware(Guard)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])
     app.on_shutdown(close_sessions)
 
 
-def serve(port: int, show: bool) -> None:
+def serve(port: int, keys: Keys, show: bool) -> None:
     """Run until interrupted."""
-    install()
+    install(keys)
     ui.run(
         root,
         host=HOST,
         port=port,
-        show=show,
+        show=keys.path_once if show else False,
         title="leastaction",
         favicon=_FAVICON,
         dark=None,

@@ -26,8 +26,8 @@ Example:
 def app(port: int | None, no_browser: bool) -> None:
     """Open the local app: from a table to a model in the browser, without typing commands.
 
-    It answers to this computer only and loads nothing from elsewhere. End it with Ctrl-C. It needs the extra:
-    pip install 'leastaction[app]'.
+    It answers only on this computer, only to a browser that has opened the printed address with its token,
+    and loads nothing from elsewhere. End it with Ctrl-C. It needs the extra: pip install 'leastaction[app]'.
     """
     from leastaction.app import run
 
