@@ -16,6 +16,25 @@ from urllib.parse import urlsplit
 
 import leastaction as la
 
+SOCKET = "_nicegui_ws/socket.io/?EIO=4&transport="
+UPGRADE = {
+    "connection": "Upgrade",
+    "upgrade": "websocket",
+    "sec_websocket_version": "13",
+    "sec_websocket_key": "MDEyMzQ1Njc4OWFiY2RlZg==",
+}
+# What the app answers, and to what kind of request.
+ASKED = [
+    ("", "GET", {}),
+    ("anything", "GET", {}),
+    ("favicon.ico", "GET", {}),
+    ("_nicegui/client/1/upload/2", "POST", {}),
+    (f"{SOCKET}polling", "GET", {}),
+    (f"{SOCKET}polling", "POST", {}),
+    (f"{SOCKET}polling", "OPTIONS", {}),
+    (f"{SOCKET}websocket", "GET", UPGRADE),
+]
+
 
 def count_to(progress, last: int) -> int:
     for k in range(last):
@@ -113,3 +132,11 @@ def cookie_for(address: str) -> str:
     status, headers, _ = ask(address)
     assert status == 303
     return headers["set-cookie"].partition(";")[0]
+
+
+def parts_of(address: str) -> tuple[str, str, str]:
+    """Address without the token, cookie, and path of a static file."""
+    home, cookie = address.partition("?")[0], cookie_for(address)
+    text = ask(home, cookie=cookie)[2]
+    (script, *_) = re.findall(r'src="/([^"]+)"', text)
+    return home, cookie, script

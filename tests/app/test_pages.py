@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 
 import app_helpers
-from leastaction import InputError
+from app_helpers import ASKED, SOCKET, UPGRADE, ask, parts_of
+from leastaction import InputError, LagrangianModel
 
 with warnings.catch_warnings():
     # What other packages say about each other while they are imported is not ours to mend.
@@ -24,6 +25,8 @@ import socket
 
 from leastaction.app import page as _page
 from leastaction.app import server as _server
+from leastaction.app.jobs import Found
+from leastaction.model.term import ModelTerm
 
 
 def simulate(script) -> None:
@@ -126,9 +129,44 @@ def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
         await user.should_see("Only refined models are forecast.")
         assert session.current.stage == "provisional"
         assert not next(iter(user.find(marker="report").elements)).enabled
+        await user.should_not_see("Symmetries")
         user.find(marker="more").click()
         await user.should_see("5 free terms. This is the structure", retries=50)
+        await user.should_see("Symmetries")
         await user.should_not_see("provisional")
+
+    simulate(script)
+
+
+def test_the_result_shows_simple_numbers_and_symmetries():
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        await user.should_see("8 expressions, all readable", retries=50)
+        terms = [
+            ModelTerm("x_dot**2", 0.5003, 0.0004),
+            ModelTerm("y_dot**2", 0.5001, 0.0004),
+            ModelTerm("x**2", -0.2371, 0.0002),
+            ModelTerm("y**2", -0.2372, 0.0002),
+        ]
+        covariance = np.diag([term.standard_error**2 for term in terms])
+        found = Found(LagrangianModel(["x", "y"], terms, covariance=covariance), "fitted")
+        session.found, session.faults = {0: found}, {0: "it was cancelled"}
+        user.find(marker="step-candidates").click()
+        await asyncio.sleep(0.1)
+        user.find(marker="step-result").click()
+        await user.should_see("Simple numbers inside the intervals", retries=50)
+        await user.should_see("0.50030(40)")
+        await user.should_see("All together: χ²")
+        await user.should_see("What leaves L as it is, and what is conserved with it.")
+        await user.should_see("rotation of (x, y)")
+        await user.should_see("within the error bars (0.")
+        await user.should_see("angular momentum")
+        # A law that holds the time, with coefficients that are no simple numbers.
+        terms = [ModelTerm("x_dot**2", 0.5421, 0.0004), ModelTerm("x*cos(3*t)", 0.237, 0.0002)]
+        session.found = {0: Found(LagrangianModel(["x"], terms), "fitted")}
+        user.find(marker="step-result").click()
+        await user.should_see("None are looked for where the law holds the time.", retries=50)
+        await user.should_not_see("Simple numbers")
 
     simulate(script)
 
@@ -269,53 +307,26 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield printed
 
 
-_SOCKET = "_nicegui_ws/socket.io/?EIO=4&transport="
-_UPGRADE = {
-    "connection": "Upgrade",
-    "upgrade": "websocket",
-    "sec_websocket_version": "13",
-    "sec_websocket_key": "MDEyMzQ1Njc4OWFiY2RlZg==",
-}
-# What the app answers, and to what kind of request.
-_ASKED = [
-    ("", "GET", {}),
-    ("anything", "GET", {}),
-    ("favicon.ico", "GET", {}),
-    ("_nicegui/client/1/upload/2", "POST", {}),
-    (f"{_SOCKET}polling", "GET", {}),
-    (f"{_SOCKET}polling", "POST", {}),
-    (f"{_SOCKET}websocket", "GET", _UPGRADE),
-]
-
-
-def parts_of(address: str) -> tuple[str, str, str]:
-    """Address without the token, cookie, and path of a static file."""
-    home, cookie = address.partition("?")[0], app_helpers.cookie_for(address)
-    text = app_helpers.ask(home, cookie=cookie)[2]
-    (script, *_) = re.findall(r'src="/([^"]+)"', text)
-    return home, cookie, script
-
-
 def test_without_the_token_or_its_cookie_nothing_is_answered(address):
     home, cookie, script = parts_of(address)
     name = cookie.partition("=")[0]
     for more in ({}, {"cookie": f"{name}=wrong"}, {"cookie": "other=" + cookie.partition("=")[2]}):
-        for path, method, headers in [*_ASKED, (script, "GET", {})]:
-            status, _, text = app_helpers.ask(home + path, method, **headers, **more)
+        for path, method, headers in [*ASKED, (script, "GET", {})]:
+            status, _, text = ask(home + path, method, **headers, **more)
             assert status == 403, path
             assert "the whole address that it printed in the terminal" in text
             assert len(text.splitlines()) == 1
     for token in ("?token=", "?token=wrong", "?token=%C3%A9", address.partition(home)[2][:-1]):
-        assert app_helpers.ask(home + token)[0] == 403
-    assert app_helpers.ask(address, "POST")[0] == 403
+        assert ask(home + token)[0] == 403
+    assert ask(address, "POST")[0] == 403
     # NiceGUI says of its files that they may be kept for a year; not what was refused.
-    assert app_helpers.ask(home + script)[1]["vary"] == "Cookie"
+    assert ask(home + script)[1]["vary"] == "Cookie"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_the_token_is_exchanged_for_a_cookie_that_opens_everything(address, host):
     address = address.replace("127.0.0.1", host)
-    status, headers, _ = app_helpers.ask(address)
+    status, headers, _ = ask(address)
     assert (status, headers["location"]) == (303, "/")
     assert headers["referrer-policy"] == "no-referrer"
     cookie, *attributes = headers["set-cookie"].split("; ")
@@ -324,13 +335,13 @@ def test_the_token_is_exchanged_for_a_cookie_that_opens_everything(address, host
     assert address.partition("token=")[2] not in cookie
     home, _, script = parts_of(address)
     own = {"cookie": f"other=1; {cookie}", "origin": home.rstrip("/")}
-    assert app_helpers.ask(home, **own)[2].startswith("<!doctype html>")
-    assert app_helpers.ask(home + script, **own)[0] == 200
-    assert app_helpers.ask(f"{home}{_SOCKET}polling", **own)[0] == 200
-    assert app_helpers.ask(f"{home}{_SOCKET}websocket", **_UPGRADE, **own)[0] == 101
-    assert app_helpers.ask(f"{home}_nicegui/client/1/upload/2", "POST", **own)[0] != 403
+    assert ask(home, **own)[2].startswith("<!doctype html>")
+    assert ask(home + script, **own)[0] == 200
+    assert ask(f"{home}{SOCKET}polling", **own)[0] == 200
+    assert ask(f"{home}{SOCKET}websocket", **UPGRADE, **own)[0] == 101
+    assert ask(f"{home}_nicegui/client/1/upload/2", "POST", **own)[0] != 403
     # As often as one likes, also in a browser that is in already.
-    assert app_helpers.ask(address, **own)[0] == 303
+    assert ask(address, **own)[0] == 303
 
 
 def test_pages_of_other_origins_are_refused(address):
@@ -346,22 +357,24 @@ def test_pages_of_other_origins_are_refused(address):
         f"http://127.0.0.1:{port}.evil.example",
     ]
     for origin in strangers:
-        for path, method, headers in [*_ASKED, (script, "GET", {}), (f"{_SOCKET}polling", "OPTIONS", {})]:
-            status, found, text = app_helpers.ask(
-                home + path, method, **headers, cookie=cookie, origin=origin
-            )
+        for path, method, headers in [
+            *ASKED,
+            (script, "GET", {}),
+            (f"{SOCKET}polling", "OPTIONS", {}),
+        ]:
+            status, found, text = ask(home + path, method, **headers, cookie=cookie, origin=origin)
             assert status == 403, (origin, path)
             assert "A page of another address may not use this app" in text
             assert not [name for name in found if name.startswith("access-control")]
-        assert app_helpers.ask(address, origin=origin)[0] == 403
+        assert ask(address, origin=origin)[0] == 403
 
 
 def test_a_link_of_another_site_is_asked_again_by_the_app_itself(address):
     home = address.partition("?")[0]
-    _, headers, _ = app_helpers.ask(home, sec_fetch_site="cross-site")
+    _, headers, _ = ask(home, sec_fetch_site="cross-site")
     assert headers["refresh"] == "0; url=/"
     for site in ("none", "same-origin", "same-site"):  # or it would ask for ever
-        assert "refresh" not in app_helpers.ask(home, sec_fetch_site=site)[1]
+        assert "refresh" not in ask(home, sec_fetch_site=site)[1]
 
 
 def test_the_browser_is_started_with_a_ticket_that_opens_once(monkeypatch):

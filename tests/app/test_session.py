@@ -114,6 +114,8 @@ def test_from_upload_to_download(session, tmp_path):
     assert free["cos(theta)"] == pytest.approx(9.81, rel=0.02)
     assert found.motion is not None
     assert found.motion.held_out
+    # what the page shows of the law was computed in the worker
+    assert {"symmetries", "simple_constants"} <= found.model.__dict__.keys()
     assert session.walk.points[session.place].chosen
     assert "<!DOCTYPE html>" in session.write_report()
     (tmp_path / "model.json").write_text(session.write_model(), encoding="utf-8")

@@ -13,7 +13,7 @@ NiceGUI, which it is built on, is an extra and is imported when the app starts a
 * ``candidates.py``: candidates, friction, known coefficients, what is said of forces: checked as they are
   typed.
 * ``worker.py``, ``jobs.py``: the process that computes and can be killed at any moment; what it runs: a
-  discovery, a refit, forecasts.
+  discovery, a refit, what follows from their laws (symmetries, simple numbers), forecasts.
 * ``path.py``, ``motion.py``, ``figures.py``: walk along the trade-off curve, stick figures, plots.
 
 Everything below ``session.py`` in this list knows nothing of NiceGUI and is tested without it. Rules:

@@ -85,14 +85,22 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
+    _derive(model)
     return forecast(progress, task, model)
+
+
+def _derive(model: LagrangianModel) -> None:
+    """Compute here what the page shows of the law: it stays with the model."""
+    _ = model.symmetries, model.simple_constants
 
 
 def refine(progress: Callable[[str, dict], None], model: LagrangianModel, point: PathPoint) -> Found:
     """Fit a structure of the trade-off curve of a model."""
     from leastaction.refit import refit
 
-    return Found(refit(model, point, lambda s, d: progress(s, _plain(d))), "fitted")
+    found = refit(model, point, lambda s, d: progress(s, _plain(d)))
+    _derive(found)
+    return Found(found, "fitted")
 
 
 def forecast(progress: Callable[[str, dict], None], task: Task, model: LagrangianModel) -> Found:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import Any, TypeVar, cast
 
 from markupsafe import Markup
 from nicegui import html, run, ui
 
-__all__ = ["Stick", "action", "aside", "drawn", "fault", "field", "math", "panel", "say", "title"]
+__all__ = ["Stick", "action", "aside", "drawn", "fault", "field", "math", "panel", "say", "table", "title"]
 
 
 R = TypeVar("R")
@@ -34,6 +34,25 @@ def title(text: str, tag: str = "h2") -> ui.label:
 def panel(classes: str = "") -> ui.element:
     """A part of the page with a border of its own."""
     return html.section().classes(f"panel {classes}")
+
+
+def table(head: Sequence[tuple[str, str]], rows: Iterable[Sequence[str]]) -> ui.element:
+    """A table that scrolls by itself; headings with the class of their column, cells of text or of markup."""
+    box = html.div().classes("scroll")
+    with box, html.table():
+        with html.thead(), html.tr():
+            for text, side in head:
+                say(text, side, "th")
+        with html.tbody():
+            for row in rows:
+                with html.tr():
+                    for cell, (_, side) in zip(row, head, strict=True):
+                        if isinstance(cell, Markup):
+                            with html.td().classes(side):
+                                math(cell)
+                        else:
+                            say(cell, side, "td")
+    return box
 
 
 def fault(text: str) -> ui.label:

@@ -9,11 +9,12 @@ from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
 from leastaction.app.motion import frames, is_pendulum
-from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, title
+from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, table, title
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
+from leastaction.report import captions
 from leastaction.report.mathml import Notation
-from leastaction.report.tables import coefficient_groups
+from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -133,19 +134,25 @@ class ResultView:
         with html.div().classes("halves uneven"):
             self.table = panel("follows")
             WalkPanel(self.page, self.refresh).build()
+        self.symmetries = html.div().classes("stack follows")
         self.motion = html.div().classes("stack follows")
         self.refresh()
 
     def refresh(self) -> None:
         """Show the model of the present place."""
         found = self.session.current
-        for box in (self.model, self.table, self.motion):
+        for box in (self.model, self.table, self.symmetries, self.motion):
             box.clear()
         notation = Notation(found.model.coordinates)
         with self.model:
             self._formula(found, notation)
         with self.table:
             _coefficients(found, notation)
+            if found.stage != "provisional":  # without errors nothing can be said of either
+                _simple_numbers(found.model, notation)
+        if found.stage != "provisional":
+            with self.symmetries:
+                _symmetries(found.model, notation)
         with self.motion:
             self._forecast(found, notation)
 
@@ -296,6 +303,28 @@ def _coefficients(found: Found, notation: Notation) -> None:
                     say(row["interval"], "n", "td")
                     say(row["z"], "n", "td")
     say("z is the coefficient over its standard error; above 4 a term is hardly chance.", "help")
+
+
+def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
+    rows = simple_rows(model, notation)
+    if rows:
+        title(captions.SIMPLE_TITLE, "h3")
+        columns = ("subject", "value", "number", "chance")
+        table(captions.SIMPLE_HEAD, [[row[name] for name in columns] for row in rows])
+        say(captions.simple_note(model.simple_constants), "help")
+
+
+def _symmetries(model: LagrangianModel, notation: Notation) -> None:
+    rows = symmetry_rows(model, notation)
+    with panel():
+        title("Symmetries")
+        if not rows:
+            say(captions.NO_SYMMETRIES, "help")
+            return
+        say(f"{captions.SYMMETRY_TITLE}.", "help")
+        columns = ("name", "reach", "quantity", "outcome")
+        table(captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
+        say(captions.SYMMETRY_NOTE, "help")
 
 
 def _stick_words(model: LagrangianModel, down: bool) -> str:

@@ -89,9 +89,8 @@ class LagrangianModel(model_text.Written):
 
     def __getstate__(self) -> dict[str, Any]:
         # Compiled functions cannot be pickled; they are made again when they are needed.
-        return {
-            k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__ or k == "_expressions"
-        }
+        kept = {*self.__dataclass_fields__, "_expressions", "symmetries", "simple_constants"}
+        return {k: v for k, v in self.__dict__.items() if k in kept}
 
     @property
     def n_dof(self) -> int:

@@ -1,4 +1,4 @@
-"""What is seen in each figure, as one sentence: the titles of the report."""
+"""Titles of the report: what is seen in each figure, as a sentence; and words that the app shows, too."""
 
 from __future__ import annotations
 
@@ -8,13 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from leastaction.model.constants import SimpleConstants
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ShapeParameter
+from leastaction.model.text import agreement
 from leastaction.report.series import Series
 from leastaction.report.text import listed, percent, plain, plural, signed
 from leastaction.simulation.forecast import ForecastResult
 
 __all__ = [
+    "NO_SYMMETRIES",
+    "SIMPLE_HEAD",
+    "SIMPLE_TITLE",
+    "SYMMETRY_HEAD",
+    "SYMMETRY_NOTE",
+    "SYMMETRY_TITLE",
     "curve_title",
     "energy_title",
     "forecast_title",
@@ -22,7 +30,26 @@ __all__ = [
     "path_title",
     "profile_title",
     "residual_title",
+    "simple_note",
 ]
+
+# Headings are pairs of a text and a class, "n" for columns of numbers.
+SIMPLE_TITLE = "Simple numbers inside the intervals"
+SIMPLE_HEAD = (
+    ("coefficient of, or ratio of", ""),
+    ("estimate", "n"),
+    ("simple number", "n"),
+    ("by chance", "n"),
+)
+SYMMETRY_TITLE = "What leaves L as it is, and what is conserved with it"
+SYMMETRY_HEAD = (("symmetry", ""), ("holds", ""), ("quantity", ""), ("along the recording", ""))
+NO_SYMMETRIES = "None are looked for where the law holds the time."
+SYMMETRY_NOTE = (
+    "In form: whatever the coefficients are. Within the error bars: the coefficients that the symmetry "
+    "relates fit together (χ² at a false-alarm rate of 0.001), and could differ by the relative standard "
+    "error in brackets. “Conserved to”: the rms departure from the mean of a trial along the fitted curve, "
+    "relative to the sizes of the addends; the worst trial."
+)
 
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
@@ -98,6 +125,18 @@ def profile_title(shapes: Sequence[ShapeParameter]) -> str:
         for name in skewed
     ]
     return f"The 95 % interval {listed(texts)}"
+
+
+def simple_note(found: SimpleConstants) -> str:
+    """How to read the table of simple numbers, and whether all of them may be true at once."""
+    text = (
+        "An offer: the coefficients above are as estimated. In brackets the standard error of the last "
+        "digits. By chance: how many numbers of the short list of simple ones an interval of this width "
+        "holds on average."
+    )
+    return (
+        f"{text} All together: {agreement(found).replace('chi2', 'χ²')}." if len(found.offers) > 1 else text
+    )
 
 
 def energy_title(energy: dict[str, Any]) -> str:

@@ -15,7 +15,6 @@ from markupsafe import Markup
 
 from leastaction.findings import because
 from leastaction.model.model import LagrangianModel
-from leastaction.model.text import agreement
 from leastaction.report import captions, tables
 from leastaction.report import figures_model as figures
 from leastaction.report.figures_data import DataFigures
@@ -71,8 +70,14 @@ def _context(
         "formulas": _formulas(model, notation),
         "groups": groups,
         "simple": tables.simple_rows(model, notation),
-        "simple_together": agreement(model.simple_constants).replace("chi2", "χ²"),
+        "simple_title": captions.SIMPLE_TITLE,
+        "simple_head": captions.SIMPLE_HEAD,
+        "simple_note": captions.simple_note(model.simple_constants),
         "symmetries": tables.symmetry_rows(model, notation),
+        "no_symmetries": captions.NO_SYMMETRIES,
+        "symmetry_title": captions.SYMMETRY_TITLE,
+        "symmetry_head": captions.SYMMETRY_HEAD,
+        "symmetry_note": captions.SYMMETRY_NOTE,
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
         **_profiles(model),

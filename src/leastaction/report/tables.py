@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.findings import because
+from leastaction.model.constants import Offer
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.model import LagrangianModel
 from leastaction.model.notation import interval_text
@@ -91,8 +92,7 @@ def simple_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, An
     """Simple numbers inside intervals."""
     return [
         {
-            "term": notation.term(offer.subject),
-            "reference": notation.term(offer.reference) if offer.reference else "",
+            "subject": _offered(offer, notation),
             "value": typeset(offer.written),
             "number": notation.term(offer.text),
             "chance": percent(offer.chance),
@@ -101,22 +101,32 @@ def simple_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, An
     ]
 
 
+def _offered(offer: Offer, notation: Notation) -> Markup:
+    subject = notation.term(offer.subject)
+    return Markup("{} to {}").format(subject, notation.term(offer.reference)) if offer.reference else subject
+
+
 def symmetry_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
     """Symmetries of L, and what they conserve."""
     return [
         {
             "name": _symmetry_name(symmetry, notation),
             "reach": reach(symmetry),
-            "conserved": CONSERVED.get(symmetry.kind, ""),
-            "quantity": _sum(shown_quantity(symmetry), notation),
+            "quantity": _quantity(symmetry, notation),
             "outcome": outcome(symmetry),
         }
         for symmetry in model.symmetries
     ]
 
 
+def _quantity(symmetry: Symmetry, notation: Notation) -> Markup:
+    """What is conserved: its name, then sign and mathematics of each addend; lines can break between them."""
+    addends = (part for pair in _sum(shown_quantity(symmetry), notation) for part in pair)
+    return Markup(" ").join(filter(None, (CONSERVED.get(symmetry.kind), *addends)))
+
+
 def _sum(text: str, notation: Notation) -> list[tuple[str, Markup]]:
-    """Sign and mathematics of each addend, so that a line can break between them."""
+    """Sign and mathematics of each addend."""
     parts: list[tuple[str, str]] = []
     depth = 0
     for word in text.split():
