@@ -201,6 +201,7 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
 
     With ``whole`` the search is not on pieces of long recordings: a slow force is wanted at all times.
     """
+    read = trajectories.findings
     unused = trajectories.rates if positions_alone else ()
     if positions_alone:
         trajectories = trajectories.without_rates()
@@ -208,7 +209,7 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
     findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
     if unused:
         findings.append(find("rates-unused"))
-    return replace(setup, findings=(*setup.findings, *findings))
+    return replace(setup, findings=(*read, *setup.findings, *findings))
 
 
 def _refuse_slow_forces(slow: Mapping[int, float], descent: bool) -> None:

@@ -8,25 +8,25 @@ Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT fi
 of its own; or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the order of
 ``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA; times and forces must be
 there. A file without a trial column is one trial. Times increase within a trial.
+
+A column may be named without its unit, ``theta`` for ``theta [deg]``. What a reader has done to the data, it
+says: `Trajectories.findings`.
 """
 
 from __future__ import annotations
 
-import gzip
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from leastaction.data.formats.arrays import read_mat_table, read_npz_table
-from leastaction.data.formats.atomic import check_path, write_bytes, write_text
-from leastaction.data.formats.csv import read_csv_table
-from leastaction.data.formats.dispatch import StrPath, combined_trajectories
+from leastaction.data.formats.atomic import StrPath, write_bytes, write_text
+from leastaction.data.formats.bags import read_mcap
+from leastaction.data.formats.csv import read_csv_table, write_csv
+from leastaction.data.formats.dispatch import combined_trajectories, to_trajectories
 from leastaction.data.formats.frames import frame_table, read_parquet_table
-from leastaction.data.formats.joint_states import read_mcap
-from leastaction.data.formats.layout import Coordinates, Forces, Layout, to_trajectories
-from leastaction.data.formats.streams import streamed_trajectories
-from leastaction.data.formats.write_csv import csv_bytes
-from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, Units
+from leastaction.data.formats.streams import stream
+from leastaction.data.trajectories import Trajectories
 
 __all__ = [
     "from_frame",
@@ -53,12 +53,16 @@ def read_csv(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Read trajectories from a CSV file.
 
-    The first line names the columns; lines before it that begin with ``#`` are skipped (a header written by
-    `numpy.savetxt` is found). Cells are separated by comma, semicolon or tab; numbers have a decimal point;
-    the text is UTF-8. The file may be compressed with gzip.
+    The first line names the columns, the second may hold their units; lines before it that begin with ``#``
+    are skipped (a header written by `numpy.savetxt` is found). Cells are separated by comma, semicolon or
+    tab; where they are not separated by commas, numbers may have a decimal comma. The text is UTF-8, UTF-16
+    with its mark, or Windows-1252 (Latin-1), and may be compressed with gzip.
 
     Parameters
     ----------
@@ -67,7 +71,8 @@ def read_csv(
     coordinates : sequence of str, or mapping of str to str
         Coordinates, which are names of columns; or coordinate -> column.
     time : str
-        Column of the times, in seconds.
+        Column of the times: seconds, another unit that the file names, or dates (``2024-05-01T12:00:00.25``),
+        which become seconds from the first one of the file.
     forces : mapping of str to str, or sequence of str, optional
         Known generalised forces: coordinate -> column; or columns for the coordinates in order, None for a
         coordinate that is not driven. There may be fewer than coordinates.
@@ -78,13 +83,20 @@ def read_csv(
     velocities, accelerations : mapping of str to str, or sequence of str, optional
         Columns of measured q̇ and q̈, in the same form as `forces`; samples may be missing. Only what a sensor
         of its own measured: differences of the positions say nothing new.
+    time_unit : str, optional
+        Unit of the times: ``"s"``, ``"ms"``, ``"us"``, ``"ns"``, ``"min"`` or ``"h"``. It wins over what the
+        file says.
+    units : {"SI", "as-written"}, or mapping of str to str
+        ``"SI"``: columns with a unit in their name (``angle [deg]``, ``x / mm``, ``phi_deg``) or in the row
+        below the header are converted to rad, m, N, N m and their rates. ``"as-written"`` takes all numbers
+        as they are, times too. A mapping says the unit of a coordinate or column: ``{"theta": "deg"}``.
 
     Returns
     -------
     Trajectories
-        In the order of the files. The trajectory of a file without a trial column has the file's name,
-        without suffix. Of several files the trials are called ``file/trial``, with a number where names
-        are still the same; lengths and times may differ.
+        In the order of the files; `Trajectories.findings` says what was converted. The trajectory of a file
+        without a trial column has the file's name, without suffix. Of several files the trials are called
+        ``file/trial``, with a number where names are still the same; lengths and times may differ.
 
     Raises
     ------
@@ -106,8 +118,20 @@ def read_csv(
     ...     path = write_text(f"{folder}/run.csv", chr(10).join(lines))
     ...     read_csv(path, ["theta"], velocities={"theta": "gyro"})[0]
     <Trajectory 'run': theta; 6 times, 5 s, velocities>
+    >>> with TemporaryDirectory() as folder:
+    ...     lines = ["time_ms;theta [deg]"] + [f"{20 * k};{k},5" for k in range(6)]
+    ...     path = write_text(f"{folder}/run.csv", chr(10).join(lines))
+    ...     runs = read_csv(path, ["theta"], time="time")
+    >>> runs
+    <Trajectories of theta: 1 trajectory, 6 samples, 0.1 s>
+    >>> for finding in runs.findings:
+    ...     print(finding)
+    the times in 'time_ms' were converted from ms to seconds
+    theta was converted from deg to rad
+    numbers were read with a decimal comma
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout, read_csv_table)
 
 
@@ -120,12 +144,15 @@ def read_parquet(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Read trajectories from a Parquet file; needs ``pip install 'leastaction[parquet]'``.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles, velocities, accelerations
+    path, coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`.
 
     Returns
@@ -138,6 +165,7 @@ def read_parquet(
         As for `read_csv`, with rows counted from 0 in place of lines; InputError if pyarrow is not installed.
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout, read_parquet_table)
 
 
@@ -150,12 +178,15 @@ def read_npz(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Read trajectories from an NPZ file of NumPy. Pickled objects are refused.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles, velocities, accelerations
+    path, coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`; columns are variables of shape (n_times,). If none of the coordinates is a
         variable, but ``q`` of shape (n_times, n_dof) is, its columns are the coordinates in order.
 
@@ -180,6 +211,7 @@ def read_npz(
     <Trajectory 'run': x, y; 11 times, 1 s>
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout, read_npz_table)
 
 
@@ -192,12 +224,15 @@ def read_mat(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Read trajectories from a MATLAB file; version 7.3 needs ``pip install 'leastaction[mat73]'``.
 
     Parameters
     ----------
-    path, coordinates, time, forces, trial, angles, velocities, accelerations
+    path, coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_npz`; rows and columns count as vectors.
 
     Returns
@@ -211,6 +246,7 @@ def read_mat(
 
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout, read_mat_table)
 
 
@@ -223,6 +259,9 @@ def from_frame(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Take trajectories from a data frame: pandas, polars, Arrow, or another that narwhals knows.
 
@@ -230,7 +269,7 @@ def from_frame(
     ----------
     frame : DataFrame
         One row for each time; a null is a missing sample.
-    coordinates, time, forces, trial, angles, velocities, accelerations
+    coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`.
 
     Returns
@@ -250,6 +289,7 @@ def from_frame(
     5
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return to_trajectories(*frame_table(frame, layout))
 
 
@@ -262,6 +302,9 @@ def read(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     r"""Read trajectories from a file, or several, whose suffix tells the kind.
 
@@ -270,7 +313,7 @@ def read(
     path : path, or iterable of paths
         ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz``, ``.mat``,
         or a ROS 2 bag (`read_mcap`): ``.mcap``, ``.db3`` or its directory.
-    coordinates, time, forces, trial, angles, velocities, accelerations
+    coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`.
 
     Returns
@@ -295,6 +338,7 @@ def read(
     (('monday', 'tuesday'), [6, 8])
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout)
 
 
@@ -307,93 +351,10 @@ def read_many(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
 ) -> Trajectories:
     """Read several files as trials of one system: `read` under another name."""
-    return read(paths, coordinates, time, forces, trial, angles, velocities, accelerations)
-
-
-def stream(
-    path: StrPath | Iterable[StrPath],
-    coordinates: Coordinates,
-    time: str = "t",
-    forces: Forces = None,
-    trial: str | None = None,
-    angles: Iterable[str] = (),
-    velocities: Forces = None,
-    accelerations: Forces = None,
-) -> Trajectories:
-    r"""Read recordings that are longer than memory, CSV or Parquet.
-
-    The files are read trial by trial and checked as by `read`. The samples go to a temporary file, 8 bytes a
-    number, which lies where the environment variable ``TMPDIR`` says and goes when the trajectories go.
-    `leastaction.discover` searches a structure on pieces, and goes along all samples in each step of a fit.
-
-    Parameters
-    ----------
-    path : path, or iterable of paths
-        CSV text (each suffix also with ``.gz``), or ``.parquet``, which is read by row groups. One trial at a
-        time must fit into memory: a long file needs a column of trials.
-    coordinates, time, forces, trial, angles, velocities, accelerations
-        As for `read_csv`.
-
-    Returns
-    -------
-    Trajectories
-        The same as of `read`.
-
-    Raises
-    ------
-    InputError, DataError
-        As for `read`.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as folder:
-    ...     rows = [f"\n{run},{k},{k / 8}" for run in "ab" for k in range(6)]
-    ...     path = write_text(f"{folder}/runs.csv", "trial,t,x" + "".join(rows))
-    ...     runs = stream(path, ["x"])
-    >>> runs
-    <Trajectories of x: 2 trajectories, 12 samples, 10 s>
-    """
-    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    return streamed_trajectories(path, layout)
-
-
-def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:
-    """Write trajectories to a CSV file that `read_csv` reads back exactly.
-
-    The columns are ``trial``, ``t``, the coordinates, ``<coordinate>_force`` if any force is not zero, and
-    ``<coordinate>_dot``, ``<coordinate>_ddot`` where they were measured. With the suffix ``.gz``: compressed.
-
-    Parameters
-    ----------
-    path : path
-        Replaced in one step if it exists. Missing directories are made.
-    trajectories : Trajectory, Trajectories or sequence of Trajectory
-        What to write. Trajectories without a name get their number.
-
-    Returns
-    -------
-    Path
-        `path`.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be written, or two columns would have the same name.
-
-    Examples
-    --------
-    >>> from tempfile import TemporaryDirectory
-    >>> trajectory = Trajectory([0.0, 0.5], [1.0, float("nan")], coordinates=["theta"], name="first")
-    >>> with TemporaryDirectory() as folder:
-    ...     path = write_csv(f"{folder}/run.csv", trajectory)
-    ...     print(path.read_text())
-    trial,t,theta
-    first,0.0,1.0
-    first,0.5,
-    """
-    target, data = check_path(path), csv_bytes(Trajectories.coerce(trajectories))
-    zipped = target.suffix.lower() == ".gz"
-    return write_bytes(target, gzip.compress(data, mtime=0) if zipped else data)
+    rest = (time, forces, trial, angles, velocities, accelerations)
+    return read(paths, coordinates, *rest, time_unit=time_unit, units=units)

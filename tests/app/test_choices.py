@@ -17,7 +17,18 @@ from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import jobs as _jobs
 from leastaction.app.candidates import Choice, friction_choices, split_trials
-from leastaction.app.columns import ANGLE, COORDINATE, DEGREES, FORCE, TIME, TRIAL, UNUSED
+from leastaction.app.columns import (
+    ANGLE,
+    COORDINATE,
+    DATES,
+    DEGREES,
+    FORCE,
+    MICROSECONDS,
+    MILLISECONDS,
+    TIME,
+    TRIAL,
+    UNUSED,
+)
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles
 from leastaction.app.path import Walk
@@ -50,6 +61,49 @@ def test_roles_are_guessed(header, roles):
         # Nothing is called a time: a count of frames is none either.
         roles = [UNUSED, TIME, *roles[2:]]
     assert list(guessed.values()) == roles
+
+
+@pytest.mark.parametrize(
+    ("header", "units", "roles"),
+    [
+        ("Zeit [ms],Winkel / °,tau [Nm]", "", [MILLISECONDS, DEGREES, FORCE + "Winkel"]),
+        ("t_us,x (mm),gyro [deg/s]", "", [MICROSECONDS, COORDINATE, UNUSED]),
+        ("t,q1,q2", "s,deg,rad", [TIME, DEGREES, ANGLE]),
+        ("millis,position_deg", "", [MILLISECONDS, DEGREES]),
+    ],
+)
+def test_units_decide_roles(header, units, roles):
+    rows = [",".join(f"{k + 0.1 * i}" for i in range(header.count(",") + 1)) for k in range(4)]
+    columns = replace(table(header, *rows), units=tuple(units.split(",")))
+    assert list(_columns.guess_roles(columns).values()) == roles
+
+
+def test_the_app_reads_what_people_write(tmp_path):
+    """By the reader of the package: decimal commas, a row of units, dates; a role wins over the header."""
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{20 * k};{10 * k},5;{k},5\n" for k in range(8))
+    path.write_bytes(f"Zeit;phi;x_mm\nms;°;mm\n{rows}".encode("cp1252"))
+    columns = _columns.peek(path)
+    assert columns.sample("phi") == "0.5, 10.5, 20.5"
+    roles = _columns.guess_roles(columns)
+    assert roles == {"Zeit": MILLISECONDS, "phi": DEGREES, "x_mm": COORDINATE}
+    data = _columns.read(path, roles)
+    assert data.coordinates == ("phi", "x")
+    assert np.allclose(data[0].t, 0.02 * np.arange(8))
+    assert np.allclose(data[0].q[:, 0], np.radians(10.0 * np.arange(8) + 0.5))
+    assert np.allclose(data[0].q[:, 1], (np.arange(8) + 0.5) / 1e3)
+    said = [finding.code for finding in data.findings]
+    assert said == ["units-row", "time-unit", *["converted-units"] * 2, "text-encoding", "decimal-comma"]
+    other = _columns.read(path, roles | {"Zeit": TIME, "phi": ANGLE})
+    assert other[0].t[-1] == 140.0
+    assert other.findings[1].values["instead_of"] == "ms"
+    dates = tmp_path / "dates.csv"
+    dates.write_text("when,x\n" + "".join(f"2024-05-01T12:00:0{k},{k}\n" for k in range(8)))
+    roles = _columns.guess_roles(_columns.peek(dates))
+    assert roles == {"when": DATES, "x": COORDINATE}
+    assert _columns.read(dates, roles)[0].t[-1] == 7.0
+    with pytest.raises(InputError, match="are dates"):
+        _columns.read(dates, roles | {"when": TIME})
 
 
 def test_text_is_no_coordinate():

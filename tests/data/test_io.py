@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from leastaction import io
 from leastaction.data.formats import csv as _csv
+from leastaction.data.formats import text as _text
 from leastaction.data.formats.layout import Layout
 from leastaction.errors import DataError, InputError
 
@@ -171,8 +172,8 @@ BAD = {
         r"no column 'theta' \(coordinate theta\).*t, Theta1; did you",
     ),
     "twice": (rows().replace("t,", "theta,", 1), r"two columns are called 'theta'"),
-    "latin": (rows().encode() + b"6,\xb5\n", r"line 8: byte 0xb5 is not UTF-8"),
-    "utf16": (rows().encode("utf-16"), r"UTF-16"),
+    "latin": (rows().encode() + b"6,\xb5\n", r"line 8, column 'theta': 'µ' is not a number"),
+    "no text": (rows().encode() + b"6,\x81\n", r"line 8: byte 0x81 is neither UTF-8 text nor Windows-1252"),
     "binary": (b"t,theta\n\x00\x01\x02", r"line 2: the file holds binary data"),
     "gzip": (gzip.compress(rows().encode())[:-9], r"damaged gzip"),
     "empty gzip": (gzip.compress(b""), r"is empty"),
@@ -295,7 +296,7 @@ cells = (
 )
 def test_fast_and_slow_reader_agree(lines, data):
     body = "".join(",".join(line) + data.draw(st.sampled_from(["\n", "\n\n"])) for line in lines)
-    text = _csv._Text("run.csv", body, 2, ",", ("t", "x", "trial"))
+    text = _text.Text("run.csv", body, 2, ",", ("t", "x", "trial"))
     layout = Layout.of(["x"], "t", None, "trial", ())
     fast = _csv._read_fast(text, layout) if body else None
     try:

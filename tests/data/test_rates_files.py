@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from helpers import with_rates
 from leastaction import InputError, Trajectories, Trajectory, io, systems
 from leastaction.cli import program
-from leastaction.data.formats.joint_states import read_mcap
+from leastaction.data.formats.bags import read_mcap
 
 CSV = "t,a,b,gyro,acc\n" + "\n".join(f"{k},{k / 8},{-k},{0.125 if k != 2 else ''},{k * k}" for k in range(6))
 GIVEN = {"velocities": {"a": "gyro"}, "accelerations": {"b": "acc"}}

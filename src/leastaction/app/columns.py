@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from leastaction.data.formats.csv import peek_csv
+from leastaction.data.formats.text import peek_csv
+from leastaction.data.formats.units import Clock, parted, unit_of
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
 
@@ -21,9 +22,13 @@ if TYPE_CHECKING:
 __all__ = [
     "ANGLE",
     "COORDINATE",
+    "DATES",
     "DEGREES",
     "FORCE",
+    "MICROSECONDS",
+    "MILLISECONDS",
     "TIME",
+    "TIMES",
     "TRIAL",
     "UNUSED",
     "Columns",
@@ -33,9 +38,13 @@ __all__ = [
 ]
 
 UNUSED, TIME, TRIAL = "not used", "time (s)", "trial"
+MILLISECONDS, MICROSECONDS, DATES = "time (ms)", "time (µs)", "time (dates)"
 COORDINATE, ANGLE, DEGREES = "coordinate", "angle (rad)", "angle (degrees)"
 FORCE = "force on "
 """A role is one of these, or `FORCE` and the name of a coordinate."""
+
+TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
+"""Role of the times -> their unit; dates have none."""
 
 _MOVING = (COORDINATE, ANGLE, DEGREES)
 _TIMES = {"t", "time", "times", "timestamp", "seconds", "sec", "zeit", "time_s", "t_s", "time_sec", "temps"}
@@ -53,6 +62,19 @@ class Columns:
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
+    units: tuple[str, ...] = ()
+
+    def unit(self, column: str, time: bool = False) -> str | None:
+        """The unit that its name or the row below it says; None if neither does."""
+        place = self.header.index(column)
+        by_row = unit_of(self.units[place]) if place < len(self.units) else None
+        unit = by_row or parted(column, time)[1]
+        return None if unit is None else unit.text
+
+    def dated(self, column: str) -> bool:
+        """Whether a column begins with a date."""
+        place = self.header.index(column)
+        return bool(self.rows) and Clock.of(self.rows[0][place]) is not None
 
     def sample(self, column: str, count: int = 3) -> str:
         """The first values of a column, for people."""
@@ -72,11 +94,11 @@ class Columns:
 
 def peek(path: Path) -> Columns:
     """Read the header and the first rows of a CSV file."""
-    header, rows = peek_csv(path)
+    header, rows, units = peek_csv(path)
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise InputError(f"{path}: two columns are called {twice[0]!r}; give each its own name")
-    return Columns(header, tuple(rows))
+    return Columns(header, tuple(rows), units)
 
 
 def guess_roles(columns: Columns) -> dict[str, str]:
@@ -94,17 +116,17 @@ def guess_roles(columns: Columns) -> dict[str, str]:
     for column in columns.header:
         word = _word(column)
         if column == time:
-            roles[column] = TIME
+            roles[column] = _time_role(columns, column)
         elif word in _TRIALS and TRIAL not in roles.values():
             roles[column] = TRIAL
-        elif columns.numbers(column) is None or word in _IGNORED or _is_rate(word):
+        elif columns.numbers(column) is None or word in _IGNORED or _is_rate(word, columns.unit(column)):
             continue
         elif _is_force(word):
             forces.append(column)
         elif word.startswith(_ANGLES):
-            roles[column] = DEGREES if "deg" in word else ANGLE
+            roles[column] = DEGREES if "deg" in word or columns.unit(column) == "deg" else ANGLE
         else:
-            roles[column] = COORDINATE
+            roles[column] = {"deg": DEGREES, "rad": ANGLE}.get(columns.unit(column) or "", COORDINATE)
     moving = [column for column in columns.header if roles[column] in _MOVING]
     names = coordinate_names(moving)
     for place, column in enumerate(forces):
@@ -124,7 +146,7 @@ def coordinate_names(columns: Sequence[str]) -> dict[str, str]:
     """
     names: dict[str, str] = {}
     for column in columns:
-        text = re.sub(r"[\[(].*?[\])]", "", unicodedata.normalize("NFKC", column))
+        text = re.sub(r"[\[(].*?[\])]", "", unicodedata.normalize("NFKC", parted(column)[0]))
         name = re.sub(r"\W+", "_", text).strip("_")[:40].removesuffix("_dot") or "q"
         name = name if name[0].isalpha() else f"q_{name}"
         name = f"{name}_" if name in FUNCTION_NAMES or name in ("pi", "t", "E", "I") else name
@@ -158,9 +180,13 @@ def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
     names = coordinate_names(moving)
     if not moving:
         raise InputError("no column is a coordinate yet; say which columns are the positions or angles")
-    time = _only(roles, TIME)
-    if time is None:
-        raise InputError("no column is the time yet; say which column holds the seconds")
+    times = {column: role for column, role in roles.items() if role in TIMES}
+    if not times:
+        raise InputError("no column is the time yet; say which column holds the times")
+    if len(times) > 1:
+        first, second = list(times)[:2]
+        raise InputError(f"{first!r} and {second!r} are both marked as time; choose one")
+    ((time, time_role),) = times.items()
     forces = {}
     for column, role in roles.items():
         if role.startswith(FORCE):
@@ -170,18 +196,19 @@ def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
             if target in forces:
                 raise InputError(f"two columns are the force on {target!r}; choose one")
             forces[target] = column
-    data = la.read_csv(
+    # what is said here wins over what the file says
+    turning = [column for column in moving if roles[column] != COORDINATE]
+    units = {column: "deg" if roles[column] == DEGREES else "rad" for column in turning}
+    data = la.read(
         path,
         {names[column]: column for column in moving},
         time=time,
         forces=forces or None,
         trial=_only(roles, TRIAL),
+        time_unit=TIMES[time_role],
+        units=units,
     )
-    degrees = [roles[column] == DEGREES for column in moving]
-    if any(degrees):
-        factor = np.where(degrees, np.pi / 180.0, 1.0)
-        data = la.Trajectories(run.changed(q=run.q * factor) for run in data)
-    angles = [names[column] for column in moving if roles[column] != COORDINATE]
+    angles = [names[column] for column in turning]
     return data.unwrap(angles) if angles else data
 
 
@@ -203,8 +230,16 @@ def _word(column: str) -> str:
     return re.sub(r"\W+", "_", unicodedata.normalize("NFKC", column).strip().lower()).strip("_")
 
 
+def _time_role(columns: Columns, column: str) -> str:
+    if columns.dated(column):
+        return DATES
+    unit = columns.unit(column, time=True)
+    return next((role for role, text in TIMES.items() if unit is not None and text == unit), TIME)
+
+
 def _guess_time(columns: Columns) -> str | None:
-    named = [c for c in columns.header if _word(c) in _TIMES]
+    named = [c for c in columns.header if {_word(c), _word(parted(c, time=True)[0])} & _TIMES]
+    named += [c for c in columns.header if columns.dated(c) and c not in named]
     named += [c for c in columns.header if _word(c).startswith(("time", "t_")) and c not in named]
     rising = [c for c in columns.header if _rises(columns.numbers(c)) and _word(c) not in _IGNORED]
     return next(iter([*named, *rising[:1]]), None)
@@ -214,8 +249,10 @@ def _rises(values: np.ndarray | None) -> bool:
     return values is not None and values.size > 2 and bool((np.diff(values) > 0).all())
 
 
-def _is_rate(word: str) -> bool:
-    return word.endswith(_RATES) or word.startswith(_RATE_STARTS)
+def _is_rate(word: str, unit: str | None) -> bool:
+    return (
+        word.endswith(_RATES) or word.startswith(_RATE_STARTS) or (unit or "").endswith(("/s", "/s2", "rpm"))
+    )
 
 
 def _is_force(word: str) -> bool:

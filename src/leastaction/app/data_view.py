@@ -12,6 +12,7 @@ from leastaction.app.figures import data_figure
 from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
 from leastaction.app.session import EXAMPLES, MOST_BYTES, SUFFIXES
 from leastaction.cli.text import counted
+from leastaction.findings import sentence
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page
@@ -62,7 +63,7 @@ class DataView:
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
             title("Another table" if self.session.title else "Your table")
-            say("Drop a CSV file here: a header, a column of times in seconds, a column for each coordinate.")
+            say("Drop a CSV file here: a header, a column of times, a column for each coordinate.")
             button = ui.button("Choose a file", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, not by way of the server: only a click may open the file dialog.
             button.on("click", js_handler=f"() => {get}.pickFiles()")
@@ -155,7 +156,7 @@ class DataView:
         session = self.session
         assert session.columns is not None
         names = columns.coordinate_names(columns.moving_columns(session.roles))
-        options = [columns.TIME, columns.COORDINATE, columns.ANGLE, columns.DEGREES, columns.TRIAL]
+        options = [*columns.TIMES, columns.COORDINATE, columns.ANGLE, columns.DEGREES, columns.TRIAL]
         options += [columns.FORCE + name for name in names.values()] + [columns.UNUSED]
         with html.div().classes("roles"):
             for column in session.columns.header:
@@ -201,6 +202,8 @@ class DataView:
                     with html.div():
                         say(name, "", "dt")
                         say(value, "", "dd")
+            for finding in data.findings:
+                say(f"{sentence(finding, 'page')}.", "help").mark("read")
             wild = _not_radians(self.session)
             if wild:
                 say(wild, "hint")

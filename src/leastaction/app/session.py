@@ -288,6 +288,7 @@ def in_words(text: str, folder: Path | None = None) -> str:
     if folder is not None:
         text = text.replace(f"{folder}/", "").replace(f"{folder}\\", "")
     text = text.replace("(trial=...)", "(as the trial)")
+    text = text.replace("leave out time_unit", f"mark them as {columns.DATES}")
     return explain(InputError(text))
 
 

@@ -20,12 +20,17 @@ from leastaction.cli.options import (
     known_coefficients,
     method_options,
     name_list,
-    relevance_option,
-    relevance_share,
-    size_option,
 )
 from leastaction.cli.output import check_folder, write_together
-from leastaction.cli.shape_options import shape_option, shape_ranges, term_option, with_terms
+from leastaction.cli.shape_options import (
+    relevance_option,
+    relevance_share,
+    shape_option,
+    shape_ranges,
+    size_option,
+    term_option,
+    with_terms,
+)
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn
 from leastaction.cli.text import counted, shown
 from leastaction.errors import InputError

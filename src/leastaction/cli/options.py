@@ -33,12 +33,8 @@ __all__ = [
     "method_options",
     "name_list",
     "number",
-    "relevance_option",
-    "relevance_share",
-    "size_option",
 ]
 
-_SIZES = ("auto", "compact", "chain", "standard", "large")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
 
 
@@ -169,38 +165,6 @@ def method_options(texts: Iterable[str]) -> dict[str, object] | None:
     return out or None
 
 
-def relevance_share(text: str) -> float:
-    """Return the value of ``--relevance``, a share from 0 on and below 1.
-
-    Raises
-    ------
-    InputError
-    """
-    with blame("--relevance"):
-        value = number(text)
-        if not 0.0 <= value < 1.0:
-            raise InputError(f"{quoted(text)} is not a share; give a number from 0 to below 1, e.g. 0.02")
-    return value
-
-
-# text, not click.FLOAT, so that the error is one line that says what to do
-relevance_option = click.option(
-    "--relevance",
-    default="0.05",
-    show_default=True,
-    metavar="SHARE",
-    help="Share of the equation error that a term must explain to stay. Lower it where weak friction of a "
-    "real machine is left out; 0 asks for significance alone.",
-)
-size_option = click.option(
-    "--size",
-    type=click.Choice(_SIZES),
-    metavar="NAME",
-    help="With --library auto: compact, standard, large, or chain (many links in a row). By default (auto) "
-    "standard up to 250 candidates; beyond, chain for angles and compact for other coordinates.",
-)
-
-
 @dataclass(frozen=True)
 class DataOptions:
     """Where the data are: files, and which columns mean what."""
@@ -215,6 +179,8 @@ class DataOptions:
     accelerations: dict[str, str] = field(default_factory=dict)
     force_delay: float = 0.0
     inputs: tuple[str, ...] = ()
+    time_unit: str | None = None
+    units: dict[str, str] | str = "SI"
 
     @classmethod
     def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
@@ -246,9 +212,12 @@ class DataOptions:
             delay = 0.0 if given["force_delay"] is None else number(given["force_delay"])
             if delay and not driving:
                 raise InputError("there are no forces to shift; name their columns with --forces")
+        with blame("--units"):
+            units = _units(given["units"])
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
         inputs = names[len(names) - len(moved) :]
-        return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs)
+        said = (given["time_unit"], units)
+        return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs, *said)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -281,6 +250,8 @@ class DataOptions:
                 self.angles,
                 self.velocities or None,
                 self.accelerations or None,
+                time_unit=self.time_unit,
+                units=self.units,
             )
         for item in caught:
             warn(str(item.message))
@@ -300,6 +271,15 @@ def _by_name(text: str) -> dict[str, str]:
         if not part[-1]:
             raise InputError(f"the column of {quoted(part[0])} is missing; write name=column")
     return {name: part[-1] for name, part in zip(names, parts, strict=True)}
+
+
+def _units(text: str) -> dict[str, str] | str:
+    """``SI``, ``as-written``, or coordinate or column -> unit."""
+    if "=" not in text:
+        if text.casefold() not in ("si", "as-written"):
+            raise InputError(f"{quoted(text)} is neither SI nor as-written, nor of the form NAME=UNIT")
+        return text
+    return dict(_pairs(text.split(","), "NAME=UNIT, e.g. theta=deg"))
 
 
 def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:
@@ -329,7 +309,7 @@ _INPUT = click.option(
     "--coordinates and --prescribed.",
 )
 _DATA_PARAMETERS = (
-    *("data", "coordinates", "time", "trial", "forces", "force_delay", "angles"),
+    *("data", "coordinates", "time", "time_unit", "units", "trial", "forces", "force_delay", "angles"),
     *("velocity", "acceleration", "input"),
 )
 
@@ -349,7 +329,27 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             metavar="A,B",
             help=f"Columns that are the coordinates; name=column if the column has another name.{where}",
         ),
-        click.option("--time", default="t", show_default=True, metavar="COLUMN", help="Times in seconds."),
+        click.option(
+            "--time",
+            default="t",
+            show_default=True,
+            metavar="COLUMN",
+            help="Times: seconds, another unit in the name (time_ms, 't [us]'), or dates.",
+        ),
+        click.option(
+            "--time-unit",
+            metavar="UNIT",
+            help="Unit of the times, whatever the file says: s, ms, us, ns, min or h.",
+        ),
+        click.option(
+            "--units",
+            default="SI",
+            show_default=True,
+            metavar="SI|as-written|A=UNIT",
+            help="SI: columns with a unit in their name or below it (angle [deg]) are converted to rad, m, "
+            "N, N m. as-written: all numbers are taken as they are. A=deg,B=mm: these units, whatever the "
+            "file says.",
+        ),
         click.option(
             "--trial",
             metavar="COLUMN",

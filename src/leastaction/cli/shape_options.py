@@ -1,4 +1,4 @@
-"""``--term`` and ``--shape``: further candidates, and where to look for the unknown numbers in them."""
+"""Options of the search: its candidates (``--term``, ``--shape``, ``--size``), and which of them may stay."""
 
 from __future__ import annotations
 
@@ -15,8 +15,17 @@ from leastaction.identifiers import quoted
 if TYPE_CHECKING:
     from leastaction.library import Library
 
-__all__ = ["shape_option", "shape_ranges", "term_option", "with_terms"]
+__all__ = [
+    "relevance_option",
+    "relevance_share",
+    "shape_option",
+    "shape_ranges",
+    "size_option",
+    "term_option",
+    "with_terms",
+]
 
+_SIZES = ("auto", "compact", "chain", "standard", "large")
 _RANGE = re.compile(r"\s*\{?\s*(?P<name>\w+)\s*\}?\s*=\s*(?P<low>.+?)\s*\.\.\s*(?P<high>.+?)\s*")
 
 term_option = click.option(
@@ -34,6 +43,22 @@ shape_option = click.option(
     metavar="NAME=LOW..HIGH",
     help="Range of an unknown number in the candidates, e.g. a=0.1..10; without one the data suggest where "
     "to look. May be given several times.",
+)
+# text, not click.FLOAT, so that the error is one line that says what to do
+relevance_option = click.option(
+    "--relevance",
+    default="0.05",
+    show_default=True,
+    metavar="SHARE",
+    help="Share of the equation error that a term must explain to stay. Lower it where weak friction of a "
+    "real machine is left out; 0 asks for significance alone.",
+)
+size_option = click.option(
+    "--size",
+    type=click.Choice(_SIZES),
+    metavar="NAME",
+    help="With --library auto: compact, standard, large, or chain (many links in a row). By default (auto) "
+    "standard up to 250 candidates; beyond, chain for angles and compact for other coordinates.",
 )
 
 
@@ -68,3 +93,17 @@ def shape_ranges(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
                 raise InputError(f"{found['name']} has two ranges; give one")
             out[found["name"]] = (number(found["low"]), number(found["high"]))
     return out
+
+
+def relevance_share(text: str) -> float:
+    """Return the value of ``--relevance``, a share from 0 on and below 1.
+
+    Raises
+    ------
+    InputError
+    """
+    with blame("--relevance"):
+        value = number(text)
+        if not 0.0 <= value < 1.0:
+            raise InputError(f"{quoted(text)} is not a share; give a number from 0 to below 1, e.g. 0.02")
+    return value

@@ -7,6 +7,19 @@ import os
 __all__ = ["counted", "in_options", "one_line", "shown"]
 
 
+_OPTIONS = {
+    "(trial=...)": "(--trial)",
+    "time_unit is": "--time-unit is",
+    "in time_unit and in units": "in --time-unit and in --units",
+    "with time_unit": "with --time-unit",
+    "with units": "with --units",
+    "leave out time_unit": "leave out --time-unit",
+    "time_unit and units": "--time-unit and --units",
+    "units names": "--units names",
+}
+"""How errors name an argument in Python -> the option."""
+
+
 def one_line(text: str) -> str:
     r"""Return the text on one line, without control characters: it may quote a hostile file name.
 
@@ -42,4 +55,6 @@ def in_options(text: str) -> str:
     >>> in_options("sort the rows, or give the column (trial=...)")
     'sort the rows, or give the column (--trial)'
     """
-    return text.replace("(trial=...)", "(--trial)")
+    for argument, option in _OPTIONS.items():
+        text = text.replace(argument, option)
+    return text

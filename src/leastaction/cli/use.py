@@ -11,7 +11,7 @@ import click
 from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli.output import check_file
 from leastaction.cli.show import live_progress, say, show_forecast, warn, warn_of_doubts
-from leastaction.cli.text import shown
+from leastaction.cli.text import one_line, shown
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
 from leastaction.identifiers import quoted
@@ -149,6 +149,8 @@ def validate(
         warn_of_doubts("the model", found)
     if file is not None:
         write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    for finding in trajectories.findings:
+        say(f"note: {one_line(str(finding))}")
     show_forecast(result)
     if file is not None:
         say(f"errors: {shown(file)}")

@@ -11,6 +11,7 @@ import numpy as np
 from leastaction.data.trajectory import RATES, Rate, Trajectory
 from leastaction.data.validation import fill_names, listed, position_of, unwrap_in_place
 from leastaction.errors import InputError
+from leastaction.findings import Finding
 from leastaction.identifiers import check_coordinate_names, quoted
 
 __all__ = ["Rate", "Trajectories", "Trajectory"]
@@ -158,6 +159,23 @@ class Trajectories(Sequence[Trajectory]):
         """For each coordinate, the number of jumps that `unwrap` has removed so far."""
         totals = np.sum(self._wraps, axis=0)
         return {name: int(total) for name, total in zip(self.coordinates, totals, strict=True)}
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was done to the data when they were read, each once; `discover` adds them to those of the fit.
+
+        Slices, selections and other sets made of the same trajectories keep them.
+
+        Examples
+        --------
+        >>> from leastaction import from_frame
+        >>> frame = {"time_ms": [0, 10, 20, 30, 40], "x": [0.0, 0.1, 0.3, 0.2, 0.1]}
+        >>> import pandas as pd
+        >>> for finding in from_frame(pd.DataFrame(frame), ["x"], time="time").findings:
+        ...     print(finding.code, finding.values["unit"])
+        time-unit ms
+        """
+        return tuple(dict.fromkeys(finding for item in self._items for finding in item.findings))
 
     def unwrap(self, angles: Iterable[str] | str) -> Trajectories:
         """Remove the jumps by multiples of 2 pi from angles that were stored wrapped.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from leastaction.data.validation import (
     real_array,
 )
 from leastaction.errors import InputError
+from leastaction.findings import Finding
 from leastaction.identifiers import check_coordinate_names, quoted
 
 __all__ = ["FIELDS", "RATES", "Rate", "Trajectory"]
@@ -88,6 +89,9 @@ class Trajectory:
         Measured q̇ and q̈ (tachometer, gyroscope, ...), in the coordinate's unit per second and per second
         squared; NaN where nothing was measured, which may be whole columns. They must come from sensors of
         their own: differences of the positions carry the noise of the positions a second time.
+    findings : iterable of Finding
+        What was done to the data when they were read, as the readers of files note it (units that were
+        converted, for example); `discover` adds them to those of the fit.
 
     Raises
     ------
@@ -112,6 +116,7 @@ class Trajectory:
     name: str
     velocities: FloatArray | None
     accelerations: FloatArray | None
+    findings: tuple[Finding, ...]
 
     def __init__(
         self,
@@ -123,6 +128,7 @@ class Trajectory:
         *,
         velocities: ArrayLike | None = None,
         accelerations: ArrayLike | None = None,
+        findings: Iterable[Finding] = (),
     ) -> None:
         name = check_name(name)
         where = f"trajectory {quoted(name)}: " if name else ""
@@ -154,9 +160,16 @@ class Trajectory:
             object.__setattr__(self, field, value)
         object.__setattr__(self, "coordinates", names)
         object.__setattr__(self, "name", name)
+        object.__setattr__(self, "findings", _checked(findings, where))
 
     @classmethod
-    def of(cls, arrays: Mapping[str, FloatArray], coordinates: tuple[str, ...], name: str) -> Trajectory:
+    def of(
+        cls,
+        arrays: Mapping[str, FloatArray],
+        coordinates: tuple[str, ...],
+        name: str,
+        findings: tuple[Finding, ...] = (),
+    ) -> Trajectory:
         """The trajectory of read-only arrays that were checked before; they are shared, not copied.
 
         Examples
@@ -170,6 +183,7 @@ class Trajectory:
             object.__setattr__(new, field, arrays.get(field))
         object.__setattr__(new, "coordinates", coordinates)
         object.__setattr__(new, "name", name)
+        object.__setattr__(new, "findings", findings)
         return new
 
     @property
@@ -210,7 +224,7 @@ class Trajectory:
         >>> Trajectory([0.0, 1.0], [0.1, 0.2]).changed(name="b").name
         'b'
         """
-        names = (*FIELDS, "coordinates", "name")
+        names = (*FIELDS, "coordinates", "name", "findings")
         new = Trajectory(**{name: getattr(self, name) for name in names} | fields)
         for name in set(FIELDS) - set(fields):  # read-only: shared, not copied
             object.__setattr__(new, name, getattr(self, name))
@@ -237,6 +251,7 @@ class Trajectory:
             self.name,
             self.velocities,
             self.accelerations,
+            self.findings,
         )
         return (_restored, given)
 
@@ -255,6 +270,15 @@ class Trajectory:
         )
 
 
+def _checked(findings: Iterable[object], where: str) -> tuple[Finding, ...]:
+    checked: list[Finding] = []
+    for item in findings:
+        if not isinstance(item, Finding):
+            raise InputError(f"{where}findings hold {quoted(item)}; expected objects of the class Finding")
+        checked.append(item)
+    return tuple(checked)
+
+
 def _restored(
     t: FloatArray,
     q: FloatArray,
@@ -263,5 +287,7 @@ def _restored(
     name: str,
     velocities: FloatArray | None,
     accelerations: FloatArray | None,
+    findings: tuple[Finding, ...] = (),
 ) -> Trajectory:
-    return Trajectory(t, q, forces, coordinates, name, velocities=velocities, accelerations=accelerations)
+    rates = {"velocities": velocities, "accelerations": accelerations}
+    return Trajectory(t, q, forces, coordinates, name, findings=findings, **rates)

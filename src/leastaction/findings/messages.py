@@ -10,7 +10,16 @@ from collections.abc import Iterable
 from typing import Any
 
 from leastaction.findings.finding import Finding
-from leastaction.findings.templates import UNITS, Audience, Message, because, fill
+from leastaction.findings.templates import (
+    Audience,
+    Message,
+    another_structure,
+    converted_units,
+    fill,
+    rate_scaled,
+    time_unit,
+    zero_offset,
+)
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 
@@ -81,23 +90,6 @@ def _wrong_known_remedy(f: dict[str, Any]) -> str:
     return f"correct it, or leave it free{units}"
 
 
-def _another_structure(f: dict[str, Any]) -> str:
-    why = because(f["reason"], f["relevance"])
-    return "this structure was taken from the trade-off curve by hand; it was not chosen" + (
-        f", because {why}" if why else ""
-    )
-
-
-def _rate_scaled(f: dict[str, Any]) -> str:
-    text = "the measured {quantity} of {subject} is {factor:.3g} times the derivative of its coordinate"
-    opposite = f["factor"] < 0.0
-    if f["unit"] in UNITS:
-        text += f" ({UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
-    elif opposite:
-        text += " (the opposite sign?)" if f["unit"] == "1" else " (with the opposite sign?)"
-    return fill(text, f)
-
-
 def _hardly_determined(f: dict[str, Any]) -> str:
     text = "these data hardly determine {subject}"
     if f["scale_open"]:
@@ -116,12 +108,6 @@ def _competing_remedy(f: dict[str, Any]) -> str:
 def _smoothed(f: dict[str, Any]) -> str:
     below = [f"{name} below {width:g}" for name, width in zip(f["subject"], f["widths"], strict=True)]
     return f"abs() of velocities is smoothed ({', '.join(below)})"
-
-
-def _zero_offset(f: dict[str, Any]) -> str:
-    size = "large" if f["offset"] > 0 else "small"
-    text = f"{{term}} with its sine reads as a zero offset: {{subject}} is too {size} by "
-    return fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
 
 
 def _correlated(f: dict[str, Any]) -> str:
@@ -234,7 +220,7 @@ CODES: dict[str, Message] = {
         "the measured {quantity} of {subject} hardly follows the derivative of its coordinate",
         "check the column, and that times are the same",
     ),
-    "rate-scaled": Message("warning", _rate_scaled, "convert it, or leave it out"),
+    "rate-scaled": Message("warning", rate_scaled, "convert it, or leave it out"),
     "rate-offset": Message(
         "warning",
         "the measured {quantity} of {subject} has an offset of {offset:.3g} from the derivative of its "
@@ -301,10 +287,18 @@ CODES: dict[str, Message] = {
     ),
     "another-structure": Message(
         "warning",
-        _another_structure,
+        another_structure,
         "compare its forecasts of held-out trials with those of the chosen structure",
     ),
     # what was done to data and library
+    "time-unit": Message("note", time_unit),
+    "dates": Message(
+        "note", "the dates in '{column}' were read as seconds from the first one, in each file anew"
+    ),
+    "converted-units": Message("note", converted_units),
+    "units-row": Message("note", "the row below the header was read as units: {units}"),
+    "decimal-comma": Message("note", "numbers were read with a decimal comma"),
+    "text-encoding": Message("note", "the text is not UTF-8 and was read as {encoding}"),
     "angle-unwrapped": Message("note", "{jumps} jumps of 2π removed from {subject}"),
     "forces-unused": Message("note", "forces on {subject} were left out: the motion there is prescribed"),
     "rates-unused": Message(
@@ -336,7 +330,7 @@ CODES: dict[str, Message] = {
         _correlated,
         "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
-    "zero-offset": Message("note", _zero_offset),
+    "zero-offset": Message("note", zero_offset),
     "stopped-early": Message(
         "warning",
         "the search was stopped: this is the best law so far, and likely causes were not looked for",

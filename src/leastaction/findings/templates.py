@@ -10,7 +10,20 @@ from typing import Any, Literal
 
 from leastaction.findings.finding import Severity
 
-__all__ = ["REASONS", "UNITS", "Audience", "Message", "Text", "because", "fill"]
+__all__ = [
+    "REASONS",
+    "UNITS",
+    "Audience",
+    "Message",
+    "Text",
+    "another_structure",
+    "because",
+    "converted_units",
+    "fill",
+    "rate_scaled",
+    "time_unit",
+    "zero_offset",
+]
 
 Audience = Literal["python", "command line", "page"]
 Text = str | Callable[[dict[str, Any]], str]
@@ -52,6 +65,25 @@ class _Template(Formatter):
 def fill(text: Text, fields: dict[str, Any]) -> str:
     """A text with its fields filled in."""
     return text(fields) if callable(text) else _Template().vformat(text, (), fields)
+
+
+def time_unit(f: dict[str, Any]) -> str:
+    """Words for times that were not in seconds."""
+    if f["unit"] == "s":
+        return f"the times in {f['column']!r} were taken to be in seconds" + _instead(f)
+    return f"the times in {f['column']!r} were converted from {f['unit']} to seconds" + _instead(f)
+
+
+def converted_units(f: dict[str, Any]) -> str:
+    """Words for a column whose numbers were converted."""
+    what = "" if f["quantity"] == "position" else f"{f['quantity']} of "
+    if f["unit"] == f["to"]:
+        return fill(f"{what}{{subject}} was taken to be in {{unit}}", f) + _instead(f)
+    return fill(f"{what}{{subject}} was converted from {{unit}} to {{to}}", f) + _instead(f)
+
+
+def _instead(f: dict[str, Any]) -> str:
+    return f", as asked for, not in {f['instead_of']}" if f["instead_of"] else ""
 
 
 # words of the units in which a rate may have been recorded
@@ -102,3 +134,29 @@ def because(reason: str, relevance: float | None = None) -> str:
     if relevance is not None and math.isfinite(relevance):
         share = f"{100.0 * relevance:g} %"
     return REASONS.get(reason, "").format(share=share)
+
+
+def another_structure(f: dict[str, Any]) -> str:
+    """Words for a structure that was taken by hand."""
+    why = because(f["reason"], f["relevance"])
+    return "this structure was taken from the trade-off curve by hand; it was not chosen" + (
+        f", because {why}" if why else ""
+    )
+
+
+def rate_scaled(f: dict[str, Any]) -> str:
+    """Words for a rate that was recorded in another unit."""
+    text = "the measured {quantity} of {subject} is {factor:.3g} times the derivative of its coordinate"
+    opposite = f["factor"] < 0.0
+    if f["unit"] in UNITS:
+        text += f" ({UNITS[f['unit']]}{', with the opposite sign' if opposite else ''}?)"
+    elif opposite:
+        text += " (the opposite sign?)" if f["unit"] == "1" else " (with the opposite sign?)"
+    return fill(text, f)
+
+
+def zero_offset(f: dict[str, Any]) -> str:
+    """Words for an angle whose zero is off."""
+    size = "large" if f["offset"] > 0 else "small"
+    text = f"{{term}} with its sine reads as a zero offset: {{subject}} is too {size} by "
+    return fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"

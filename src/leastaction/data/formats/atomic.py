@@ -11,7 +11,9 @@ from pathlib import Path
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["check_path", "read_bytes", "replace_file", "write_bytes", "write_text"]
+__all__ = ["StrPath", "check_path", "read_bytes", "replace_file", "write_bytes", "write_text"]
+
+StrPath = str | os.PathLike[str]
 
 
 def check_path(path: str | bytes | os.PathLike[str] | os.PathLike[bytes]) -> Path:

@@ -1,4 +1,5 @@
-"""CSV text to a table: NumPy's reader for speed, and a slow exact reader that finds the cell at fault.
+"""CSV text to a table, and trajectories to text: NumPy's reader for speed, and a slow exact reader that finds
+the cell at fault.
 
 The slow reader decides what is right. The fast one is used only where it is sure to give the same, and
 whatever it refuses is read again slowly, so that the message names line, column and text.
@@ -10,38 +11,25 @@ import csv
 import gzip
 import io
 import re
-import zlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from leastaction.data.formats.atomic import read_bytes
+from leastaction.data.formats.atomic import StrPath, check_path, write_bytes
 from leastaction.data.formats.layout import Layout, Table
+from leastaction.data.formats.text import MISSING, NUMBER, Text, opened, text_of, text_pieces
+from leastaction.data.formats.units import Clock
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["csv_tables", "peek_csv", "read_csv_table"]
+__all__ = ["csv_bytes", "csv_tables", "read_csv_table", "write_csv"]
 
-_PIECE = 8_000_000  # characters of a long file that are read at once
-_DELIMITERS = (",", ";", "\t")
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _INFINITE = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE)
-_MISSING = ("", "NA", "na", "Na", "NaN", "nan", "NAN", "Nan")
 _ODD_NAN = ("+nan", "-nan", "+NaN", "-NaN", "+NAN", "-NAN", "+Nan", "-Nan")
-
-
-@dataclass(frozen=True)
-class _Text:
-    """The data lines of a file and what its header says."""
-
-    source: str
-    body: str
-    first_line: int  # number of the first line of `body` in the file, from 1
-    delimiter: str
-    header: tuple[str, ...]
 
 
 def read_csv_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
@@ -55,9 +43,9 @@ def read_csv_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     Raises
     ------
     InputError
-        If the file cannot be read, is no UTF-8 table with a header, lacks a column, or a cell is no number.
+        If the file cannot be read, is no table with a header, lacks a column, or a cell is no number.
     """
-    text, found = _opened(_decode(_content(path), str(path)), str(path), layout)
+    text, found = opened(*text_of(path), str(path), layout)
     return found, _table_of(text, found)
 
 
@@ -69,8 +57,8 @@ def csv_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
     InputError
         As `read_csv_table`; for what is wrong in a piece, when it is reached.
     """
-    pieces = _text_pieces(path)
-    text, found = _opened(next(pieces, ""), str(path), layout)
+    encoding, pieces = text_pieces(path)
+    text, found = opened(next(pieces, ""), encoding, str(path), layout)
 
     def tables() -> Iterator[Table]:
         yield _table_of(text, found)
@@ -83,163 +71,53 @@ def csv_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
     return found, tables()
 
 
-def _text_pieces(path: Path) -> Iterator[str]:
-    """Runs of whole lines; a line that is in quotes stays whole, too."""
-    compressed = read_bytes(path, 2) == b"\x1f\x8b"
-    try:
-        with gzip.open(path, "rb") if compressed else path.open("rb") as file:
-            stream = io.TextIOWrapper(file, encoding="utf-8-sig")
-            while body := stream.read(_PIECE):
-                body += stream.readline()
-                while body.count('"') % 2 and (more := stream.readline()):
-                    body += more
-                yield body
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is not UTF-8 text; save the table as CSV text in UTF-8") from None
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path} cannot be read to its end ({error}); copy it again") from None
-
-
-def _opened(content: str, source: str, layout: Layout) -> tuple[_Text, Layout]:
-    """Data lines, and the layout with the names of the header."""
-    text = _split_header(content, source, layout)
-    if len(text.header) == 1:
-        raise InputError(
-            f"{source}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
-            "separate columns by comma, semicolon or tab"
-        )
-    found = layout.find(text.header, source)
-    if not text.body.strip():
-        raise InputError(f"{source} has a header, but no data lines; at least 5 samples are needed")
-    return text, found
-
-
-def _table_of(text: _Text, layout: Layout) -> Table:
+def _table_of(text: Text, layout: Layout) -> Table:
     table = _read_fast(text, layout)
     return table if table is not None else _read_slowly(text, layout)
 
 
-def peek_csv(path: Path, n_rows: int = 50) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Return the header of a CSV file and its first rows as text: no column has a meaning yet.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is no UTF-8 table with a header.
-    """
-    nothing = Layout(time="", coordinates={}, forces={}, trial=None, angles=())
-    text = _split_header(_decode(_content(path), str(path)), str(path), nothing)
-    lines = [line for line in text.body[: 400 * n_rows * len(text.header)].split("\n") if line.strip()]
-    cells = csv.reader(lines[:n_rows], delimiter=text.delimiter, skipinitialspace=True)
-    try:
-        rows = [tuple(cell.strip() for cell in row) for row in cells]
-    except csv.Error:  # the reader proper says what is wrong, and where
-        rows = []
-    return text.header, [row for row in rows if len(row) == len(text.header)]
-
-
-def _content(path: Path) -> bytes:
-    data = read_bytes(path)
-    if data[:2] != b"\x1f\x8b":
-        return data
-    try:
-        data = gzip.decompress(data)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(f"{path} is a damaged gzip file ({error}); copy or compress it again") from None
-    if not data:
-        raise InputError(f"{path} is empty; a file with data is expected")
-    return data
-
-
-def _decode(data: bytes, source: str) -> str:
-    cure = "save the table as CSV text in UTF-8"
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(f"{source} is UTF-16 text, not UTF-8; {cure}")
-    nul = data.find(b"\0")
-    if nul >= 0:
-        line = data.count(b"\n", 0, nul) + 1
-        raise InputError(f"{source}, line {line}: the file holds binary data, not text; {cure}")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line, byte = data.count(b"\n", 0, error.start) + 1, data[error.start]
-        raise InputError(f"{source}, line {line}: byte 0x{byte:02x} is not UTF-8 text; {cure}") from None
-    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
-
-
-def _split_header(text: str, source: str, layout: Layout) -> _Text:
-    """Find header and delimiter: leading lines that are blank or begin with ``#`` do not count."""
-    start, number, comment = 0, 1, ""
-    while True:
-        end = text.find("\n", start)
-        line = text[start : end if end >= 0 else len(text)]
-        if line.strip() and not line.lstrip().startswith("#"):
-            break
-        comment = line.strip().lstrip("#") or comment
-        if end < 0:
-            raise InputError(f"{source} has no header line; the first line must name the columns")
-        start, number = end + 1, number + 1
-    delimiter, header = _sniff(line, layout)
-    following = end + 1 if end >= 0 else len(text)
-    if not all(map(_is_number, header)):
-        return _Text(source, text[following:], number + 1, delimiter, header)
-    # numpy.savetxt writes the header as a comment: then the last comment names the columns.
-    delimiter, header = _sniff(comment, layout)
-    if len(header) != len(_sniff(line, layout)[1]):
-        raise InputError(
-            f"{source}, line {number}: there are numbers where the header is expected; "
-            "add a first line that names the columns"
-        )
-    return _Text(source, text[start:], number, delimiter, header)
-
-
-def _sniff(line: str, layout: Layout) -> tuple[str, tuple[str, ...]]:
-    """Return the delimiter that gives most of the needed columns, then most columns, and the columns."""
-    needed = {layout.time, *layout.coordinates.values()}
-
-    def cells(delimiter: str) -> tuple[str, ...]:
-        try:
-            row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), list[str]())
-        except csv.Error:  # a line of megabytes
-            row = []
-        return tuple(cell.strip() for cell in row)
-
-    candidates = [(delimiter, cells(delimiter)) for delimiter in _DELIMITERS]
-    return max(candidates, key=lambda item: (len(needed.intersection(item[1])), len(item[1])))
-
-
-def _read_fast(text: _Text, layout: Layout) -> Table | None:
+def _read_fast(text: Text, layout: Layout) -> Table | None:
     """Read with NumPy; None where a cell is not a number or the rows may be taken apart differently."""
     if '"' in text.body:
         return None
     lines = _regular_lines(text.body.encode("utf-8"), text.delimiter, len(text.header))
     if lines is None or not _plain_missing(text.body):
         return None
-    columns = [text.header.index(name) for name in layout.numbers]
+    body = text.body
+    if text.decimal == ",":
+        if "." in body:  # a number in another way of writing, perhaps
+            return None
+        body = body.replace(",", ".")
+    names = [name for name in layout.numbers if layout.clock is None or name != layout.time]
     try:
         values = np.loadtxt(
-            io.StringIO(_fill_empty(text.body, text.delimiter)),
+            io.StringIO(_fill_empty(body, text.delimiter)),
             delimiter=text.delimiter,
-            usecols=columns,
+            usecols=[text.header.index(name) for name in names],
             comments=None,
             ndmin=2,
         )
+        if len(values) != lines.size:
+            return None
+        numbers = {name: values[:, k].copy() for k, name in enumerate(names)}
+        if layout.clock is not None:
+            times = [layout.clock.seconds(cell) for cell in _column(text, layout.time)]
+            numbers[layout.time] = np.array(times)
     except ValueError:
         return None
-    if len(values) != lines.size:
-        return None
-    numbers = {name: values[:, k].copy() for k, name in enumerate(layout.numbers)}
-    trials = None
-    if layout.trial is not None:
-        place = text.header.index(layout.trial)
-        filled = (line for line in text.body.split("\n") if line)
-        trials = [line.split(text.delimiter, place + 1)[place].strip() for line in filled]
-    return _table(text, numbers, trials, lines)
+    return _table(text, numbers, None if layout.trial is None else _column(text, layout.trial), lines)
+
+
+def _column(text: Text, name: str) -> list[str]:
+    """Cells of a column, where no cell is in quotes."""
+    place = text.header.index(name)
+    filled = (line for line in text.body.split("\n") if line)
+    return [line.split(text.delimiter, place + 1)[place].strip() for line in filled]
 
 
 def _plain_missing(body: str) -> bool:
-    """Whether every "nan" is spelled as in `_MISSING`; NumPy also takes others, and signs before them."""
-    spelled = sum(body.count(word) for word in _MISSING if len(word) == 3)
+    """Whether every "nan" is spelled as in `MISSING`; NumPy also takes others, and signs before them."""
+    spelled = sum(body.count(word) for word in MISSING if len(word) == 3)
     return spelled == body.lower().count("nan") and not any(part in body for part in _ODD_NAN)
 
 
@@ -269,7 +147,7 @@ def _regular_lines(data: bytes, delimiter: str, n_columns: int) -> np.ndarray | 
     return np.flatnonzero(filled) if (counts[filled] == n_columns - 1).all() else None
 
 
-def _read_slowly(text: _Text, layout: Layout) -> Table:
+def _read_slowly(text: Text, layout: Layout) -> Table:
     """Read row by row, and raise InputError at the first cell at fault."""
     columns = [(text.header.index(name), name) for name in layout.numbers]
     trial = None if layout.trial is None else text.header.index(layout.trial)
@@ -287,10 +165,11 @@ def _read_slowly(text: _Text, layout: Layout) -> Table:
                 _refuse_row(text, line, row)
             for (index, name), column in zip(columns, values, strict=True):
                 cell = row[index].strip()
+                clock = layout.clock if name == layout.time else None
                 try:
-                    column.append(_number(cell))
+                    column.append(_number(cell, text.decimal, clock))
                 except ValueError:
-                    _refuse_cell(text, line, name, cell)
+                    _refuse_cell(text, line, name, cell, layout)
             if trial is not None:
                 trials.append(row[trial].strip())
             lines.append(line)
@@ -301,36 +180,130 @@ def _read_slowly(text: _Text, layout: Layout) -> Table:
     return _table(text, numbers, None if trial is None else trials, np.array(lines, dtype=np.intp))
 
 
-def _number(cell: str) -> float:
-    if _NUMBER.fullmatch(cell) or _INFINITE.fullmatch(cell):
-        return float(cell)
-    if cell in _MISSING:
+def _number(cell: str, decimal: str, clock: Clock | None) -> float:
+    if cell in MISSING:
         return float("nan")
+    if clock is not None:
+        return clock.seconds(cell)
+    if decimal == "," and "." not in cell:
+        cell = cell.replace(",", ".")
+    elif decimal == ",":
+        raise ValueError
+    if NUMBER.fullmatch(cell) or _INFINITE.fullmatch(cell):
+        return float(cell)
     raise ValueError
 
 
-def _is_number(cell: str) -> bool:
-    return cell in _MISSING or _NUMBER.fullmatch(cell) is not None
-
-
-def _refuse_row(text: _Text, line: int, row: Sequence[str]) -> None:
+def _refuse_row(text: Text, line: int, row: Sequence[str]) -> None:
+    cure = "every line must have as many cells as the header"
+    if text.delimiter == "," and len(row) == 2 * len(text.header):
+        cure += "; if commas are decimal signs, too, separate the cells by semicolons"
     raise InputError(
         f"{text.source}, line {text.first_line + line}: there are {len(row)} cells, but the header has "
-        f"{len(text.header)}; every line must have as many cells as the header"
+        f"{len(text.header)}; {cure}"
     )
 
 
-def _refuse_cell(text: _Text, line: int, column: str, cell: str) -> None:
-    cure = "leave the cell empty if the sample is missing"
-    if re.fullmatch(r"[+-]?\d+,\d*(?:[eE][+-]?\d+)?", cell):
+def _refuse_cell(text: Text, line: int, column: str, cell: str, layout: Layout) -> None:
+    what, cure = "a number", "leave the cell empty if the sample is missing"
+    if column == layout.time and layout.clock is not None:
+        zone = "with" if layout.clock.zoned else "without"
+        what = "a date"
+        cure = (
+            f"the first time is a date {zone} a time zone: write all in this way, as 2024-05-01T12:00:00.25"
+        )
+    elif column == layout.time and re.search(r"\d[:/]\d|\d[.-]\d+[.-]\d", cell):
+        cure = "write times as numbers, or all as dates in the form 2024-05-01T12:00:00.25"
+    elif re.fullmatch(r"[+-]?\d{1,3}(?:(?:[. ']\d{3})+,\d*|(?:[, ']\d{3})+\.\d*|(?:[ ']\d{3})+)", cell):
+        cure = "leave out the separators of thousands"
+    elif text.decimal == "," and re.fullmatch(r"[+-]?\d*\.\d*(?:[eE][+-]?\d+)?", cell):
+        cure = "the first fraction has a decimal comma: write all numbers in one way"
+    elif re.fullmatch(r"[+-]?\d+,\d*(?:[eE][+-]?\d+)?", cell):
         cure = "write a decimal point instead of the comma"
     raise InputError(
         f"{text.source}, line {text.first_line + line}, column {quoted(column)}: "
-        f"{quoted(cell)} is not a number; {cure}"
+        f"{quoted(cell)} is not {what}; {cure}"
     )
 
 
 def _table(
-    text: _Text, numbers: dict[str, FloatArray], trials: Sequence[str] | None, lines: np.ndarray
+    text: Text, numbers: dict[str, FloatArray], trials: Sequence[str] | None, lines: np.ndarray
 ) -> Table:
     return Table(text.source, numbers, trials, lambda row: f"line {text.first_line + int(lines[row])}")
+
+
+def csv_bytes(trajectories: Trajectories) -> bytes:
+    """Return the table ``trial,t,<coordinates>[,<coordinate>_force ...][,<coordinate>_dot ...]`` as UTF-8.
+
+    Floats are written with as few digits as give the same float again; NaN is an empty cell.
+
+    Raises
+    ------
+    InputError
+        If two columns would have the same name, or a trial's name would not read back.
+    """
+    names = trajectories.coordinates
+    forces = tuple(f"{name}_force" for name in names) if trajectories.driven else ()
+    rates = trajectories.rates
+    rated = tuple(f"{names[rate.coordinate]}_{'d' * rate.derivative}ot" for rate in rates)
+    header = ("trial", "t", *names, *forces, *rated)
+    for column in header:
+        if header.count(column) > 1:
+            raise InputError(
+                f"two columns of the CSV file would be called {quoted(column)}; rename the coordinate"
+            )
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(header)
+    for k, (trial, item) in enumerate(zip(trajectories.names, trajectories, strict=True)):
+        if trial != trial.strip() or "\r" in trial or "\0" in trial:
+            raise InputError(
+                f"the trial name {quoted(trial)} cannot stand in a CSV file; remove spaces around it"
+            )
+        columns = [item.t[:, np.newaxis], item.q]
+        if forces:
+            columns.append(np.zeros_like(item.q) if item.forces is None else item.forces)
+        columns += [rate.values[k][:, np.newaxis] for rate in rates]
+        # The csv module writes a float as its repr, the shortest text that gives the same float.
+        rows = np.hstack(columns).tolist()
+        writer.writerows([trial, *("" if value != value else value for value in row)] for row in rows)
+    return stream.getvalue().encode("utf-8")
+
+
+def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) -> Path:
+    """Write trajectories to a CSV file that `read_csv` reads back exactly.
+
+    The columns are ``trial``, ``t``, the coordinates, ``<coordinate>_force`` if any force is not zero, and
+    ``<coordinate>_dot``, ``<coordinate>_ddot`` where they were measured. With the suffix ``.gz``: compressed.
+
+    Parameters
+    ----------
+    path : path
+        Replaced in one step if it exists. Missing directories are made.
+    trajectories : Trajectory, Trajectories or sequence of Trajectory
+        What to write. Trajectories without a name get their number.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be written, or two columns would have the same name.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> trajectory = Trajectory([0.0, 0.5], [1.0, float("nan")], coordinates=["theta"], name="first")
+    >>> with TemporaryDirectory() as folder:
+    ...     path = write_csv(f"{folder}/run.csv", trajectory)
+    ...     print(path.read_text())
+    trial,t,theta
+    first,0.0,1.0
+    first,0.5,
+    """
+    target, data = check_path(path), csv_bytes(Trajectories.coerce(trajectories))
+    zipped = target.suffix.lower() == ".gz"
+    return write_bytes(target, gzip.compress(data, mtime=0) if zipped else data)

@@ -1,25 +1,37 @@
-"""From paths to trajectories: the reader for a suffix, and several files as one set."""
+"""From paths to trajectories: the reader for a suffix, checked columns, and several files as one set."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from leastaction.data.formats.arrays import read_mat_table, read_npz_table
-from leastaction.data.formats.atomic import check_path
-from leastaction.data.formats.bags import is_bag, read_bag_table
+from leastaction.data.formats.atomic import StrPath, check_path
 from leastaction.data.formats.csv import read_csv_table
 from leastaction.data.formats.frames import read_parquet_table
-from leastaction.data.formats.layout import Layout, Table, to_trajectories
+from leastaction.data.formats.layout import BESIDE, Layout, Table
 from leastaction.data.trajectories import Trajectories, Trajectory
-from leastaction.errors import InputError
+from leastaction.data.validation import FloatArray, time_fault
+from leastaction.errors import DataError, InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["StrPath", "combined_trajectories", "listed_paths", "reader_for", "stem", "trial_name"]
+__all__ = [
+    "MIN_SAMPLES",
+    "combined_trajectories",
+    "listed_paths",
+    "reader_for",
+    "stem",
+    "to_trajectories",
+    "trial_name",
+]
 
-StrPath = str | os.PathLike[str]
+MIN_SAMPLES = 5
+"""Fewest measured samples of a coordinate in a trial with which anything can be done."""
+
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
 
 _READERS: dict[str, TableReader] = {
@@ -36,6 +48,8 @@ _READERS: dict[str, TableReader] = {
 
 def reader_for(path: Path) -> TableReader:
     """Return the reader for the suffix of `path`, or raise InputError."""
+    from leastaction.data.formats.bags import is_bag, read_bag_table  # which has a reader of its own, too
+
     if is_bag(path):
         return read_bag_table
     name = path.name.lower()
@@ -127,3 +141,130 @@ def _listed(path: StrPath | Iterable[StrPath]) -> list[StrPath]:
         return list(path)
     except TypeError:
         return [path]  # type: ignore[list-item]  # for check_path to refuse
+
+
+def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectories:
+    """Check the values of a table and split it into trajectories.
+
+    Parameters
+    ----------
+    layout : Layout
+        With the names of `table`; see `Layout.find`.
+    table : Table
+    name : str
+        Name of the trajectory of a table without trials.
+
+    Returns
+    -------
+    Trajectories
+        In the order of the table, unwrapped where `layout` has angles.
+
+    Raises
+    ------
+    InputError
+        If a value is infinite, a time or a force is missing, the rows of a trial are not together, or times
+        do not increase.
+    DataError
+        If a coordinate has fewer than `MIN_SAMPLES` samples in a trial.
+    """
+    _check_values(layout, table)
+    numbers = table.numbers | {
+        column: unit.convert(table.numbers[column]) for column, unit in layout.conversions.items()
+    }
+    trajectories: list[Trajectory] = []
+    for label, rows in _trial_rows(layout, table, name):
+        _check_times(layout, table, label, rows)
+        q = np.column_stack([numbers[column][rows] for column in layout.coordinates.values()])
+        _check_enough(layout, table, label, q)
+        beside = {kind: _matrix(layout, numbers, kind, rows, q.shape) for kind in BESIDE}
+        t = numbers[layout.time][rows]
+        trajectories.append(
+            Trajectory(
+                t, q, coordinates=tuple(layout.coordinates), name=label, findings=layout.findings, **beside
+            )
+        )
+    result = Trajectories(trajectories)
+    return result.unwrap(layout.angles) if layout.angles else result
+
+
+def _matrix(
+    layout: Layout, numbers: Mapping[str, FloatArray], kind: str, rows: slice, shape: tuple[int, ...]
+) -> FloatArray | None:
+    """Forces, velocities or accelerations of some rows; None without any column."""
+    columns = getattr(layout, kind)
+    if not columns:
+        return None
+    out = np.full(shape, 0.0 if kind == "forces" else np.nan)
+    for index, coordinate in enumerate(layout.coordinates):
+        if coordinate in columns:
+            out[:, index] = numbers[columns[coordinate]][rows]
+    return out
+
+
+def _check_values(layout: Layout, table: Table) -> None:
+    for column in layout.numbers:
+        values, role = table.numbers[column], layout.role(column)
+        bad = ~np.isfinite(values) if role != "sample" else np.isinf(values)
+        if not bad.any():
+            continue
+        row = int(np.flatnonzero(bad)[0])
+        place = f"{table.source}, {table.place(row)}, column {quoted(column)}"
+        if np.isinf(values[row]):
+            cure = "; leave the cell empty if the sample is missing" if role == "sample" else ""
+            raise InputError(f"{place}: the value is infinite, but a finite number is expected{cure}")
+        cure = "; remove the row" if role == "time" else "; put 0 where nothing acts"
+        raise InputError(f"{place}: the {role} is missing{cure}")
+
+
+def _trial_rows(layout: Layout, table: Table, name: str) -> list[tuple[str, slice]]:
+    n_rows = table.numbers[layout.time].size
+    if n_rows == 0:
+        raise InputError(f"{table.source} has no data; at least {MIN_SAMPLES} samples are needed")
+    if table.trials is None:
+        return [(name, slice(0, n_rows))]
+    trials = np.asarray(table.trials, dtype=object)
+    starts = [0, *(np.flatnonzero(trials[1:] != trials[:-1]) + 1).tolist()]
+    first: dict[str, int] = {}
+    for start in starts:
+        place = f"{table.source}, {table.place(start)}, column {quoted(layout.trial)}"
+        label = trials[start]
+        if not label:
+            raise InputError(f"{place}: the name of the trial is missing; fill it in on every row")
+        if label in first:
+            raise InputError(
+                f"{place}: trial {quoted(label)} goes on after another trial (it began at "
+                f"{table.place(first[label])}); keep the rows of a trial together"
+            )
+        first[label] = start
+    return [(trials[a], slice(a, b)) for a, b in zip(starts, [*starts[1:], n_rows], strict=True)]
+
+
+def _check_times(layout: Layout, table: Table, label: str, rows: slice) -> None:
+    t = table.numbers[layout.time][rows]
+    fault = time_fault(t)
+    if fault is None:
+        return
+    index, kind = fault
+    trial = f" in trial {quoted(label)}" if table.trials is not None else ""
+    if kind == "repeated":
+        what = f"time {float(t[index])!r} repeats the one before it{trial}"
+        cure = "keep one row for each time"
+        if layout.clock is not None:
+            cure += ", and write fractions of a second if the samples are closer than that"
+    else:
+        what = f"time {float(t[index])!r} goes backwards, from {float(t[index - 1])!r}{trial}"
+        cure = "sort the rows by time"
+    if table.trials is None:
+        cure += ", or give the column that tells the trials apart (trial=...)"
+    place = f"{table.source}, {table.place(rows.start + index)}, column {quoted(layout.time)}"
+    raise InputError(f"{place}: {what}; {cure}")
+
+
+def _check_enough(layout: Layout, table: Table, label: str, q: FloatArray) -> None:
+    trial = f", trial {quoted(label)}" if table.trials is not None else ""
+    need = f"at least {MIN_SAMPLES} are needed; leave the trial out or record a longer one"
+    if len(q) < MIN_SAMPLES:
+        raise DataError(f"{table.source}{trial}: there are only {len(q)} sample(s); {need}")
+    for name, count in zip(layout.coordinates, np.isfinite(q).sum(axis=0).tolist(), strict=True):
+        if count < MIN_SAMPLES:
+            raise DataError(f"{table.source}{trial}: {name} has only {count} measured sample(s); {need}")

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leastaction.data.formats.atomic import read_bytes
 from leastaction.data.formats.layout import Layout, Table
+from leastaction.data.formats.units import Clock, Unit
 from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError, MissingPackageError
+from leastaction.findings import find
 from leastaction.identifiers import quoted
 
 __all__ = ["frame_table", "parquet_tables", "read_parquet_table", "trial_name"]
@@ -43,11 +47,13 @@ def frame_table(
     if not isinstance(table, nw.DataFrame):
         raise InputError(f"{type(frame).__name__} is not a data frame; pass a pandas or polars DataFrame")
     found = layout.find(table.columns, source)
+    if found.clock is None:
+        found = _dated(found, table.get_column(found.time), source)
 
     def place(row: int) -> str:
         return f"row {before + row} (counted from 0)"
 
-    numbers = {name: _numbers(table.get_column(name), name, source) for name in found.numbers}
+    numbers = {name: _numbers(table.get_column(name), name, source, found) for name in found.numbers}
     trials = None
     if found.trial is not None:
         column = table.get_column(found.trial)
@@ -80,8 +86,13 @@ def parquet_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]
     InputError
         As `read_parquet_table`; for what is wrong in a row group, when it is reached.
     """
+    import narwhals.stable.v1 as nw
+
     with _parquet(path) as file:
         found = layout.find(file.schema_arrow.names, str(path))
+        if file.num_row_groups:
+            first = nw.from_native(file.read_row_group(0, columns=[found.time]), eager_only=True)
+            found = _dated(found, first.get_column(found.time), str(path))
 
     def tables() -> Iterator[Table]:
         before = 0
@@ -127,21 +138,67 @@ def trial_name(value: object) -> str:
     return str(value).strip()
 
 
-def _numbers(column: Any, name: str, source: str) -> FloatArray:
+def _dated(layout: Layout, times: Any, source: str) -> Layout:
+    """The layout of a table whose times are dates, durations, or numbers."""
     import narwhals.stable.v1 as nw
 
+    if times.dtype == nw.Duration:
+        unit = Unit("timedelta", "time", "s", 1.0, 1e9)
+        if layout.time in layout.asked:
+            raise InputError(
+                f"{source}: the times in {quoted(layout.time)} are durations, which have units of their own; "
+                "leave out time_unit"
+            )
+        note = find("time-unit", column=layout.time, unit=unit.text, instead_of=None)
+        others = (item for item in layout.findings if item.code != "time-unit")
+        conversions = layout.conversions | {layout.time: unit}
+        return replace(layout, conversions=conversions, findings=(note, *others))
+    if times.dtype.is_numeric():
+        return layout
+    first = next((item for item in times.drop_nulls().head(1).to_list()), None)
+    clock = Clock.of(first.strip() if isinstance(first, str) else first)
+    return layout if clock is None else layout.dated(clock, source)
+
+
+def _numbers(column: Any, name: str, source: str, layout: Layout) -> FloatArray:
+    import narwhals.stable.v1 as nw
+
+    clock = layout.clock if name == layout.time else None
     if column.dtype.is_numeric():
         return np.array(column.cast(nw.Float64).to_numpy(), dtype=np.float64)
-    return _numbers_from_objects(column.to_list(), column.is_null().to_list(), name, source)
+    missing = np.array(column.is_null().to_list(), dtype=bool)
+    if name == layout.time and column.dtype == nw.Duration:
+        return _whole(column.dt.total_nanoseconds(), missing, 0)
+    if clock is not None and isinstance(column.dtype, nw.Datetime):
+        # one type, one zone or none
+        return _whole(column.dt.timestamp("ns"), missing, clock.origin) / 1e9
+    return _numbers_from_objects(column.to_list(), missing, name, source, clock)
+
+
+def _whole(column: Any, missing: NDArray[np.bool_], origin: int) -> FloatArray:
+    """Whole numbers less the origin, NaN where missing; floats could not hold them before."""
+    values = np.full(missing.size, np.nan)
+    present = np.array(column.drop_nulls().to_list(), dtype=np.int64)
+    values[~missing] = present - origin
+    return values
 
 
 def _numbers_from_objects(
-    items: Sequence[Any], missing: Sequence[bool], name: str, source: str
+    items: Sequence[Any], missing: Iterable[bool], name: str, source: str, clock: Clock | None
 ) -> FloatArray:
-    """Convert a column of mixed or unknown type: numbers only, neither text nor dates nor truth values."""
+    """Convert a column of mixed or unknown type: numbers only, neither text nor truth values; or dates."""
     values = np.full(len(items), np.nan)
     for row, (item, gone) in enumerate(zip(items, missing, strict=True)):
         if gone:
+            continue
+        if clock is not None:
+            try:
+                values[row] = clock.seconds(item.strip() if isinstance(item, str) else item)
+            except ValueError:
+                place = f"{source}, row {row} (counted from 0), column {quoted(name)}"
+                raise InputError(
+                    f"{place}: {quoted(item)} is not a date as the first one is; write all times in one way"
+                ) from None
             continue
         if isinstance(item, bool) or not isinstance(item, Real):
             cure = "convert the column to numbers (times to seconds)"

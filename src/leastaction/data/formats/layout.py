@@ -1,28 +1,24 @@
-"""Which column of a file means what, and how checked columns become trajectories."""
+"""Which column of a file means what, and in which unit."""
 
 from __future__ import annotations
 
-import unicodedata
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
-from leastaction.data.trajectories import Trajectories, Trajectory
-from leastaction.data.validation import FloatArray, close_match, listed, time_fault
-from leastaction.errors import DataError, InputError
+from leastaction.data.formats.units import Clock, Unit, known_unit, normal, parted, time_unit_of, unit_in_file
+from leastaction.data.validation import FloatArray, close_match, listed
+from leastaction.errors import InputError
+from leastaction.findings import Finding, find
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["MIN_SAMPLES", "Coordinates", "Forces", "Layout", "Table", "to_trajectories"]
-
-MIN_SAMPLES = 5
-"""Fewest measured samples of a coordinate in a trial with which anything can be done."""
+__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "Units"]
 
 Coordinates = Sequence[str] | Mapping[str, str] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None
+Units = Mapping[str, str] | str
 
-_BESIDE = {"forces": "force on", "velocities": "velocity of", "accelerations": "acceleration of"}
+BESIDE = {"forces": "force on", "velocities": "velocity of", "accelerations": "acceleration of"}
 """What there may be for each coordinate, in words."""
 
 
@@ -44,6 +40,16 @@ class Layout:
         Coordinates to unwrap.
     velocities, accelerations : dict
         Coordinate -> column of its measured velocity, acceleration; only those that are measured.
+    asked : dict
+        Coordinate or column -> its unit, where the user says it. What the file says then does not count.
+    as_written : bool
+        Whether units that stand in the file are left alone.
+    conversions : dict
+        Column -> its unit, where numbers are converted; see `find`.
+    clock : Clock or None
+        Where the times of the file are dates: what makes seconds of them.
+    findings : tuple of Finding
+        What was done to the data of the file.
     """
 
     time: str
@@ -53,6 +59,11 @@ class Layout:
     angles: tuple[str, ...]
     velocities: dict[str, str] = field(default_factory=dict[str, str])
     accelerations: dict[str, str] = field(default_factory=dict[str, str])
+    asked: dict[str, Unit] = field(default_factory=dict[str, Unit])
+    as_written: bool = False
+    conversions: dict[str, Unit] = field(default_factory=dict[str, Unit])
+    clock: Clock | None = None
+    findings: tuple[Finding, ...] = ()
 
     @classmethod
     def of(
@@ -79,39 +90,66 @@ class Layout:
                 raise InputError(
                     f"angle {quoted(name)} is not a coordinate; the coordinates are {listed(known)}"
                 )
-        layout = cls(time, columns, trial=trial, angles=turning, **beside)
+        rates = (beside["velocities"], beside["accelerations"])
+        layout = cls(time, columns, beside["forces"], trial, turning, *rates)
         layout._check_uses()
         return layout
 
-    def find(self, available: Sequence[object], source: str, kind: str = "column") -> Layout:
-        """Return this layout with the names as they stand in the file, the column ``trial`` included.
+    def measured_in(self, time_unit: str | None, units: Units) -> Layout:
+        """Check the arguments of a reader that say units, and return the layout with them.
 
         Raises
         ------
         InputError
-            If a needed column is missing, or a name occurs twice in the file.
+            If a unit is not known, or that of the time is given twice.
         """
-        present: dict[str, str] = {}
-        for name in available:
-            if isinstance(name, str) and name:
-                if name in present.values():
-                    raise InputError(
-                        f"{source}: two {kind}s are called {quoted(name)}; give each its own name"
-                    )
-                present.setdefault(_normal(name), name)
+        if isinstance(units, str):
+            if units.casefold() not in ("si", "as-written"):
+                raise InputError(
+                    f"units is {quoted(units)}; expected 'SI', 'as-written', or a mapping of coordinates or "
+                    "columns to units"
+                )
+            asked: dict[str, Unit] = {}
+        elif hasattr(units, "items"):
+            asked = {name: known_unit(name, text) for name, text in units.items()}
+        else:
+            raise InputError(f"units is {quoted(units)}; expected 'SI', 'as-written', or a mapping")
+        if time_unit is not None:
+            if self.time in asked:
+                raise InputError(f"the unit of {quoted(self.time)} is given twice, in time_unit and in units")
+            asked[self.time] = time_unit_of(time_unit)
+        as_written = isinstance(units, str) and units.casefold() == "as-written"
+        return replace(self, asked=asked, as_written=as_written)
+
+    def find(
+        self,
+        available: Sequence[object],
+        source: str,
+        kind: str = "column",
+        row: Mapping[str, str] | None = None,
+    ) -> Layout:
+        """Return this layout with the names as they stand in the file, the column ``trial`` included.
+
+        A column may be named without its unit where only one is meant: ``t`` finds ``t [ms]``.
+
+        Parameters
+        ----------
+        available : sequence
+            Columns of the file.
+        source, kind : str
+            For messages: the file, and what it calls its columns.
+        row : mapping, optional
+            Column -> its cell in a row of units.
+
+        Raises
+        ------
+        InputError
+            If a needed column is missing, a name occurs twice in the file, or units contradict each other.
+        """
+        names = _Names.of(available, source, kind)
 
         def where(role: str, name: str) -> str:
-            if name in present.values():
-                return name
-            if _normal(name) in present:
-                return present[_normal(name)]
-            names = list(present.values())
-            there = (
-                f"its {kind}s are {listed(names)}{close_match(name, names)}"
-                if names
-                else f"it has no named {kind}s"
-            )
-            raise InputError(f"{source} has no {kind} {quoted(name)} ({role}); {there}")
+            return names.where(role, name, time=role == "time")
 
         found = replace(
             self,
@@ -120,18 +158,84 @@ class Layout:
             trial=None if self.trial is None else where("trial", self.trial),
             **{
                 kind: {c: where(f"{word} {c}", name) for c, name in getattr(self, kind).items()}
-                for kind, word in _BESIDE.items()
+                for kind, word in BESIDE.items()
             },
         )
-        if found.trial is None and "trial" in present and present["trial"] not in found.numbers:
-            found = replace(found, trial=present["trial"])
+        if found.trial is None and "trial" in names.present and names.present["trial"] not in found.numbers:
+            found = replace(found, trial=names.present["trial"])
         found._check_uses()
-        return found
+        asked: dict[str, Unit] = {}
+        for name, unit in self.asked.items():
+            own = found.time if name == self.time else found.coordinates.get(name)
+            own = own or names.where("units", name, time=False)
+            if own not in found.numbers:
+                raise InputError(f"units names {quoted(name)}, which is no column that is read; leave it out")
+            asked[own] = unit
+        return found._converting(asked, row or {}, source)
+
+    def _converting(self, asked: Mapping[str, Unit], row: Mapping[str, str], source: str) -> Layout:
+        """The layout of a file with what its units ask for, and a finding for each."""
+        conversions: dict[str, Unit] = {}
+        findings = [find("units-row", units=tuple(filter(None, row.values())))] if row else []
+        for column, (coordinate, quantity) in self._roles().items():
+            time, own = quantity == "time", asked.get(column)
+            there = None
+            if not self.as_written:
+                there = unit_in_file(column, row.get(column, ""), time, source, strict=own is None)
+            if own is not None and (own.kind == "time") != time:
+                what = "no time" if time else "a time"
+                raise InputError(f"the unit of {quoted(column)} is {own.text}, which is {what}; correct it")
+            unit = own or there
+            if unit is None or (unit.plain and unit == (there or unit)):
+                continue
+            instead = there.text if there is not None and there != unit else None
+            conversions[column] = unit
+            if time:
+                findings.append(find("time-unit", column=column, unit=unit.text, instead_of=instead))
+            else:
+                findings.append(
+                    find(
+                        "converted-units",
+                        coordinate,
+                        quantity=quantity,
+                        column=column,
+                        unit=unit.text,
+                        to=unit.si,
+                        instead_of=instead,
+                    )
+                )
+        return replace(self, conversions=conversions, findings=tuple(findings))
+
+    def dated(self, clock: Clock, source: str) -> Layout:
+        """Return the layout of a file whose times are dates.
+
+        Raises
+        ------
+        InputError
+            If the user gives a unit of the times.
+        """
+        if self.time in self.asked:
+            raise InputError(
+                f"{source}: the times in {quoted(self.time)} are dates, which have no unit; leave out "
+                "time_unit"
+            )
+        others = tuple(item for item in self.findings if item.code != "time-unit")
+        conversions = {column: unit for column, unit in self.conversions.items() if column != self.time}
+        note = find("dates", column=self.time)
+        return replace(self, clock=clock, conversions=conversions, findings=(note, *others))
+
+    def _roles(self) -> dict[str, tuple[str, str]]:
+        """Column of numbers -> the coordinate it belongs to, and what it is of that."""
+        roles = {column: (c, "position") for c, column in self.coordinates.items()}
+        for kind, word in BESIDE.items():
+            for coordinate, column in getattr(self, kind).items():
+                roles.setdefault(column, (coordinate, word.split()[0]))
+        return {self.time: ("", "time"), **roles}
 
     @property
     def numbers(self) -> tuple[str, ...]:
         """The columns that hold numbers, each once."""
-        beside = [column for kind in _BESIDE for column in getattr(self, kind).values()]
+        beside = [column for kind in BESIDE for column in getattr(self, kind).values()]
         return tuple(dict.fromkeys([self.time, *self.coordinates.values(), *beside]))
 
     def role(self, column: str) -> str:
@@ -149,7 +253,7 @@ class Layout:
             if column in seen:
                 raise InputError(f"column {quoted(column)} is used twice, as {seen[column]} and as {role}")
             seen[column] = role
-        for kind, word in _BESIDE.items():
+        for kind, word in BESIDE.items():
             for coordinate, column in getattr(self, kind).items():
                 role = f"{word} {coordinate}"
                 if column in seen:
@@ -160,6 +264,58 @@ class Layout:
                     seen[column] = role
             # One force may act on two coordinates, but it cannot be anything else.
             seen |= {column: f"{word} {c}" for c, column in getattr(self, kind).items()}
+
+
+@dataclass(frozen=True)
+class _Names:
+    """The columns of a file, by the names under which they can be found.
+
+    Attributes
+    ----------
+    source, kind : str
+        For messages.
+    present : dict
+        Name in the form in which names are compared -> as it stands in the file.
+    """
+
+    source: str
+    kind: str
+    present: dict[str, str]
+
+    @classmethod
+    def of(cls, available: Sequence[object], source: str, kind: str) -> _Names:
+        present: dict[str, str] = {}
+        for name in available:
+            if isinstance(name, str) and name:
+                if name in present.values():
+                    raise InputError(
+                        f"{source}: two {kind}s are called {quoted(name)}; give each its own name"
+                    )
+                present.setdefault(normal(name), name)
+        return cls(source, kind, present)
+
+    def where(self, role: str, name: str, *, time: bool) -> str:
+        """The column of a name: as it is, in another form of Unicode, or without its unit."""
+        names = list(self.present.values())
+        if name in names:
+            return name
+        if normal(name) in self.present:
+            return self.present[normal(name)]
+        parts = ((column, *parted(column, time)) for column in names)
+        meant = [column for column, bare, unit in parts if unit and bare == normal(name)]
+        if len(meant) == 1:
+            return meant[0]
+        if meant:
+            raise InputError(
+                f"{self.source} has no {self.kind} {quoted(name)} ({role}), but {listed(meant)}; give the "
+                "name of one in full"
+            )
+        there = (
+            f"its {self.kind}s are {listed(names)}{close_match(name, names)}"
+            if names
+            else f"it has no named {self.kind}s"
+        )
+        raise InputError(f"{self.source} has no {self.kind} {quoted(name)} ({role}); {there}")
 
 
 @dataclass(frozen=True)
@@ -182,57 +338,6 @@ class Table:
     numbers: dict[str, FloatArray]
     trials: Sequence[str] | None
     place: Callable[[int], str]
-
-
-def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectories:
-    """Check the values of a table and split it into trajectories.
-
-    Parameters
-    ----------
-    layout : Layout
-        With the names of `table`; see `Layout.find`.
-    table : Table
-    name : str
-        Name of the trajectory of a table without trials.
-
-    Returns
-    -------
-    Trajectories
-        In the order of the table, unwrapped where `layout` has angles.
-
-    Raises
-    ------
-    InputError
-        If a value is infinite, a time or a force is missing, the rows of a trial are not together, or times
-        do not increase.
-    DataError
-        If a coordinate has fewer than `MIN_SAMPLES` samples in a trial.
-    """
-    _check_values(layout, table)
-    trajectories: list[Trajectory] = []
-    for label, rows in _trial_rows(layout, table, name):
-        _check_times(layout, table, label, rows)
-        q = np.column_stack([table.numbers[column][rows] for column in layout.coordinates.values()])
-        _check_enough(layout, table, label, q)
-        beside = {kind: _matrix(layout, table, kind, rows, q.shape) for kind in _BESIDE}
-        t = table.numbers[layout.time][rows]
-        trajectories.append(Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, **beside))
-    result = Trajectories(trajectories)
-    return result.unwrap(layout.angles) if layout.angles else result
-
-
-def _matrix(
-    layout: Layout, table: Table, kind: str, rows: slice, shape: tuple[int, ...]
-) -> FloatArray | None:
-    """Forces, velocities or accelerations of some rows; None without any column."""
-    columns = getattr(layout, kind)
-    if not columns:
-        return None
-    out = np.full(shape, 0.0 if kind == "forces" else np.nan)
-    for index, coordinate in enumerate(layout.coordinates):
-        if coordinate in columns:
-            out[:, index] = table.numbers[columns[coordinate]][rows]
-    return out
 
 
 def _check_column(role: str, column: object) -> None:
@@ -261,12 +366,12 @@ def _columns_for(
     kind: str, given: Mapping[Any, object] | Sequence[object] | str | None, coordinates: tuple[str, ...]
 ) -> dict[str, str]:
     """Coordinate -> column of its force, velocity or acceleration."""
-    word = _BESIDE[kind]
+    word = BESIDE[kind]
     if given is None:
         return {}
     if isinstance(given, Mapping):
         pairs: list[tuple[Any, object]] = [
-            (_normal(name) if isinstance(name, str) else name, column) for name, column in given.items()
+            (normal(name) if isinstance(name, str) else name, column) for name, column in given.items()
         ]
     else:
         try:
@@ -289,74 +394,3 @@ def _columns_for(
             raise InputError(f"the {word} {name} must be the name of a column, not {quoted(column)}")
         checked[name] = column
     return checked
-
-
-def _normal(name: str) -> str:
-    return unicodedata.normalize("NFKC", name).strip()
-
-
-def _check_values(layout: Layout, table: Table) -> None:
-    for column in layout.numbers:
-        values, role = table.numbers[column], layout.role(column)
-        bad = ~np.isfinite(values) if role != "sample" else np.isinf(values)
-        if not bad.any():
-            continue
-        row = int(np.flatnonzero(bad)[0])
-        place = f"{table.source}, {table.place(row)}, column {quoted(column)}"
-        if np.isinf(values[row]):
-            cure = "; leave the cell empty if the sample is missing" if role == "sample" else ""
-            raise InputError(f"{place}: the value is infinite, but a finite number is expected{cure}")
-        cure = "; remove the row" if role == "time" else "; put 0 where nothing acts"
-        raise InputError(f"{place}: the {role} is missing{cure}")
-
-
-def _trial_rows(layout: Layout, table: Table, name: str) -> list[tuple[str, slice]]:
-    n_rows = table.numbers[layout.time].size
-    if n_rows == 0:
-        raise InputError(f"{table.source} has no data; at least {MIN_SAMPLES} samples are needed")
-    if table.trials is None:
-        return [(name, slice(0, n_rows))]
-    trials = np.asarray(table.trials, dtype=object)
-    starts = [0, *(np.flatnonzero(trials[1:] != trials[:-1]) + 1).tolist()]
-    first: dict[str, int] = {}
-    for start in starts:
-        place = f"{table.source}, {table.place(start)}, column {quoted(layout.trial)}"
-        label = trials[start]
-        if not label:
-            raise InputError(f"{place}: the name of the trial is missing; fill it in on every row")
-        if label in first:
-            raise InputError(
-                f"{place}: trial {quoted(label)} goes on after another trial (it began at "
-                f"{table.place(first[label])}); keep the rows of a trial together"
-            )
-        first[label] = start
-    return [(trials[a], slice(a, b)) for a, b in zip(starts, [*starts[1:], n_rows], strict=True)]
-
-
-def _check_times(layout: Layout, table: Table, label: str, rows: slice) -> None:
-    t = table.numbers[layout.time][rows]
-    fault = time_fault(t)
-    if fault is None:
-        return
-    index, kind = fault
-    trial = f" in trial {quoted(label)}" if table.trials is not None else ""
-    if kind == "repeated":
-        what = f"time {float(t[index])!r} repeats the one before it{trial}"
-        cure = "keep one row for each time"
-    else:
-        what = f"time {float(t[index])!r} goes backwards, from {float(t[index - 1])!r}{trial}"
-        cure = "sort the rows by time"
-    if table.trials is None:
-        cure += ", or give the column that tells the trials apart (trial=...)"
-    place = f"{table.source}, {table.place(rows.start + index)}, column {quoted(layout.time)}"
-    raise InputError(f"{place}: {what}; {cure}")
-
-
-def _check_enough(layout: Layout, table: Table, label: str, q: FloatArray) -> None:
-    trial = f", trial {quoted(label)}" if table.trials is not None else ""
-    need = f"at least {MIN_SAMPLES} are needed; leave the trial out or record a longer one"
-    if len(q) < MIN_SAMPLES:
-        raise DataError(f"{table.source}{trial}: there are only {len(q)} sample(s); {need}")
-    for name, count in zip(layout.coordinates, np.isfinite(q).sum(axis=0).tolist(), strict=True):
-        if count < MIN_SAMPLES:
-            raise DataError(f"{table.source}{trial}: {name} has only {count} measured sample(s); {need}")

@@ -17,20 +17,75 @@ from typing import IO, NamedTuple
 
 import numpy as np
 
+from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.csv import csv_tables
-from leastaction.data.formats.dispatch import StrPath, listed_paths, stem, trial_name
+from leastaction.data.formats.dispatch import listed_paths, stem, to_trajectories, trial_name
 from leastaction.data.formats.frames import parquet_tables
-from leastaction.data.formats.layout import Layout, Table, to_trajectories
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, Units
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import FIELDS, Trajectory
 from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
+from leastaction.findings import Finding
 from leastaction.identifiers import quoted
 
-__all__ = ["streamed_trajectories"]
+__all__ = ["stream"]
 
 
-def streamed_trajectories(path: StrPath | Iterable[StrPath], layout: Layout) -> Trajectories:
+def stream(
+    path: StrPath | Iterable[StrPath],
+    coordinates: Coordinates,
+    time: str = "t",
+    forces: Forces = None,
+    trial: str | None = None,
+    angles: Iterable[str] = (),
+    velocities: Forces = None,
+    accelerations: Forces = None,
+    *,
+    time_unit: str | None = None,
+    units: Units = "SI",
+) -> Trajectories:
+    r"""Read recordings that are longer than memory, CSV or Parquet.
+
+    The files are read trial by trial and checked as by `read`. The samples go to a temporary file, 8 bytes a
+    number, which lies where the environment variable ``TMPDIR`` says and goes when the trajectories go.
+    `leastaction.discover` searches a structure on pieces, and goes along all samples in each step of a fit.
+
+    Parameters
+    ----------
+    path : path, or iterable of paths
+        CSV text (each suffix also with ``.gz``), or ``.parquet``, which is read by row groups. One trial at a
+        time must fit into memory: a long file needs a column of trials.
+    coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
+        As for `read_csv`.
+
+    Returns
+    -------
+    Trajectories
+        The same as of `read`.
+
+    Raises
+    ------
+    InputError, DataError
+        As for `read`.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from leastaction.io import write_text
+    >>> with TemporaryDirectory() as folder:
+    ...     rows = [f"\n{run},{k},{k / 8}" for run in "ab" for k in range(6)]
+    ...     path = write_text(f"{folder}/runs.csv", "trial,t,x" + "".join(rows))
+    ...     runs = stream(path, ["x"])
+    >>> runs
+    <Trajectories of x: 2 trajectories, 12 samples, 10 s>
+    """
+    layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
+    layout = layout.measured_in(time_unit, units)
+    return _streamed(path, layout)
+
+
+def _streamed(path: StrPath | Iterable[StrPath], layout: Layout) -> Trajectories:
     """Read files trial by trial; the samples end up in a temporary file.
 
     Raises
@@ -145,7 +200,8 @@ class _Store:
                 self._file.write(array.tobytes())
                 places[field] = (self._end, array.shape)
                 self._end += array.size
-        self._kept.append(_Kept(name, part.coordinates, tuple(part.wraps_removed.values()), places))
+        wraps = tuple(part.wraps_removed.values())
+        self._kept.append(_Kept(name, part.coordinates, wraps, places, part.findings))
 
     def trajectories(self) -> Trajectories:
         """All of them, with arrays that are mapped."""
@@ -158,7 +214,7 @@ class _Store:
                 field: numbers[start : start + int(np.prod(shape))].reshape(shape)
                 for field, (start, shape) in kept.places.items()
             }
-            items.append(Trajectory.of(arrays, kept.coordinates, kept.name))
+            items.append(Trajectory.of(arrays, kept.coordinates, kept.name, kept.findings))
         return Trajectories.with_wraps(items, [kept.wraps for kept in self._kept])
 
 
@@ -169,3 +225,4 @@ class _Kept(NamedTuple):
     coordinates: tuple[str, ...]
     wraps: tuple[int, ...]
     places: dict[str, tuple[int, tuple[int, ...]]]
+    findings: tuple[Finding, ...]
