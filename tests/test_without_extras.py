@@ -10,7 +10,7 @@ from leastaction import InputError, LagrangianModel
 from leastaction.errors import MissingPackageError
 from leastaction.model.model import ModelTerm
 
-BLOCKED = ("matplotlib", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags")
+BLOCKED = ("matplotlib", "pandas", "pyarrow", "h5py", "polars", "sklearn", "pint", "rosbags", "openpyxl")
 
 MAIN_PATH = """
 import sys

@@ -4,10 +4,10 @@ Every reader returns `Trajectories` and takes the same arguments: which columns 
 trial, and measured velocities and accelerations. Names of columns need not be valid names of coordinates:
 ``coordinates`` may map one to the other, ``{"theta": "Angle (rad)"}``.
 
-Tables (CSV, Parquet, data frames) have one row for each time. In NPZ and MAT files every column is a variable
-of its own; or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the order of
-``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA; times and forces must be
-there. A file without a trial column is one trial. Times increase within a trial.
+Tables (CSV, Parquet, Excel, data frames) have one row for each time. In NPZ and MAT files every column is a
+variable of its own; or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the
+order of ``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA; times and
+forces must be there. A file without a trial column is one trial. Times increase within a trial.
 
 A column may be named without its unit, ``theta`` for ``theta [deg]``. What a reader has done to the data, it
 says: `Trajectories.findings`.
@@ -312,7 +312,8 @@ def read(
     ----------
     path : path, or iterable of paths
         ``.csv``, ``.tsv``, ``.txt`` or ``.dat`` (each also with ``.gz``), ``.parquet``, ``.npz``, ``.mat``,
-        or a ROS 2 bag (`read_mcap`): ``.mcap``, ``.db3`` or its directory.
+        ``.xlsx`` (the first sheet; needs ``pip install 'leastaction[excel]'``), or a ROS 2 bag
+        (`read_mcap`): ``.mcap``, ``.db3`` or its directory.
     coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`.
 

@@ -13,7 +13,16 @@ import leastaction as la
 from leastaction import InputError
 from leastaction.app import session as _session
 from leastaction.app.candidates import Choice
-from leastaction.app.columns import ANGLE, COORDINATE, FORCE, TIME, TRIAL, UNUSED
+from leastaction.app.columns import (
+    ANGLE,
+    COORDINATE,
+    DEGREES,
+    FORCE,
+    MILLISECONDS,
+    TIME,
+    TRIAL,
+    UNUSED,
+)
 from leastaction.app.session import EXAMPLES, Session, in_words
 from leastaction.app.worker import Worker
 
@@ -235,7 +244,7 @@ def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking
 
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):
     session.open_example("single")
-    with pytest.raises(InputError, match="no text table"):
+    with pytest.raises(InputError, match="no table"):
         session.open_upload("photo.png", b"\x89PNG")
     with pytest.raises(InputError, match="binary data"):
         session.open_upload("photo.csv", b"\x89PNG\0\0")
@@ -314,3 +323,20 @@ def test_data_that_support_nothing_say_so(session):
 )
 def test_messages_speak_of_the_page(text, expected):
     assert in_words(text) == expected
+
+
+def test_a_workbook_is_a_table(session, tmp_path, monkeypatch):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    for row in (["t_ms", "theta [deg]"], *([20 * k, 10.0 * k] for k in range(8))):
+        book.active.append(row)
+    book.save(tmp_path / "run.xlsx")
+    content = (tmp_path / "run.xlsx").read_bytes()
+    session.open_upload("run.xlsx", content)
+    assert session.roles == {"t_ms": MILLISECONDS, "theta [deg]": DEGREES}
+    assert session.columns.sample("theta [deg]") == "0, 10, 20"
+    assert session.data[0].q[-1, 0] == pytest.approx(1.2217, rel=1e-4)
+    assert [finding.code for finding in session.data.findings] == ["time-unit", "converted-units"]
+    monkeypatch.setattr(_session, "MOST_BYTES", 2 * len(content))
+    with pytest.raises(InputError, match="when it is unpacked"):
+        session.open_upload("run.xlsx", content)

@@ -273,8 +273,8 @@ def test_bad_paths(tmp_path):
     ]:
         with pytest.raises(InputError, match=message):
             io.read_csv(path, ["theta"])
-    with pytest.raises(InputError, match=r"suffix '\.xlsx' is not known"):
-        io.read(tmp_path / "run.xlsx", ["theta"])
+    with pytest.raises(InputError, match=r"suffix '\.xls' is not known"):
+        io.read(tmp_path / "run.xls", ["theta"])
     with pytest.raises(InputError, match="is a directory"):
         io.read(tmp_path, ["theta"])
 

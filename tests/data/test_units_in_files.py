@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 import pickle
+import sys
 
 import numpy as np
 import pandas as pd
@@ -450,6 +451,87 @@ def test_dates_in_frames_that_are_refused():
     mixed = pd.DataFrame({"t": [*MOMENTS[:5], "soon"], "x": K})
     with pytest.raises(InputError, match=r"row 5 .*'soon' is not a date as the first one is"):
         io.from_frame(mixed, ["x"])
+
+
+# --- Excel ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def workbook(tmp_path):
+    """Return a function that writes sheets, name -> rows, to run.xlsx and returns the path."""
+    openpyxl = pytest.importorskip("openpyxl")
+
+    def write(**sheets):
+        book = openpyxl.Workbook()
+        book.remove(book.active)
+        for name, rows in sheets.items():
+            sheet = book.create_sheet(name)
+            for row in rows:
+                sheet.append(row)
+        book.save(tmp_path / "run.xlsx")
+        return tmp_path / "run.xlsx"
+
+    return write
+
+
+def test_a_workbook(workbook):
+    rows = [["a", 20 * k, 10.0 * k, k if k != 2 else None, str(k)] for k in range(6)]
+    rows.insert(3, [None] * 5)
+    head = [["# made by hand"], [None], ["trial", "t", "phi", "x_mm", "tau"], [None, "ms", "°", "mm", "Nm"]]
+    path = workbook(first=[*head, *rows], second=[["t", "x"]])
+    runs = io.read(path, ["phi", "x"], forces=["tau"])
+    assert runs.names == ("a",)
+    np.testing.assert_array_equal(runs[0].t, K / 50)
+    np.testing.assert_array_equal(runs[0].q[:, 0], DEGREES)
+    np.testing.assert_array_equal(runs[0].q[:, 1], np.where(K == 2, np.nan, K / 1e3))
+    np.testing.assert_array_equal(runs[0].forces[:, 0], K)
+    assert codes(runs) == ["first-sheet", "units-row", "time-unit", "converted-units", "converted-units"]
+    assert str(runs.findings[0]) == "the sheet 'first' was read, and no other: second"
+
+
+def test_dates_in_a_workbook(workbook):
+    path = workbook(run=[["when", "x"], *([moment, k] for k, moment in enumerate(MOMENTS))])
+    runs = io.read(path, ["x"], time="when")
+    np.testing.assert_allclose(runs[0].t, 0.125 * K, atol=2e-3)  # as exactly as Excel keeps them
+    assert codes(runs) == ["dates"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([], r"the sheet 'run' is empty"),
+        ([["t", "x"]], r"has a header, but no rows below it"),
+        ([[0, 1], [2, 3]], r"row 1: there are numbers where the header is expected"),
+        ([["t", "y"], [0, 1]], r"has no column 'x' \(coordinate x\); its columns are t, y"),
+        ([["t", "x"], [0, 1], [None, None], [1, "0,5"]], r"row 4, column 'x': '0,5' is not a number"),
+        ([["t", "x"], [0, True]], r"row 2, column 'x': True is not a number"),
+        ([["t", "x"], [0, 1], [None, 2]], r"row 3, column 't': the time is missing"),
+        ([["t", "x"], [datetime.time(12), 1]], r"row 2, column 't': .* is not a number; .*times to seconds"),
+        ([["t", "x"], [MOMENTS[0], 1], ["soon", 1]], r"row 3, column 't': 'soon' is not a date"),
+    ],
+)
+def test_workbooks_that_are_refused(workbook, rows, message):
+    with pytest.raises(InputError, match=message):
+        io.read(workbook(run=rows), ["x"])
+
+
+def test_files_that_are_no_workbooks(tmp_path, workbook, monkeypatch):
+    data = workbook(run=[["t", "x"], *([k, k] for k in range(6))]).read_bytes()
+    for content, message in [
+        (b"t,x\n0,1\n", "is not an Excel file in the form .xlsx; save it"),
+        (b"\xd0\xcf\x11\xe0" + bytes(50), "an old one, or one with a password"),
+        (data[: len(data) // 2], "is a damaged Excel file"),
+        (b"", "is empty"),
+    ]:
+        (tmp_path / "bad.xlsx").write_bytes(content)
+        with pytest.raises(InputError, match=message) as caught:
+            io.read(tmp_path / "bad.xlsx", ["x"])
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="cannot be read in pieces"):
+        io.stream(tmp_path / "run.xlsx", ["x"])
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(InputError, match=r"pip install 'leastaction\[excel\]', or save the sheet as CSV"):
+        io.read(tmp_path / "run.xlsx", ["x"])
 
 
 # --- what is said, and where it goes ----------------------------------------------------------------

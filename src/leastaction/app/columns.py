@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from leastaction.data.formats.text import peek_csv
+from leastaction.data.formats import dispatch
 from leastaction.data.formats.units import Clock, parted, unit_of
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
@@ -93,8 +93,8 @@ class Columns:
 
 
 def peek(path: Path) -> Columns:
-    """Read the header and the first rows of a CSV file."""
-    header, rows, units = peek_csv(path)
+    """Read the header and the first rows of a file."""
+    header, rows, units = dispatch.peek(path)
     twice = [name for name in header if header.count(name) > 1]
     if twice:
         raise InputError(f"{path}: two columns are called {twice[0]!r}; give each its own name")

@@ -63,7 +63,7 @@ class DataView:
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
             title("Another table" if self.session.title else "Your table")
-            say("Drop a CSV file here: a header, a column of times, a column for each coordinate.")
+            say("Drop a CSV or Excel file here: a header, a column of times, a column for each coordinate.")
             button = ui.button("Choose a file", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, not by way of the server: only a click may open the file dialog.
             button.on("click", js_handler=f"() => {get}.pickFiles()")
@@ -102,7 +102,7 @@ class DataView:
 
     def _rejected(self) -> None:
         self._fail(
-            f"this file was not taken: give one text table ({', '.join(SUFFIXES[:4])}, also with .gz) of at "
+            f"this file was not taken: give one table ({', '.join(SUFFIXES[:5])}, text also with .gz) of at "
             f"most {MOST_BYTES // 1_000_000} MB"
         )
 

@@ -7,6 +7,7 @@ import io
 import re
 import shutil
 import tempfile
+import zipfile
 import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +32,7 @@ MOST_BYTES = 200_000_000
 
 _PATIENCE = 2.0  # seconds: a process that has been stopped takes as long to come back
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
 
 EXAMPLES = {
     "single": ("Single pendulum", "4 trials of 9.2 s, one angle; swings freely, a little friction"),
@@ -109,7 +110,7 @@ class Session:
         """
         suffix = next((s for s in sorted(SUFFIXES, key=len, reverse=True) if name.lower().endswith(s)), None)
         if suffix is None:
-            raise InputError(f"{_safe(name)} is no text table; give a file with one of {', '.join(SUFFIXES)}")
+            raise InputError(f"{_safe(name)} is no table; give a file with one of {', '.join(SUFFIXES)}")
         _check_size(name, content)
         # The name is for people; only letters, digits and the like reach the disk.
         path = self.folder / (_safe(name[: -len(suffix)]) + suffix)
@@ -300,6 +301,8 @@ def _check_size(name: str, content: bytes) -> None:
     limit = f"{MOST_BYTES // 1_000_000} MB"
     if len(content) > MOST_BYTES:
         raise InputError(f"{_safe(name)} is larger than {limit}; leave out columns or use the command line")
+    if content[:2] == b"PK":
+        _check_workbook(name, content, limit)
     if content[:2] != b"\x1f\x8b":
         return
     total = 0
@@ -313,3 +316,13 @@ def _check_size(name: str, content: bytes) -> None:
                     )
     except (OSError, EOFError, zlib.error):
         return  # damaged: the reader says so
+
+
+def _check_workbook(name: str, content: bytes, limit: str) -> None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as book:
+            total = sum(part.file_size for part in book.infolist())
+    except zipfile.BadZipFile:
+        return  # damaged: the reader says so
+    if total > MOST_BYTES:
+        raise InputError(f"{_safe(name)} holds more than {limit} when it is unpacked; use the command line")

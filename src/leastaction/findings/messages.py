@@ -298,6 +298,7 @@ CODES: dict[str, Message] = {
     "converted-units": Message("note", converted_units),
     "units-row": Message("note", "the row below the header was read as units: {units}"),
     "decimal-comma": Message("note", "numbers were read with a decimal comma"),
+    "first-sheet": Message("note", "the sheet '{sheet}' was read, and no other: {others}"),
     "text-encoding": Message("note", "the text is not UTF-8 and was read as {encoding}"),
     "angle-unwrapped": Message("note", "{jumps} jumps of 2π removed from {subject}"),
     "forces-unused": Message("note", "forces on {subject} were left out: the motion there is prescribed"),

@@ -12,8 +12,9 @@ import numpy as np
 from leastaction.data.formats.arrays import read_mat_table, read_npz_table
 from leastaction.data.formats.atomic import StrPath, check_path
 from leastaction.data.formats.csv import read_csv_table
-from leastaction.data.formats.frames import read_parquet_table
+from leastaction.data.formats.frames import peek_excel, read_excel_table, read_parquet_table
 from leastaction.data.formats.layout import BESIDE, Layout, Table
+from leastaction.data.formats.text import Peek, peek_csv
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray, time_fault
 from leastaction.errors import DataError, InputError
@@ -23,6 +24,7 @@ __all__ = [
     "MIN_SAMPLES",
     "combined_trajectories",
     "listed_paths",
+    "peek",
     "reader_for",
     "stem",
     "to_trajectories",
@@ -43,6 +45,8 @@ _READERS: dict[str, TableReader] = {
     ".pq": read_parquet_table,
     ".npz": read_npz_table,
     ".mat": read_mat_table,
+    ".xlsx": read_excel_table,
+    ".xlsm": read_excel_table,
 }
 
 
@@ -63,6 +67,22 @@ def reader_for(path: Path) -> TableReader:
             f"{', '.join(_READERS)} (text also with .gz), .mcap, .db3, or the reader for its kind"
         )
     return reader
+
+
+def peek(path: Path) -> Peek:
+    """Return the header and the first rows of a table of text or Excel, as text.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind, or cannot be read.
+    """
+    reader = reader_for(path)
+    if reader is read_csv_table:
+        return peek_csv(path)
+    if reader is read_excel_table:
+        return peek_excel(path)
+    raise InputError(f"{path} is no table of text or Excel; save it as CSV")
 
 
 def stem(path: Path) -> str:
