@@ -243,6 +243,22 @@ def test_several_widths_at_once_equal_one_by_one():
         assert gram.n_rows == alone.n_rows
 
 
+@pytest.mark.parametrize(("uneven", "alike"), [(False, True), (True, False)])
+def test_only_even_distances_confuse_a_force_with_one_of_another_frequency(uneven, alike):
+    """With h between test functions, x cos ωt and x cos (2π/h − ω)t have rows in proportion."""
+    hop = 1.5 / 6  # the width over the test functions in it
+    texts = [f"x*{wave}({w}*t)" for w in (1.2, 2.0 * np.pi / hop - 1.2) for wave in ("cos", "sin")]
+    columns = euler_lagrange(texts, ["x"])
+    grid = uniform_grid([20.0], 40.0, 5)
+    control = interpolate(grid, [lambda t: np.sin(t)[:, None]])
+    form = WeakForm(grid, columns, np.full(4, np.nan), None, [1.5], np.ones(1), uneven)
+    ((_, rows),) = form.rows(control)
+    low, high = rows[:, :2], rows[:, 2:4]
+    left = high - low @ np.linalg.lstsq(low, high)[0]
+    assert (np.linalg.norm(left) < 0.02 * np.linalg.norm(high)) == alike
+    assert alike or np.linalg.norm(left) > 0.5 * np.linalg.norm(high)
+
+
 # --------------------------------------------------------------------------------------- noise
 def pendulum_curve() -> CubicSpline:
     """θ̈ = −9.81 sin θ, finely sampled."""

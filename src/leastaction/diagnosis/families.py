@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.diagnosis.cause import beside, gain_of
 from leastaction.diagnosis.missing_terms import missing_term
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, searched_with
@@ -22,7 +21,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges, shape_starts
 from leastaction.findings import Finding, find
 from leastaction.library import Term, make_term, shape_names
-from leastaction.selection.likelihood_refinement import penalty, value
+from leastaction.selection.likelihood_refinement import beside, gain_of, penalty, value
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit, weak_start

@@ -14,14 +14,14 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.cause import Cause, beside, gain_of
+from leastaction.diagnosis.missing_terms import Cause
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes, force_rates
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.likelihood_refinement import refine, value
+from leastaction.selection.likelihood_refinement import beside, gain_of, refine, value
 from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.search_state import equations_hold
 from leastaction.selection.significance import chi_square_cutoff

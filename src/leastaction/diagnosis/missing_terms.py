@@ -7,11 +7,11 @@ error.  With the term itself fewer do, and the likelihood, less the price of the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import comb
 
 import numpy as np
 
-from leastaction.diagnosis.cause import Cause
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
@@ -20,10 +20,28 @@ from leastaction.selection.likelihood_refinement import refine, value
 from leastaction.selection.search_state import equations_hold
 from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["common_terms", "lacking_terms", "missing_term"]
+__all__ = ["Cause", "common_terms", "lacking_terms", "missing_term"]
 
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
 _ROUNDS = 3  # a term that is lacking is found in the first
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What would explain the motion better.
+
+    Attributes
+    ----------
+    finding : Finding
+    gain : float
+        By how much it lowers −2 log likelihood, the price of every term included.
+    holds : bool
+        Whether the equations hold with it.
+    """
+
+    finding: Finding
+    gain: float
+    holds: bool
 
 
 def lacking_terms(fit: Fit, relevance: float) -> list[Cause]:

@@ -16,29 +16,26 @@ from itertools import count
 
 import numpy as np
 
-from leastaction.diagnosis.cause import beside, gain_of
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import searched_with
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
+from leastaction.estimation.shape_ranges import ShapeRange, frequency_range, shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import TIME, names_in_terms
 from leastaction.library import Term, make_term, shape_names, time_symbol
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
-from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies import feeding_friction, shape_fit, weak_start
+from leastaction.selection.strategies.frequency_scan import best_number
 
 __all__ = ["time_dependence"]
 
 _ROUNDS = 3  # functions of time in one law, at most
 _MOST_FACTORS = 12  # bounds time
 _MOST_FREQUENCIES = 1000  # bounds time
-_STARTS = 17  # rates of an exponential
 # of the factor and the name of a frequency or rate
 _WAVE = ("{0}*cos({{{1}}}*t)", "{0}*sin({{{1}}}*t)")
 _DRIFT = ("{0}*t", "{0}*exp(-{{{1}}}*t)")
-_CLOSER = np.linspace(-0.75, 0.75, 7)  # of the distance of two frequencies: about the best one
 
 
 @dataclass(frozen=True)
@@ -121,25 +118,13 @@ def _offer(fit: Fit, factors: Sequence[str], letter: str, *functions: str) -> _O
     taken = {*names, *fit.problem.ranges}
     name = next(n for k in count() if (n := f"{letter}{k or ''}") not in taken)
     groups = [[make_term(f.format(factor, name), names) for f in functions] for factor in factors]
-    ranges = shape_ranges(groups[0], {TIME: np.asarray(fit.points().times)}, {})
-    tried = ranges[name].starts(_STARTS)[:_MOST_FREQUENCIES]
-    gains = np.array([_gains(fit, group, name, tried) for group in groups])
-    which, at = np.unravel_index(int(np.argmax(gains)), gains.shape)
-    if ranges[name].spacing == "frequency":
-        tried = tried[at] + ranges[name].apart * _CLOSER
-        at = int(np.argmax(_gains(fit, groups[which], name, tried)))
-    terms = tuple(term.at({name: float(tried[at])}) for group in groups for term in group)
-    chance = chi_square_cutoff(1 + len(functions), gains.size)
-    return _Offer(terms, ranges, float(gains.max()) - chance)
-
-
-def _gains(fit: Fit, group: Sequence[Term], name: str, numbers: np.ndarray) -> np.ndarray:
-    """By how much −2 log likelihood falls with the terms of one factor, at each number."""
-    base = [fit.problem.terms[m] for m in fit.structure]
-    more = [term.at({name: x}) for x in numbers.tolist() for term in group]
-    model, here = beside(fit, fit.problem.candidates.of([*base, *more]))
-    places = range(len(base), len(base) + len(more), len(group))
-    return np.array([gain_of(model, here, *range(k, k + len(group))) for k in places])
+    times = np.asarray(fit.points().times)
+    if functions == _WAVE:
+        where = frequency_range(times, most=_MOST_FREQUENCIES)
+    else:
+        where = shape_ranges(groups[0], {TIME: times}, {})[name]
+    _, number, gain = best_number(fit, groups, name, where)
+    return _Offer(tuple(term.at({name: number}) for group in groups for term in group), {name: where}, gain)
 
 
 def _posed(search: Search, offer: _Offer) -> Search:

@@ -24,7 +24,7 @@ from leastaction.estimation.settings import ESTIMATION
 from leastaction.identifiers import quoted
 from leastaction.library import Term, is_constant, shape_names, shape_symbol, time_symbol
 
-__all__ = ["ShapeRange", "shape_ranges", "shape_starts"]
+__all__ = ["ShapeRange", "frequency_range", "shape_ranges", "shape_starts"]
 
 _QUARTER = np.pi / 2.0  # of a turn
 _MOST_FREQUENCIES = 4000  # bounds time
@@ -204,19 +204,36 @@ def _in_wave(
     angle = wave.args[0]
     rate, slope = sp.diff(angle, time_symbol), sp.diff(angle, symbol)
     if symbol in rate.free_symbols and _still(rate):
-        times = states[str(time_symbol)]
-        latest, steps = float(np.abs(times).max()), np.diff(times)
-        resolved = 1.0 / float(np.median(steps[steps > 0.0]))
         scale = abs(float(sp.diff(rate, symbol).xreplace({s: sp.Float(1.0) for s in rate.free_symbols})))
-        return ShapeRange(
-            np.pi / float(np.ptp(times)) / scale,
-            resolved / scale,
-            "frequency",
-            apart=_QUARTER / latest / scale,
-        )
+        return frequency_range(states[str(time_symbol)], scale)
     if _still(slope) and _still(angle - time_symbol * rate):
         return ShapeRange(0.0, np.pi, "linear")  # the sign of the wave is that of its coefficient
     return None
+
+
+def frequency_range(times: np.ndarray, scale: float = 1.0, most: float = np.inf) -> ShapeRange:
+    """Frequencies that a recording can tell, from half a turn over it to what its points resolve.
+
+    Parameters
+    ----------
+    times : (n_points,) array
+        Of the points, one trajectory after another.
+    scale : float
+        Turns the number into a frequency in rad/s.
+    most : float
+        Frequencies that are tried; with fewer than it takes, the highest are left out.
+
+    Examples
+    --------
+    >>> found = frequency_range(np.linspace(0.0, 10.0, 101))
+    >>> round(found.low, 3), round(found.high, 3), round(found.apart, 3)
+    (0.314, 10.0, 0.157)
+    """
+    latest, steps = float(np.abs(times).max()), np.diff(times)
+    resolved = 1.0 / float(np.median(steps[steps > 0.0]))
+    low, apart = np.pi / float(np.ptp(times)), _QUARTER / latest
+    high = min(resolved, low + most * apart)
+    return ShapeRange(low / scale, high / scale, "frequency", apart=apart / scale)
 
 
 def _ancestors(expr: sp.Expr, symbol: sp.Symbol) -> list[sp.Basic]:

@@ -20,6 +20,7 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.likelihood_search import Choice, QuadraticModel, search_subsets, term_penalty
 from leastaction.selection.progress import Progress, law_so_far, silent
 from leastaction.selection.settings import SELECTION
@@ -188,3 +189,16 @@ def best_structure(proposals: Iterable[Proposal], best: Fit | None, report: Prog
             break
     assert best is not None
     return best
+
+
+def beside(fit: Fit, candidates: EulerLagrange) -> tuple[QuadraticModel, tuple[int, ...]]:
+    """Quadratic model of the likelihood: chosen terms, those behind them; and places of the chosen."""
+    quadratic, chosen = fit.score(candidates), len(fit.structure)
+    here = np.concatenate([fit.estimates, np.zeros(len(candidates) - chosen)])
+    model = QuadraticModel(quadratic.matrix, quadratic.gradient, here)
+    return model, tuple(range(chosen))
+
+
+def gain_of(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
+    """By how much further terms lower −2 log likelihood."""
+    return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost

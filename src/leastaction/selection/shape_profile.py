@@ -121,7 +121,8 @@ class Profile:
         index = [*self.plain, *fixed]
         known = np.append(np.full(len(self.plain), np.nan), self.problem.known[fixed])
         self._curves = [curve.control_points, *weak_replicates(grid, curve, seed)]
-        self._form = weak_form(grid, curve, self.problem.candidates.subset(index), known, (1.0,))
+        waves = any(where.spacing == "frequency" for where in self.problem.ranges.values())
+        self._form = weak_form(grid, curve, self.problem.candidates.subset(index), known, (1.0,), waves)
         self._rows = self._made(self._form)
         self._levels = _levels([terms[k] for k in self.plain])
 

@@ -28,6 +28,7 @@ __all__ = ["WeakForm", "WeakGram", "weak_gram"]
 
 _BLOCK = 16384  # quadrature points handled at once
 _HOPS = 6  # test functions a width
+_GOLDEN = 0.6180339887498949  # its multiples, less their integers, are spread evenly
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +88,9 @@ class WeakForm:
         Supports of the test functions in seconds.
     scale : (n_dof,) array
         Typical rate of each coordinate: turns each equation into a power, so that units do not matter.
+    uneven : bool
+        Whether the distances of the test functions differ.  At even distances h, a force cos ω t looks like
+        one of frequency 2π/h − ω, and larger.
     """
 
     def __init__(
@@ -97,6 +101,7 @@ class WeakForm:
         forces: np.ndarray | None,
         widths: Sequence[float],
         scale: np.ndarray,
+        uneven: bool = False,
     ) -> None:
         self.grid, self.forces = grid, forces
         self.equations = np.setdiff1d(np.arange(columns.n_dof), columns.prescribed)
@@ -106,7 +111,10 @@ class WeakForm:
         owners = [np.flatnonzero(grid.owner == k) for k in range(len(grid.spaces))]
         self._chunks = [slice(index[0], index[-1] + 1) for index in owners]
         self._tests = [
-            [_TestFunctions(grid.points[c].ravel(), grid.weights[c].ravel(), width) for width in self.widths]
+            [
+                _TestFunctions(grid.points[c].ravel(), grid.weights[c].ravel(), width, uneven)
+                for width in self.widths
+            ]
             for c in self._chunks
         ]
 
@@ -170,12 +178,15 @@ class WeakForm:
 class _TestFunctions:
     """χ = (1 − x²)⁴ and χ̇ times quadrature weights on one trajectory, one window a row."""
 
-    def __init__(self, points: np.ndarray, weights: np.ndarray, width: float) -> None:
+    def __init__(self, points: np.ndarray, weights: np.ndarray, width: float, uneven: bool) -> None:
         span = float(points[-1] - points[0])
         width = min(width, 0.9 * span)
         hop = width / _HOPS
         n_windows = max(1, int((span - width) / hop) + 1)
-        centres: np.ndarray = points[0] + 0.5 * width + hop * np.arange(n_windows)
+        places: np.ndarray = np.arange(n_windows, dtype=float)
+        if uneven:  # each up to half a distance earlier, the first where it is
+            places = places - 0.5 * np.mod(_GOLDEN * places, 1.0)
+        centres: np.ndarray = points[0] + 0.5 * width + hop * places
         self.low = np.searchsorted(points, centres - 0.5 * width)
         self.high = np.searchsorted(points, centres + 0.5 * width)
         lengths = self.high - self.low

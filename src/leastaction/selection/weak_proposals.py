@@ -79,7 +79,12 @@ def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
 
 
 def weak_form(
-    grid: Grid, curve: Smooth, candidates: EulerLagrange, known: np.ndarray, widths: Sequence[float]
+    grid: Grid,
+    curve: Smooth,
+    candidates: EulerLagrange,
+    known: np.ndarray,
+    widths: Sequence[float],
+    uneven: bool = False,
 ) -> WeakForm:
     """The weak form of some candidates, with widths in periods of the fastest coordinate."""
     _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
@@ -87,7 +92,7 @@ def weak_form(
     period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
     forces = None if grid.forces is None else grid.forces.values
     seconds = [factor * period for factor in widths]
-    return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates))
+    return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates), uneven)
 
 
 def weak_replicates(grid: Grid, curve: Smooth, seed: int) -> list[np.ndarray]:
