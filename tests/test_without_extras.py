@@ -83,3 +83,33 @@ def test_missing_package_is_both_kinds_of_error(monkeypatch):
 def test_missing_package_survives_pickling():
     error = MissingPackageError("this", "that", "other")
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def run_python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_nothing_but_the_app_imports_nicegui():
+    code = (
+        "import sys, leastaction\n"
+        "import leastaction.app\n"
+        "from leastaction.cli import main\n"
+        "try:\n    main(['{}'])\nexcept SystemExit:\n    pass\n"
+        "assert 'nicegui' not in sys.modules, 'imported'"
+    )
+    for option in ("--help", "--version"):
+        result = run_python(code.format(option))
+        assert result.returncode == 0, result.stderr
+
+
+def test_without_the_extra_one_line_says_what_to_install():
+    code = "import sys; sys.modules['nicegui'] = None; from leastaction.cli import main; main(['app'])"
+    result = run_python(code)
+    assert result.returncode == 2
+    assert (
+        result.stderr.strip()
+        == "error: the app needs NiceGUI; install it with: pip install 'leastaction[app]'"
+    )
+    assert result.stdout == ""

@@ -131,7 +131,9 @@ def _path(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
 
 def _points(fit: Fit, alternatives: Sequence[Alternative]) -> list[PathPoint]:
     """The structures about a fit, as the model keeps them."""
-    texts, lengths = [term.text for term in fit.problem.terms], fit.problem.bits
+    problem = fit.problem
+    texts, lengths, numbers = [term.text for term in problem.terms], problem.bits, problem.shape_values
+    templates = ["" if t.template is None else t.template.term.text for t in problem.terms]
     return [
         PathPoint(
             tuple(texts[m] for m in a.structure),
@@ -141,8 +143,10 @@ def _points(fit: Fit, alternatives: Sequence[Alternative]) -> list[PathPoint]:
             a.reason,
             tuple(a.coefficients[list(a.structure)].tolist()),
             tuple(a.standard_errors.tolist()),
-            tuple(fit.problem.terms[m].kind for m in a.structure),
+            tuple(problem.terms[m].kind for m in a.structure),
             float(lengths[list(a.structure)].sum()),
+            tuple(templates[m] for m in a.structure) if numbers else (),
+            tuple((name, numbers[name]) for name in problem.shapes_of(a.structure)),
         )
         for a in alternatives
     ]

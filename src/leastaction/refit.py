@@ -5,33 +5,37 @@ A point of the curve has coefficients from the quadratic model of the likelihood
     cost(λ) ≈ cost(λ*) + ½ (λ − λ*)ᵀ A (λ − λ*),
 
 so that a provisional model costs nothing.  Its refit needs no search: the structure is known, the grid is
-that of the chosen fit, and so are data, outliers, and forces.
+that of the chosen fit, and so are data, outliers, and forces.  Shape parameters are fitted again, from the
+numbers of the curve on; the quadratic model holds them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from leastaction.assembly import assemble_model
-from leastaction.curve.knots import excerpt, lay_knots
+from leastaction.curve.knots import Knots, excerpt, lay_knots
 from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.build import ENOUGH_SAMPLES, Setup
+from leastaction.estimation.build import ENOUGH_SAMPLES, Setup, states_along
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.force_bias import no_bias
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.profile import profiled
+from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges
+from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.structure import Structure
 from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms
-from leastaction.library import Kind, Library, make_term
+from leastaction.library import Kind, Library, Term, make_term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.model.diagnostics import Diagnostics, PathPoint
 from leastaction.model.model import LagrangianModel
-from leastaction.model.term import FitSummary, ModelTerm
+from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import exact_equations, simulation_error
@@ -54,12 +58,13 @@ def provisional(model: LagrangianModel, point: PathPoint) -> LagrangianModel:
     Returns
     -------
     LagrangianModel
-        Known terms as in `model`; without covariance, diagnostics, and verdict.
+        Known terms as in `model`; without covariance, diagnostics, and verdict. Shape parameters have the
+        numbers of the curve, without errors.
 
     Raises
     ------
     InputError
-        If the point has no coefficients, or they make no model.
+        If the point has no coefficients, or no number for a shape parameter, or they make no model.
     """
     terms = _terms(model, point)
     return LagrangianModel(
@@ -69,6 +74,7 @@ def provisional(model: LagrangianModel, point: PathPoint) -> LagrangianModel:
         noise_std=model.noise_std,
         fit=FitSummary("doubtful"),
         provenance=_provenance(model, point),
+        shapes=tuple(ShapeParameter(*pair) for pair in _numbers(model, point, terms).items()),
     )
 
 
@@ -91,12 +97,13 @@ def refit(model: LagrangianModel, point: PathPoint, progress: Progress | None = 
     Returns
     -------
     LagrangianModel
-        With the trade-off curve of `model`. Friction that comes out negative is left out.
+        With the trade-off curve of `model`, and shape parameters with standard errors and profiles. Friction
+        that comes out negative is left out.
 
     Raises
     ------
     InputError
-        If the model has no diagnostics, or the point no coefficients.
+        If the model has no diagnostics, or the point no coefficients, or no number for a shape parameter.
     DataError
         If the fit of the structure does not converge, or its equations cannot be solved then.
     """
@@ -120,8 +127,10 @@ def refit(model: LagrangianModel, point: PathPoint, progress: Progress | None = 
         feeding=feeding,
         findings=(*_by_hand(model, point), *_slow_forces(model)),
     )
-    search = simulation_error.run(exact_equations.run(search))
+    search = _with_shapes(exact_equations.run(search.at(fit.problem.shape_values)))
+    search = simulation_error.run(search)
     clock.start("verify")
+    search = search.now(profiled(search.found))
     verdict = verify(search, (), look_for_causes=False)
     clock.stop()
     found = assemble_model(setup, search, verdict, (), {}, clock.timings)
@@ -148,8 +157,27 @@ def _terms(model: LagrangianModel, point: PathPoint) -> list[tuple[Kind, ModelTe
     place = {(kind, term.expression): k for k, (kind, term) in enumerate(own)}
     terms: list[tuple[Kind, ModelTerm]] = [(kind, term) for kind, term in own if term.known]
     numbers = zip(point.expressions, point.coefficients, point.standard_errors, strict=True)
-    terms.extend((kind, ModelTerm(*term)) for kind, term in zip(point.kinds, numbers, strict=True))
+    templates = point.templates or ("",) * point.n_terms
+    terms.extend(
+        (kind, ModelTerm(*term, template=template))
+        for kind, term, template in zip(point.kinds, numbers, templates, strict=True)
+    )
     return sorted(terms, key=lambda pair: place.get((pair[0], pair[1].expression), len(own)))
+
+
+def _numbers(
+    model: LagrangianModel, point: PathPoint, terms: Sequence[tuple[Kind, ModelTerm]]
+) -> dict[str, float]:
+    """The numbers of the shape parameters in these terms."""
+    found = {shape.name: shape.value for shape in model.shapes} | dict(point.shapes)
+    names = names_in_terms(model.coordinates)
+    used = shape_names([make_term(t.template, names, kind=kind) for kind, t in terms if t.template])
+    for name in used:
+        if name not in found:
+            raise InputError(
+                f"this point of the trade-off curve has no number for the shape parameter {name!r}"
+            )
+    return {name: found[name] for name in used}
 
 
 def _by_hand(model: LagrangianModel, point: PathPoint) -> tuple[Finding, ...]:
@@ -177,21 +205,37 @@ def _setup(model: LagrangianModel, before: Diagnostics, point: PathPoint) -> Set
     """The problem of the model with the candidates of one structure."""
     names = names_in_terms(model.coordinates)
     terms: dict[Kind, list[ModelTerm]] = {"lagrangian": [], "dissipation": []}
-    for kind, term in _terms(model, point):
+    pairs = _terms(model, point)
+    for kind, term in pairs:
         terms[kind].append(term)
-    # with the very texts of the curve, of which a parsed term would change the blanks
-    parsed = {
-        kind: [replace(make_term(t.expression, names, kind=kind), text=t.expression) for t in group]
-        for kind, group in terms.items()
-    }
+    numbers = _numbers(model, point, pairs)
+    parsed = {kind: [_candidate(t, kind, names, numbers) for t in group] for kind, group in terms.items()}
     library = Library(parsed["lagrangian"], model.coordinates, dissipation=parsed["dissipation"])
     places = [model.coordinates.index(name) for name in model.prescribed]
     candidates = EulerLagrange((*library.terms, *library.dissipation), model.coordinates, places)
     known = np.array([t.coefficient if t.known else np.nan for group in terms.values() for t in group])
     data, degree = before.trajectories, before.grid.spaces[0].degree
-    problem = Problem(data, candidates, known, degree)
     searched = excerpt(data, ENOUGH_SAMPLES)
-    return Setup(problem, problem.on(searched), library, lay_knots(searched, degree), before.prepared)
+    scales = lay_knots(searched, degree)
+    problem = Problem(data, candidates, known, degree, ranges=_ranges(model, candidates.terms, scales))
+    return Setup(problem, problem.on(searched), library, scales, before.prepared)
+
+
+def _candidate(term: ModelTerm, kind: Kind, names: Sequence[str], numbers: Mapping[str, float]) -> Term:
+    """A term of the curve with its very text, of which a parsed one would change the blanks."""
+    parsed = make_term(term.template or term.expression, names, kind=kind)
+    return replace(replace(parsed, text=term.written).at(numbers), text=term.expression)
+
+
+def _ranges(model: LagrangianModel, terms: Sequence[Term], scales: Knots) -> dict[str, ShapeRange]:
+    """Where the shape parameters were looked for in the discovery; the bounds of the user hold again."""
+    whole = [term.template.term for term in terms if term.template is not None]
+    if not whole:
+        return {}
+    options = model.provenance.get("options", {})
+    given = options.get("shapes", {}) if isinstance(options, Mapping) else {}
+    held = {name: ends for name, ends in given.items() if name in shape_names(whole)}
+    return shape_ranges(whole, states_along(model.coordinates, scales), held)
 
 
 def _fit(
@@ -204,13 +248,22 @@ def _fit(
     grid = Grid.lay(problem, float(model.provenance["knots_per_second"]))
     structure = Structure(problem.free)
     start = grid.start(structure, before.control_points, coefficients, before.noise_std)
-    fit, feeding = grid.fit(structure, start), ()
+    # the curve obeys its equations better than the data prove: weights come down to those of the chosen fit
+    weights = replace(start.weights, physics=np.fmin(start.weights.physics, before.physics_weight))
+    start = replace(start, weights=weights)
+    fit, feeding = fit_shapes(grid.fit(structure, start)), ()
     while fit.usable and (negative := negative_friction(fit)):
         feeding += tuple(negative)
-        grid = grid.posed(grid.problem.excluding(list(negative)))
-        fit = grid.fit(fit.structure.without(negative), fit.start)
+        grid = grid.posed(fit.problem.excluding(list(negative)))
+        fit = fit_shapes(grid.fit(fit.structure.without(negative), fit.start))
     if not fit.converged:
         raise DataError(f"the fit of this structure does not converge ({fit.status})")
     if not np.isfinite(fit.evidence):
         raise DataError("fitted, the equations of this structure cannot be solved along the motion")
     return fit, feeding
+
+
+def _with_shapes(search: Search) -> Search:
+    """The search with its shape parameters fitted at the weights that it has now."""
+    fit = fit_shapes(search.found)
+    return search.now(fit).at(fit.problem.shape_values)

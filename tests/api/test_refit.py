@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import DUFFING_LIBRARY, KINETIC, duffing, findings_of
+from helpers import DUFFING_LIBRARY, KINETIC, duffing, findings_of, record
 from leastaction import DataError, InputError
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
@@ -97,6 +97,87 @@ def test_another_structure_is_as_a_search_for_its_terms_finds_it(sprung):
     assert "improve the fit by less than their price" in finding.message
     assert model.fit.status == "doubtful"
     assert model.diagnostics.path == sprung.diagnostics.path
+
+
+def morse(q, v, f):
+    """In L = ½ ẋ² + 4 e^(−0.8 x) − 2 e^(−1.6 x)."""
+    return -3.2 * (np.exp(-0.8 * q) - np.exp(-1.6 * q))
+
+
+MORSE = ["x_dot**2", "x", "x**2", "x**3", "exp(-{a}*x)", "exp(-2*{a}*x)"]
+MORSE_KNOWN = {"x_dot**2": 0.5}
+
+
+@pytest.fixture(scope="module")
+def bound() -> la.LagrangianModel:
+    """A law with a number inside two of its terms."""
+    starts = [([2.2], [0.0]), ([1.3], [0.0]), ([0.0], [1.2])]
+    data = record(morse, starts, ["x"], duration=8.0, rate=30.0, noise=0.01, seed=1)
+    return la.discover(data, MORSE, MORSE_KNOWN)
+
+
+def point_of(model: la.LagrangianModel, *written: str) -> PathPoint:
+    return next(p for p in model.diagnostics.path if p.written == written)
+
+
+def test_a_point_has_its_shape_parameters_by_name(bound):
+    (found,) = bound.shapes
+    kinds = set()
+    for point in bound.diagnostics.path:
+        held = any("{a}" in text for text in point.written)
+        assert point.shapes == ((("a", found.value),) if held else ())
+        assert all("{" not in text for text in point.expressions)
+        model = provisional(bound, point)
+        assert [(s.name, s.value) for s in model.shapes] == list(point.shapes)
+        assert all(np.isnan(s.standard_error) for s in model.shapes)
+        assert {t.written for t in model.terms if not t.known} == {*point.written}
+        kinds.add(held)
+    assert kinds == {True, False}
+
+
+def test_shape_parameters_of_the_chosen_structure_come_out_as_they_were(bound):
+    (chosen,) = (p for p in bound.diagnostics.path if p.chosen)
+    again = refit(bound, chosen)
+    assert [t.written for t in again.terms] == [t.written for t in bound.terms]
+    numbers = [[*m.terms[1:], m.shapes[0].as_term()] for m in (bound, again)]
+    for before, after in zip(*numbers, strict=True):
+        assert abs(after.coefficient - before.coefficient) <= 0.1 * before.standard_error
+        # of equations that hold this well, rounding decides which error they may have at most
+        assert after.standard_error == pytest.approx(before.standard_error, rel=0.5)
+    assert len(again.shapes[0].profile) > 8
+    assert again.fit.status == bound.fit.status == "ok"
+    assert again.provenance["structure"] == list(chosen.expressions)
+
+
+def test_shape_parameters_of_another_structure_are_fitted_again(bound):
+    """e^(−2ax) with a is what e^(−ax) is with 2a: from the same number both fits come to one law."""
+    refitted = [refit(bound, point_of(bound, "x", text)) for text in ("exp(-2*{a}*x)", "exp(-{a}*x)")]
+    doubled, single = (model.shapes[0] for model in refitted)
+    assert abs(single.value - bound.shapes[0].value) > 10.0 * single.standard_error
+    assert 2.0 * doubled.value == pytest.approx(single.value, abs=0.02 * single.standard_error)
+    assert 2.0 * doubled.standard_error == pytest.approx(single.standard_error, rel=0.05)
+    for model, shape in zip(refitted, (doubled, single), strict=True):
+        (bearer,) = (t for t in model.terms if t.template)
+        assert bearer.expression == bearer.template.replace("{a}", f"{shape.value:.12g}")
+        assert model.covariance.shape == (3, 3)
+        assert model.covariance[2, 2] == pytest.approx(shape.standard_error**2)
+
+
+def test_bounds_of_shape_parameters_hold_in_a_refit():
+    starts = [([2.2], [0.0]), ([1.3], [0.0]), ([0.0], [1.2])]
+    data = record(morse, starts, ["x"], duration=8.0, rate=30.0, noise=0.01, seed=1)
+    model = la.discover(data, MORSE, MORSE_KNOWN, shapes={"a": (0.5, 1.2)})
+    again = refit(model, point_of(model, "x", "exp(-{a}*x)"))
+    assert again.shapes[0].value == 1.2
+    assert findings_of(again, "shape-at-bound")
+
+
+def test_a_point_without_the_number_of_a_shape_parameter_says_so(bound):
+    (chosen,) = (p for p in bound.diagnostics.path if p.chosen)
+    strange = replace(chosen, templates=tuple(t.replace("{a}", "{b}") for t in chosen.templates))
+    for function in (refit, provisional):
+        with pytest.raises(InputError, match="no number for the shape parameter 'b'"):
+            function(bound, strange)
 
 
 def test_what_was_said_of_the_data_is_said_again():

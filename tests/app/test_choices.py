@@ -1,10 +1,8 @@
-"""What the app computes without a browser: columns, candidates, path, stick figures; and how it starts."""
+"""What the app computes without a browser: columns, candidates, path, stick figures."""
 
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -315,6 +313,16 @@ def test_walk_says_why_a_structure_was_not_chosen(reason, bic, text):
     assert words.endswith(".")
 
 
+def test_walk_names_shape_parameters():
+    """Their numbers change with every refit."""
+    terms, templates = ("x_dot**2", "exp(-0.8*x)"), ("", "exp(-{a}*x)")
+    points = (
+        PathPoint(terms, 0.0, 0.0, True, templates=templates),
+        PathPoint(("x_dot**2",), 5.0, 5.0, templates=("",)),
+    )
+    assert Walk(points).difference(1) == ([], ["exp(-{a}*x)"])
+
+
 def test_walk_leaves_out_what_is_not_finite():
     model = spring()
     path = (*model.diagnostics.path, PathPoint(("x",) * 4, math.inf, math.inf))
@@ -369,36 +377,3 @@ def test_frames_follow_the_links():
     # The second link turns with the first one.
     assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
     assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
-
-
-# start
-
-
-def run_python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
-    )
-
-
-def test_nothing_but_the_app_imports_nicegui():
-    code = (
-        "import sys, leastaction\n"
-        "import leastaction.app\n"
-        "from leastaction.cli import main\n"
-        "try:\n    main(['{}'])\nexcept SystemExit:\n    pass\n"
-        "assert 'nicegui' not in sys.modules, 'imported'"
-    )
-    for option in ("--help", "--version"):
-        result = run_python(code.format(option))
-        assert result.returncode == 0, result.stderr
-
-
-def test_without_the_extra_one_line_says_what_to_install():
-    code = "import sys; sys.modules['nicegui'] = None; from leastaction.cli import main; main(['app'])"
-    result = run_python(code)
-    assert result.returncode == 2
-    assert (
-        result.stderr.strip()
-        == "error: the app needs NiceGUI; install it with: pip install 'leastaction[app]'"
-    )
-    assert result.stdout == ""

@@ -9,6 +9,7 @@ import pytest
 
 from leastaction import Trajectories, Trajectory
 from leastaction.model.diagnostics import PathPoint, pareto
+from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.axes import shortened
 from leastaction.report.captions import (
@@ -18,6 +19,7 @@ from leastaction.report.captions import (
     pareto_title,
     path_title,
     residual_title,
+    symmetry_note,
 )
 from leastaction.report.figures_model import pareto_figure
 from leastaction.report.mathml import Notation, number_parts
@@ -201,3 +203,19 @@ def test_long_names_are_shortened_in_figures_and_wrapped_in_headings():
     long, short = (Page(str(notation.term(t))).root.one("math") for t in (f"{name}*cos({name})", "x*cos(x)"))
     assert long.attributes["class"] == "longer"
     assert "class" not in short.attributes
+
+
+def test_only_words_that_the_table_of_symmetries_has_are_explained():
+    energy = Symmetry("time translation", ("x",), "t + c", "in form", drift=0.01)
+    assert symmetry_note([energy]).startswith(
+        "In form: whatever the coefficients are. “Conserved to”: the rms"
+    )
+    held_up = replace(energy, obstacles=("friction",))
+    assert symmetry_note([held_up]) == "In form: whatever the coefficients are."
+    turn = Symmetry("rotation", ("x", "y"), "turn of (x, y)", "within errors", 1, 0.4, 0.0031)
+    assert symmetry_note([turn]).startswith("Within the error bars: ")
+    assert "Conserved to" not in symmetry_note([turn])
+    back = Symmetry("time reversal", ("x",), "t -> -t", "in form")
+    assert symmetry_note([held_up, back]).endswith(
+        "Nothing is conserved with a reversal of time or an exchange."
+    )

@@ -26,7 +26,9 @@ from report_helpers import Page, spring
     ("text", "expected"),
     [
         ("cos(theta1)**2", "<msup><mi>cos</mi><mrow><mn>2</mn></mrow></msup>"),
-        ("-x_cart/2", "<mo>−</mo><mfrac>"),
+        ("-x_cart/2", '<mo form="prefix">−</mo><mfrac>'),
+        ("exp(-2*{a}*theta1)", '<mo form="prefix">(</mo><mo form="prefix">−</mo><mn>2</mn>'),
+        ("theta1-(-2)*x_cart", '<mo>−</mo><mrow><mo form="prefix">(</mo><mo form="prefix">−</mo><mn>2</mn>'),
         (
             "x_cart_dot**2",
             "<mo>.</mo></mrow></mover></mpadded><mtext>cart</mtext><mrow><mn>2</mn></mrow></msubsup>",
@@ -35,7 +37,7 @@ from report_helpers import Page, spring
         ("abs(theta1)", '<mo form="prefix">|</mo>'),
         ("sqrt(theta1**2)", "<msqrt>"),
         ("2*3", "<mn>2</mn><mo>·</mo><mn>3</mn>"),
-        ("2**-7", "<mo>−</mo><mn>7</mn>"),
+        ("2**-7", '<mo form="prefix">−</mo><mn>7</mn>'),
         ("1e-7*pi", "<mn>−7</mn>"),
         ("a <b> c", "<mtext>a &lt;b&gt; c</mtext>"),
         ("theta1 if x else y", "<mtext>theta1 if x else y</mtext>"),
@@ -60,6 +62,21 @@ def test_symmetries_in_a_table():
     signs = re.sub(r"<math>.*?</math>", "∙", rows[2]["quantity"])
     assert signs == "angular momentum ∙ − ∙ + ∙ − ∙"
     assert rows[5]["quantity"] == "energy"  # too long, and nothing but L with other signs
+
+
+def test_numbers_inside_terms_of_a_conserved_quantity_are_short():
+    """SymPy holds 0.798278123456 as a fraction of long whole numbers."""
+    terms = {
+        "x_dot**2": 0.5,
+        "exp(-0.798278123456*x)": 4.0,
+        "exp(-2*0.798278123456*x)": -2.0,
+        "x**0.37512": 1.0,
+    }
+    energy = LagrangianModel("x", [ModelTerm(*item) for item in terms.items()]).symmetries[-1]
+    assert energy.written == "-x**(0.37512) + 0.5*x_dot**2 + 2*exp(-1.5966*x) - 4*exp(-0.79828*x)"
+    assert "15625" in energy.quantity  # which has all digits
+    assert r"2 \, e^{- 1.5966 x} - 4 \, e^{- 0.79828 x}" in energy.latex
+    assert "x^{0.37512}" in energy.latex
 
 
 def test_names_that_look_alike_stay_apart():

@@ -47,7 +47,7 @@ class Walk:
 
     def difference(self, place: int) -> tuple[list[str], list[str]]:
         """Terms that a structure has more, and less, than the chosen one."""
-        here, there = self.points[place].expressions, self.points[self.chosen].expressions
+        here, there = self.points[place].written, self.points[self.chosen].written
         return [e for e in here if e not in there], [e for e in there if e not in here]
 
     def verdict(self, place: int) -> str:

@@ -37,6 +37,7 @@ _STAGES = {
     "forecast": "Forecasting",
 }
 _MOST_DRAWN = 4
+_TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
 def show(page: Page) -> None:
@@ -219,7 +220,8 @@ class ResultView:
             if motion is None:
                 self._no_forecast(found)
                 return
-            kind = "a trial that took no part in the fit" if motion.held_out else "a trial of the fit"
+            kind = "which took no part in the fit" if motion.held_out else "which is part of the fit"
+            where = f"trial {motion.trial}" if motion.trial else "the data"
             length = motion.t[-1] - motion.t[0]
             holds = f"agrees for {motion.valid_time:.3g} s"
             if motion.valid_time > 0.99 * length:
@@ -227,8 +229,8 @@ class ResultView:
             elif motion.valid_time <= 0:
                 holds = "is off from the start"
             say(
-                f"The model runs freely for {length:.3g} s through {motion.trial or 'the data'}, {kind}; "
-                f"it {holds}." + (f" It ends early: {motion.note}." if motion.note else "")
+                f"The model runs freely for {length:.3g} s through {where}, {kind}; it {holds}."
+                + (f" It ends early: {motion.note}." if motion.note else "")
             )
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
@@ -296,8 +298,8 @@ def _coefficients(found: Found, notation: Notation) -> None:
                 with html.tr().classes("known" if row["known"] else ""):
                     with html.td():
                         math(row["term"])
-                        if symbol == "ψ":
-                            say("friction", "tag", "span")
+                        if symbol in _TAGS:
+                            say(_TAGS[symbol], "tag", "span")
                     error = f" ± {row['error']}" if row["error"] else " (known)" if row["known"] else ""
                     say(row["value"] + error, "n", "td")
                     say(row["interval"], "n", "td")
@@ -316,7 +318,7 @@ def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
 
 def _symmetries(model: LagrangianModel, notation: Notation) -> None:
     rows = symmetry_rows(model, notation)
-    with panel():
+    with panel("symmetries"):
         title("Symmetries")
         if not rows:
             say(captions.NO_SYMMETRIES, "help")
@@ -324,7 +326,7 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
         say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
         table(captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
-        say(captions.SYMMETRY_NOTE, "help")
+        say(captions.symmetry_note(model.symmetries), "help")
 
 
 def _stick_words(model: LagrangianModel, down: bool) -> str:

@@ -22,7 +22,7 @@ from leastaction.identifiers import TIME, quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem"]
+__all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem", "states_along"]
 
 ENOUGH_SAMPLES = 50_000  # bounds time
 """To search on; longer recordings enter when the structure is confirmed."""
@@ -120,7 +120,7 @@ def build_problem(
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
     scales = lay_knots(searched, request.degree)
     library, known, smoothed = _smooth_friction(library, known, scales.rates)
-    states = _states(library.coordinates, scales)
+    states = states_along(library.coordinates, scales)
     undefined = undefined_along(library, states, known)
     if undefined:
         library = library.replace(terms=[term for term in library.terms if term not in undefined])
@@ -151,8 +151,8 @@ def _lengths(library: Library) -> np.ndarray | None:
     return np.array([np.nan if length is None else length for length in lengths])
 
 
-def _states(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
-    """Coordinates, velocities and time along the smooth curve."""
+def states_along(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
+    """Coordinates, velocities and time along the smooth curve, one (n_points,) array each."""
     grid = scales.smooth.grid
     q, qdot, _ = grid.at_quadrature(scales.smooth.control_points)
     out = {TIME: grid.points[:, 0], **{name: q[:, 0, i] for i, name in enumerate(names)}}

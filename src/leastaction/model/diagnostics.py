@@ -39,6 +39,10 @@ class PathPoint:
         Of the expressions.
     length : float
         Bits that it takes to name the expressions; NaN where the library has no description lengths.
+    templates : tuple of str
+        Of the expressions, with their shape parameters in braces; "" for one without. Empty: none has any.
+    shapes : tuple of (str, float)
+        The shape parameters of the structure and of known terms, with the numbers that the expressions have.
     """
 
     expressions: tuple[str, ...]
@@ -50,6 +54,14 @@ class PathPoint:
     standard_errors: tuple[float, ...] = ()
     kinds: tuple[Kind, ...] = ()
     length: float = math.nan
+    templates: tuple[str, ...] = ()
+    shapes: tuple[tuple[str, float], ...] = ()
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """The expressions as people read them: shape parameters by name."""
+        pairs = zip(self.expressions, self.templates, strict=True) if self.templates else ()
+        return tuple(template or expression for expression, template in pairs) or self.expressions
 
     @property
     def n_terms(self) -> int:

@@ -40,8 +40,8 @@ Kind = Literal["cyclic", "translation", "rotation", "exchange", "time reversal",
 _EXACT = 1e-9  # relative: coefficients that are given as equal
 _DIGITS = 5  # of coefficients of a conserved quantity, as people read it
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+(?:e[-+]?\d+)?|e[-+]?\d+)")
-_MOST_TRIALS = 60  # whose motion is looked at
-_MOST_TIMES = 2000
+_FRACTION = re.compile(r"(?<![\w.])(\d+)(\*[\w*]+)?/(\d{4,})(?![\w.])")  # a long one, such as 12345*x/15625
+_MOST_TRIALS, _MOST_TIMES = 60, 2000  # whose motion is looked at
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ class Symmetry:
     @property
     def written(self) -> str:
         """The quantity with numbers of five digits."""
-        return _NUMBER.sub(lambda found: f"{float(found[0]):.{_DIGITS}g}", self.quantity)
+        text = _FRACTION.sub(lambda f: f"{int(f[1]) / int(f[3])!r}{f[2] or ''}", self.quantity)
+        return _NUMBER.sub(lambda found: f"{float(found[0]):.{_DIGITS}g}", text)
 
 
 def find_symmetries(model: LagrangianModel) -> tuple[Symmetry, ...]:
@@ -307,10 +308,9 @@ def _symmetry(
     obstacles: tuple[str, ...] = (),
     drift: float = math.nan,
 ) -> Symmetry:
+    what = kind, change.names, change.text, verdict.holds
     figures = verdict.conditions, verdict.chi2, verdict.precision
-    return Symmetry(
-        kind, change.names, change.text, verdict.holds, *figures, quantity, latex, obstacles, drift
-    )
+    return Symmetry(*what, *figures, quantity, latex, obstacles, drift)
 
 
 def _written(quantity: sp.Expr, symbols: dict[sp.Symbol, str]) -> tuple[str, str]:
@@ -323,8 +323,10 @@ def _written(quantity: sp.Expr, symbols: dict[sp.Symbol, str]) -> tuple[str, str
         short = latex_number(f"{size:.{_DIGITS}g}")
         body = name if size == 1.0 else f"{size!r}{name[1:] if name.startswith('1/') else '*' + name}"
         text += f" {lead}{body}" if text else f"{lead}{body}"
+        long = [n for n in factor.atoms(sp.Number) if getattr(n, "q", 1000) > 999]
+        brief = factor.xreplace({n: sp.Float(float(n), _DIGITS) for n in long})
         latex += f" {lead}" if latex else lead
-        latex += ("" if short == "1" else rf"{short} \, ") + sp.latex(factor, symbol_names=symbols)
+        latex += ("" if short == "1" else rf"{short} \, ") + sp.latex(brief, symbol_names=symbols)
     return text, latex
 
 

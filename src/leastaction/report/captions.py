@@ -10,8 +10,9 @@ import numpy as np
 
 from leastaction.model.constants import SimpleConstants
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import ShapeParameter
-from leastaction.model.text import agreement
+from leastaction.model.text import CONSERVED, agreement
 from leastaction.report.series import Series
 from leastaction.report.text import listed, percent, plain, plural, signed
 from leastaction.simulation.forecast import ForecastResult
@@ -21,7 +22,6 @@ __all__ = [
     "SIMPLE_HEAD",
     "SIMPLE_TITLE",
     "SYMMETRY_HEAD",
-    "SYMMETRY_NOTE",
     "SYMMETRY_TITLE",
     "curve_title",
     "energy_title",
@@ -31,6 +31,7 @@ __all__ = [
     "profile_title",
     "residual_title",
     "simple_note",
+    "symmetry_note",
 ]
 
 # Headings are pairs of a text and a class, "n" for columns of numbers.
@@ -44,12 +45,6 @@ SIMPLE_HEAD = (
 SYMMETRY_TITLE = "What leaves L as it is, and what is conserved with it"
 SYMMETRY_HEAD = (("symmetry", ""), ("holds", ""), ("quantity", ""), ("along the recording", ""))
 NO_SYMMETRIES = "None are looked for where the law holds the time."
-SYMMETRY_NOTE = (
-    "In form: whatever the coefficients are. Within the error bars: the coefficients that the symmetry "
-    "relates fit together (χ² at a false-alarm rate of 0.001), and could differ by the relative standard "
-    "error in brackets. “Conserved to”: the rms departure from the mean of a trial along the fitted curve, "
-    "relative to the sizes of the addends; the worst trial."
-)
 
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
@@ -137,6 +132,31 @@ def simple_note(found: SimpleConstants) -> str:
     return (
         f"{text} All together: {agreement(found).replace('chi2', 'χ²')}." if len(found.offers) > 1 else text
     )
+
+
+def symmetry_note(symmetries: Sequence[Symmetry]) -> str:
+    """How to read the table of symmetries: of its words, those that are in it."""
+    parts = (
+        (
+            any(s.holds == "in form" for s in symmetries),
+            "In form: whatever the coefficients are.",
+        ),
+        (
+            any(s.holds == "within errors" for s in symmetries),
+            "Within the error bars: the coefficients that the symmetry relates fit together (χ² at a "
+            "false-alarm rate of 0.001), and could differ by the relative standard error in brackets.",
+        ),
+        (
+            any(s.kind not in CONSERVED for s in symmetries),
+            "Nothing is conserved with a reversal of time or an exchange.",
+        ),
+        (
+            any(s.kind in CONSERVED and math.isfinite(s.drift) and not s.obstacles for s in symmetries),
+            "“Conserved to”: the rms departure from the mean of a trial along the fitted curve, relative to "
+            "the sizes of the addends; the worst trial.",
+        ),
+    )
+    return " ".join(text for present, text in parts if present)
 
 
 def energy_title(energy: dict[str, Any]) -> str:

@@ -23,6 +23,7 @@ _SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _SHORT = 16  # letters of a name
 _LONGER = ' class="longer"'
+_MINUS = '<mo form="prefix">−</mo>'  # of what follows, not between two
 _THIN = '<mspace width="0.16em"/>'
 # How tightly an expression binds: a looser one gets parentheses inside a tighter one.
 _SUM, _PRODUCT, _POWER = 1, 2, 3
@@ -139,7 +140,7 @@ class Notation:
         if isinstance(node, ast.Set):
             return _shape(node), _POWER + 1
         if isinstance(node, ast.UnaryOp):
-            sign = "<mo>−</mo>" if isinstance(node.op, ast.USub) else ""
+            sign = _MINUS if isinstance(node.op, ast.USub) else ""
             return f"{sign}{self._at(_PRODUCT, node.operand)}", _SUM
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.args:
             return self._call(node.func.id, node.args[0]), _POWER
@@ -168,11 +169,14 @@ class Notation:
         if isinstance(node.op, (ast.Add, ast.Sub)):
             sign = "+" if isinstance(node.op, ast.Add) else "−"
             return f"{self._at(_SUM, left)}<mo>{sign}</mo>{self._at(_PRODUCT, right)}", _SUM
+        unsigned = _unsigned(node)
+        if unsigned is not None:
+            return f"{_MINUS}{self._at(_PRODUCT, unsigned)}", _SUM
         if isinstance(node.op, ast.Div):
-            negative = isinstance(left, ast.UnaryOp) and isinstance(left.op, ast.USub)
-            above = left.operand if negative and isinstance(left, ast.UnaryOp) else left
-            body = f"<mfrac><mrow>{self._at(0, above)}</mrow><mrow>{self._at(0, right)}</mrow></mfrac>"
-            return (f"<mo>−</mo>{body}", _SUM) if negative else (body, _PRODUCT)
+            return (
+                f"<mfrac><mrow>{self._at(0, left)}</mrow><mrow>{self._at(0, right)}</mrow></mfrac>",
+                _PRODUCT,
+            )
         if isinstance(node.op, ast.Mult):
             between = "<mo>·</mo>" if _starts_with_number(right) else _THIN
             return f"{self._at(_PRODUCT, left)}{between}{self._at(_PRODUCT, right)}", _PRODUCT
@@ -292,6 +296,16 @@ def _parentheses(body: str) -> str:
 
 def _fenced(left: str, body: str, right: str) -> str:
     return f'<mrow><mo form="prefix">{left}</mo>{body}<mo form="postfix">{right}</mo></mrow>'
+
+
+def _unsigned(node: ast.expr) -> ast.expr | None:
+    """A product without the minus in front, which Python takes for its first factor's; None without one."""
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        return node.operand
+    if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Mult, ast.Div)):
+        left = _unsigned(node.left)
+        return None if left is None else ast.BinOp(left, node.op, node.right)
+    return None
 
 
 def _starts_with_number(node: ast.expr) -> bool:

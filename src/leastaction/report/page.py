@@ -77,7 +77,7 @@ def _context(
         "no_symmetries": captions.NO_SYMMETRIES,
         "symmetry_title": captions.SYMMETRY_TITLE,
         "symmetry_head": captions.SYMMETRY_HEAD,
-        "symmetry_note": captions.SYMMETRY_NOTE,
+        "symmetry_note": captions.symmetry_note(model.symmetries),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
         **_profiles(model),

@@ -227,8 +227,8 @@ def path_rows(
             "n_terms": point.n_terms,
             "bic": "0" if point.chosen else signed(point.bic),
             "cost": "0" if point.chosen else signed(point.cost),
-            "added": [notation.term(e) for e in point.expressions if e not in chosen.expressions],
-            "removed": [notation.term(e) for e in chosen.expressions if e not in point.expressions],
+            "added": [notation.term(e) for e in point.written if e not in chosen.written],
+            "removed": [notation.term(e) for e in chosen.written if e not in point.written],
             "chosen": point.chosen,
             "shown": point is shown,
             "because": because(point.reason, relevance),
@@ -245,7 +245,7 @@ def pareto_rows(points: Sequence[PathPoint], notation: Notation, limit: int = 9)
         {
             "bits": f"{point.length:.1f}",
             "cost": "0" if point.chosen else signed(point.cost),
-            "terms": [notation.term(e) for e in point.expressions],
+            "terms": [notation.term(e) for e in point.written],
             "chosen": point.chosen,
         }
         for point in sorted(near, key=lambda p: p.length)
