@@ -203,6 +203,21 @@ def test_a_coordinate_may_be_moved_by_something_unmeasured():
     simulate(script)
 
 
+def test_the_page_says_what_was_done_to_the_data():
+    async def script(user) -> None:
+        session = session_of_page()
+        rows = "".join(f"{20 * k};{k},5\n" for k in range(40))
+        session.open_upload("run.csv", f"Zeit;Winkel\nms;°\n{rows}".encode("cp1252"))
+        user.find(marker="step-data").click()
+        await user.should_see("What was measured", retries=50)
+        await user.should_see("the times in 'Zeit' were converted from ms to seconds", retries=50)
+        await user.should_see("Winkel was converted from deg to rad")
+        await user.should_see("numbers were read with a decimal comma")
+        await user.should_see("the text is not UTF-8 and was read as Windows-1252")
+
+    simulate(script)
+
+
 def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
     async def script(user) -> None:
         session = await open_candidates(user, "single")

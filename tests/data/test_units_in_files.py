@@ -101,6 +101,7 @@ def test_a_decimal_comma_reads_back_exactly(tmp_path_factory, values, delimiter)
         (table("t;x", "{k};1.23{k},5"), r"line 2, column 'x': '1.230,5' is not a number; .*thousands"),
         (table("t;x", "{k},5;1,23{k}.5"), r"line 2, column 'x': '1,230.5' is not a number; .*thousands"),
         (table("t;x", "{k};1 23{k}"), r"'1 230' is not a number; .*thousands"),
+        (table("t;x", "{k};1\N{NO-BREAK SPACE}23{k},5"), r"is not a number; .*thousands"),
         ("t;x\n0,5;0\n1.5;0\n", r"line 3, column 't': '1.5' .*the first fraction has a decimal comma"),
         ("t;x\n0.5;0\n1,5;0\n", r"line 3, column 't': '1,5' .*write a decimal point"),
         (table("t,x", '"{k},5",0'), r"'0,5' is not a number; write a decimal point"),
@@ -273,6 +274,7 @@ def test_what_the_user_says_wins(file):
         ("t,x", None, dict(units={3: "m"}), "units names 3"),
         ("t,x", None, dict(units={"y": "deg"}), r"has no column 'y' \(units\)"),
         ("t,x,y", None, dict(units={"y": "deg"}), "units names 'y', which is no column that is read"),
+        ("t,x_mm", None, dict(units={"x": "mm", "x_mm": "cm"}), "names the column 'x_mm' twice, also as"),
         ("t,x", None, dict(units={"x": "ms"}), "the unit of 'x' is ms, which is a time"),
         ("t,x", None, dict(units={"t": "mm"}), "the unit of 't' is mm, which is no time"),
         ("t,x", None, dict(units={"t": "s"}, time_unit="ms"), "given twice, in time_unit and in units"),
@@ -325,6 +327,21 @@ def test_variables_of_arrays_and_frames(tmp_path):
         np.testing.assert_array_equal(runs[0].t, K / 1e3)
         np.testing.assert_array_equal(runs[0].q[:, 0], DEGREES)
         assert codes(runs) == ["time-unit", "converted-units"]
+
+
+def test_parquet_knows_whom_a_unit_was_given_for(tmp_path):
+    columns = {"t [ms]": K, "a": 10.0 * K, "b": 1.0 * K, "trial": [1] * 6}
+    pd.DataFrame(columns).to_parquet(tmp_path / "run.parquet")
+    for reader in (io.read, io.stream):
+        runs = reader(tmp_path / "run.parquet", {"b": "a", "a": "b"}, time_unit="us", units={"b": "deg"})
+        np.testing.assert_array_equal(runs[0].t, K / 1e6)
+        np.testing.assert_array_equal(runs[0].q, np.column_stack([DEGREES, K]))
+        assert runs.findings[0].values["instead_of"] == "ms"
+
+
+def test_what_overflows_is_refused(file):
+    with pytest.raises(InputError, match="infinite"):
+        io.read(file(table("t,x [rev]", "{k},1e308")), ["x"])
 
 
 @pytest.mark.parametrize("text", ["", " ", "[]", "()", "furlong", "s/s", "°C", "1", "MS", "nm", "deg/deg"])
@@ -392,6 +409,7 @@ def test_dates_are_exact_to_a_microsecond(start, microseconds):
         (["0.5", "2024-05-01T12:00:01"], {}, r"line 3, column 't': '2024-.* is not a number; write times as"),
         (["01.05.2024 12:00:00", "01.05.2024 12:00:01"], {}, r"line 2.*all as dates in the form 2024"),
         (["12:00:00", "12:00:01"], {}, r"line 2.*all as dates in the form 2024"),
+        (["20240501T120000"], {}, r"line 2.*all as dates in the form 2024"),
         (["2024-05-01T12:00:60"], {}, r"line 2, column 't': .*is not a number; write times as numbers"),
         (["2024-05-01T12:00:00", ""], {}, r"line 3, column 't': the time is missing"),
         (["2024-05-01T12:00:00"], dict(time_unit="ms"), "are dates, which have no unit; leave out time_unit"),
@@ -442,6 +460,22 @@ def test_durations_and_days():
         io.from_frame(frame, ["x"], time_unit="ms")
     days = pl.DataFrame({"t": [START.date() + datetime.timedelta(days=k) for k in range(6)], "x": K})
     np.testing.assert_array_equal(io.from_frame(days, ["x"])[0].t, 86_400.0 * K)
+
+
+def test_dates_in_arrays(tmp_path):
+    moments = np.array(MOMENTS, dtype="datetime64[us]")
+    np.savez(tmp_path / "run.npz", t=moments[:, np.newaxis], q=10.0 * K)
+    runs = io.read(tmp_path / "run.npz", {"phi": "phi [deg]"})
+    np.testing.assert_array_equal(runs[0].t, 0.125 * K)
+    np.testing.assert_array_equal(runs[0].q[:, 0], DEGREES)
+    assert codes(runs) == ["dates", "converted-units"]
+    moments[2] = "NaT"
+    np.savez(tmp_path / "gap.npz", t=moments, x=K)
+    with pytest.raises(InputError, match=r"row 2 .*the time is missing"):
+        io.read(tmp_path / "gap.npz", ["x"])
+    np.savez(tmp_path / "other.npz", t=K.astype("timedelta64[ms]"), x=K)
+    with pytest.raises(InputError, match=r"has type timedelta64.* times in seconds"):
+        io.read(tmp_path / "other.npz", ["x"])
 
 
 def test_dates_in_frames_that_are_refused():

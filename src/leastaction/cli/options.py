@@ -213,10 +213,10 @@ class DataOptions:
             if delay and not driving:
                 raise InputError("there are no forces to shift; name their columns with --forces")
         with blame("--units"):
-            units = _units(given["units"])
+            units = _units(given.get("units") or "SI")
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
         inputs = names[len(names) - len(moved) :]
-        said = (given["time_unit"], units)
+        said = (given.get("time_unit"), units)
         return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs, *said)
 
     @property

@@ -12,6 +12,7 @@ import numpy as np
 from leastaction.data.formats.atomic import read_bytes
 from leastaction.data.formats.frames import trial_name
 from leastaction.data.formats.layout import Layout, Table
+from leastaction.data.formats.units import Clock
 from leastaction.data.validation import FloatArray, real_array
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
@@ -125,8 +126,11 @@ def arrays_table(
     columns = {_MATRIX: get(_MATRIX)} if matrix else {}
     available = [*names, *layout.coordinates.values()] if matrix else names
     found = layout.find(available, source, "variable")
+    times = get(found.time)
+    if getattr(times, "dtype", np.dtype(float)).kind == "M":
+        found, times = _dated(found, np.ravel(times), source)
     numbers = {
-        name: _vector(get(name), name, source)
+        name: _vector(times if name == found.time else get(name), name, source)
         for name in found.numbers
         if not (matrix and name in found.coordinates.values())
     }
@@ -141,6 +145,14 @@ def arrays_table(
             )
     trials = None if found.trial is None else _trials(get(found.trial), found.trial, n_times, source)
     return found, Table(source, numbers, trials, lambda row: f"row {row} (counted from 0)")
+
+
+def _dated(layout: Layout, times: Any, source: str) -> tuple[Layout, FloatArray]:
+    """Dates as seconds from the first one, NaN where missing; and the layout that says so."""
+    missing = np.isnat(times)
+    moments = times.astype("datetime64[ns]").astype(np.int64)
+    clock = Clock(int(moments[~missing][0]) if not missing.all() else 0, zoned=False)
+    return layout.dated(clock, source), np.where(missing, np.nan, (moments - clock.origin) / 1e9)
 
 
 def _vector(value: Any, name: str, source: str) -> FloatArray:

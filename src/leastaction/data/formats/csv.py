@@ -212,9 +212,9 @@ def _refuse_cell(text: Text, line: int, column: str, cell: str, layout: Layout) 
         cure = (
             f"the first time is a date {zone} a time zone: write all in this way, as 2024-05-01T12:00:00.25"
         )
-    elif column == layout.time and re.search(r"\d[:/]\d|\d[.-]\d+[.-]\d", cell):
+    elif column == layout.time and re.search(r"\d[T:/]\d|\d[.-]\d+[.-]\d", cell):
         cure = "write times as numbers, or all as dates in the form 2024-05-01T12:00:00.25"
-    elif re.fullmatch(r"[+-]?\d{1,3}(?:(?:[. ']\d{3})+,\d*|(?:[, ']\d{3})+\.\d*|(?:[ ']\d{3})+)", cell):
+    elif re.fullmatch(r"[+-]?\d{1,3}(?:(?:[.\s']\d{3})+,\d*|(?:[,\s']\d{3})+\.\d*|(?:[\s']\d{3})+)", cell):
         cure = "leave out the separators of thousands"
     elif text.decimal == "," and re.fullmatch(r"[+-]?\d*\.\d*(?:[eE][+-]?\d+)?", cell):
         cure = "the first fraction has a decimal comma: write all numbers in one way"

@@ -191,6 +191,7 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
     numbers = table.numbers | {
         column: unit.convert(table.numbers[column]) for column, unit in layout.conversions.items()
     }
+    _check_values(layout, replace(table, numbers=numbers))  # what overflows is infinite
     trajectories: list[Trajectory] = []
     for label, rows in _trial_rows(layout, table, name):
         _check_times(layout, table, label, rows)

@@ -88,7 +88,7 @@ def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     with _parquet(path) as file:
         found = layout.find(file.schema_arrow.names, str(path))
         table = file.read(columns=_wanted(found))
-    return frame_table(table, found, str(path))
+    return frame_table(table, layout, str(path))
 
 
 def parquet_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
@@ -112,7 +112,7 @@ def parquet_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]
         with _parquet(path) as file:
             for k in range(file.num_row_groups):
                 group = file.read_row_group(k, columns=_wanted(found))
-                table = frame_table(group, found, str(path), before)[1]
+                table = frame_table(group, replace(layout, clock=found.clock), str(path), before)[1]
                 before += group.num_rows
                 if group.num_rows:
                     yield table

@@ -170,6 +170,8 @@ class Layout:
             own = own or names.where("units", name, time=False)
             if own not in found.numbers:
                 raise InputError(f"units names {quoted(name)}, which is no column that is read; leave it out")
+            if own in asked:
+                raise InputError(f"units names the column {quoted(own)} twice, also as {quoted(name)}")
             asked[own] = unit
         return found._converting(asked, row or {}, source)
 

@@ -14,6 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime
 
+import numpy as np
+
 from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
@@ -61,8 +63,9 @@ class Unit:
         return self.times == self.over
 
     def convert(self, values: FloatArray) -> FloatArray:
-        """Values in SI."""
-        return values * self.times / self.over
+        """Values in SI; what overflows is infinite, and refused like any other infinite value."""
+        with np.errstate(over="ignore"):
+            return values * self.times / self.over
 
 
 _DEGREE = math.pi / 180.0
