@@ -366,6 +366,14 @@ def test_dates_become_seconds(file, separator, zone, form):
     assert codes(runs) == ["dates"]
 
 
+def test_dates_have_no_unit_under_any_name(file):
+    path = file("\n".join(["when [ms],x", *(f"{moment.isoformat()},1" for moment in MOMENTS)]))
+    assert codes(io.read(path, ["x"], time="when")) == ["dates"]
+    for said in (dict(time_unit="ms"), dict(units={"when": "s"})):
+        with pytest.raises(InputError, match="are dates, which have no unit; leave out time_unit"):
+            io.read(path, ["x"], time="when", **said)
+
+
 def test_dates_with_decimal_commas_and_units(file):
     rows = [f"{moment.isoformat(' ').replace('.', ',')};{10 * k},0" for k, moment in enumerate(MOMENTS)]
     runs = io.read(file("\n".join(["Zeit [ms];phi [deg]", *rows])), ["phi"], time="Zeit")
@@ -456,8 +464,9 @@ def test_durations_and_days():
     runs = io.from_frame(frame, ["x"])
     np.testing.assert_array_equal(runs[0].t, 5.0 + 0.125 * K)
     assert codes(runs) == ["time-unit"]
-    with pytest.raises(InputError, match="durations, which have units of their own"):
-        io.from_frame(frame, ["x"], time_unit="ms")
+    for named in (frame, frame.rename(columns={"t": "t [ms]"})):
+        with pytest.raises(InputError, match="durations, which have units of their own; leave out time_unit"):
+            io.from_frame(named, ["x"], time_unit="ms")
     days = pl.DataFrame({"t": [START.date() + datetime.timedelta(days=k) for k in range(6)], "x": K})
     np.testing.assert_array_equal(io.from_frame(days, ["x"])[0].t, 86_400.0 * K)
 

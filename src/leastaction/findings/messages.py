@@ -235,7 +235,9 @@ CODES: dict[str, Message] = {
     "angle-in-degrees": Message(
         "warning",
         "{subject} covers {span:.3g} within a recording",
-        "sines and cosines want radians, not degrees",
+        "sines and cosines want radians; if it is in degrees, read it with units={{'{subject}': 'deg'}}",
+        on_command_line="sines and cosines want radians; if it is in degrees, give --units {subject}=deg",
+        on_page="sines and cosines want radians; if it is in degrees, mark {subject} as such",
     ),
     "undeclared-angle": Message(
         "warning",
@@ -292,9 +294,7 @@ CODES: dict[str, Message] = {
     ),
     # what was done to data and library
     "time-unit": Message("note", time_unit),
-    "dates": Message(
-        "note", "the dates in '{column}' were read as seconds from the first one, in each file anew"
-    ),
+    "dates": Message("note", "the dates in '{column}' became seconds from the first one of each file"),
     "converted-units": Message("note", converted_units),
     "units-row": Message("note", "the row below the header was read as units: {units}"),
     "decimal-comma": Message("note", "numbers were read with a decimal comma"),

@@ -294,11 +294,7 @@ def _dated(layout: Layout, times: Any, source: str) -> Layout:
 
     if times.dtype == nw.Duration:
         unit = Unit("timedelta", "time", "s", 1.0, 1e9)
-        if layout.time in layout.asked:
-            raise InputError(
-                f"{source}: the times in {quoted(layout.time)} are durations, which have units of their own; "
-                "leave out time_unit"
-            )
+        layout.refuse_time_unit("durations, which have units of their own", source)
         note = find("time-unit", column=layout.time, unit=unit.text, instead_of=None)
         others = (item for item in layout.findings if item.code != "time-unit")
         conversions = layout.conversions | {layout.time: unit}

@@ -216,15 +216,16 @@ class Layout:
         InputError
             If the user gives a unit of the times.
         """
-        if self.time in self.asked:
-            raise InputError(
-                f"{source}: the times in {quoted(self.time)} are dates, which have no unit; leave out "
-                "time_unit"
-            )
+        self.refuse_time_unit("dates, which have no unit", source)
         others = tuple(item for item in self.findings if item.code != "time-unit")
         conversions = {column: unit for column, unit in self.conversions.items() if column != self.time}
         note = find("dates", column=self.time)
         return replace(self, clock=clock, conversions=conversions, findings=(note, *others))
+
+    def refuse_time_unit(self, what: str, source: str) -> None:
+        """Raise InputError if the user gives a unit of times that are something else than numbers."""
+        if any(unit.kind == "time" for unit in self.asked.values()):
+            raise InputError(f"{source}: the times in {quoted(self.time)} are {what}; leave out time_unit")
 
     def _roles(self) -> dict[str, tuple[str, str]]:
         """Column of numbers -> the coordinate it belongs to, and what it is of that."""

@@ -71,7 +71,7 @@ class Unit:
 _DEGREE = math.pi / 180.0
 _BASE = {
     "time": {
-        "s": (1.0, 1.0, "s sec secs second seconds"),
+        "s": (1.0, 1.0, "s sec secs second seconds sek sekunden"),
         "ms": (1.0, 1e3, "ms msec msecs millis millisecond milliseconds"),
         "us": (1.0, 1e6, "us µs usec usecs micros microsecond microseconds"),
         "ns": (1.0, 1e9, "ns nsec nanosecond nanoseconds"),
