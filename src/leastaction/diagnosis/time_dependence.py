@@ -10,7 +10,7 @@ equations hold, and no smooth change of a potential is left that would explain m
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -19,23 +19,47 @@ import numpy as np
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import searched_with
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.shape_ranges import ShapeRange, frequency_range, shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import TIME, names_in_terms
 from leastaction.library import Term, make_term, shape_names, time_symbol
+from leastaction.mechanics.euler_lagrange import Points
+from leastaction.selection.likelihood_refinement import beside, gain_of
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, shape_fit, weak_start
-from leastaction.selection.strategies.frequency_scan import best_number
+from leastaction.selection.strategies.frequency_scan import AT_ONCE, best_number
 
 __all__ = ["time_dependence"]
 
 _ROUNDS = 3  # functions of time in one law, at most
+_SHARE = 0.2  # of the equation error that a function of time explains, at least: others are not searched with
 _MOST_FACTORS = 12  # bounds time
 _MOST_FREQUENCIES = 1000  # bounds time
-# of the factor and the name of a frequency or rate
-_WAVE = ("{0}*cos({{{1}}}*t)", "{0}*sin({{{1}}}*t)")
-_DRIFT = ("{0}*t", "{0}*exp(-{{{1}}}*t)")
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """Two functions of time that belong together.
+
+    Attributes
+    ----------
+    letter : str
+        Of the frequency or rate.
+    texts : pair of str
+        With a factor and that name.
+    functions : pair of callables
+        Of the time in units of that number, up to a factor.
+    """
+
+    letter: str
+    texts: tuple[str, str]
+    functions: tuple[Callable[[np.ndarray], np.ndarray], Callable[[np.ndarray], np.ndarray]]
+
+
+_WAVE = _Kind("w", ("{0}*cos({{{1}}}*t)", "{0}*sin({{{1}}}*t)"), (np.cos, np.sin))
+_DRIFT = _Kind("a", ("{0}*t", "{0}*exp(-{{{1}}}*t)"), (lambda u: u, lambda u: np.exp(-u)))
 
 
 @dataclass(frozen=True)
@@ -106,25 +130,65 @@ def _factors(fit: Fit) -> list[str]:
 
 
 def _best(fit: Fit, factors: Sequence[str]) -> _Offer | None:
-    """The offer with which one factor explains the most, if that is more than chance does."""
-    offers = [_offer(fit, factors, *functions) for functions in (("w", *_WAVE), ("a", *_DRIFT))]
-    best = max(offers, key=lambda offer: offer.gain)
-    return best if best.gain > 0.0 else None
-
-
-def _offer(fit: Fit, factors: Sequence[str], letter: str, *functions: str) -> _Offer:
-    """Factors times functions of time, which share the number that explains the most beside one of them."""
+    """The offer with which one factor explains the most, if that is a good part of the equation error."""
     names = names_in_terms(fit.problem.coordinates)
+    terms = [make_term(factor, names) for factor in factors]
+    pushes = _forces(fit, terms)
+    offers = [_offer(fit, factors, pushes, kind) for kind in (_WAVE, _DRIFT)]
+    best = max(offers, key=lambda offer: offer.gain)
+    return best if best.gain > fit.relevant_gain(_SHARE) else None
+
+
+def _forces(fit: Fit, terms: Sequence[Term]) -> np.ndarray:
+    """(n_terms, n_intervals, n_quadrature, n_dof) forces of potentials along the curve."""
+    spline = fit.grid.spline
+    states = spline.at_quadrature(fit.control_points)
+    points = Points(*(s.reshape(-1, s.shape[2]) for s in states))
+    values = fit.problem.candidates.of(terms).strong(points)
+    return values.transpose(0, 2, 1).reshape(len(terms), *states[0].shape)
+
+
+@dataclass(frozen=True)
+class _Changing:
+    """Forces times functions of time, for every number: first one function, then the other."""
+
+    force: np.ndarray
+    times: np.ndarray
+    kind: _Kind
+    numbers: np.ndarray
+
+    def __len__(self) -> int:
+        return 2 * self.numbers.size
+
+    def on(self, intervals: slice, n_dof: int) -> np.ndarray:
+        phase = self.numbers[:, None] * self.times[intervals].T.ravel()
+        values = np.concatenate([function(phase) for function in self.kind.functions])
+        return values[:, None, :] * self.force[intervals].transpose(2, 1, 0).reshape(n_dof, -1)
+
+    def within(self, intervals: slice) -> _Changing:
+        return replace(self, force=self.force[intervals], times=self.times[intervals])
+
+
+def _offer(fit: Fit, factors: Sequence[str], forces: np.ndarray, kind: _Kind) -> _Offer:
+    """Factors times functions of time, which share the number that explains the most beside one of them."""
+    names, times = names_in_terms(fit.problem.coordinates), fit.grid.spline.points
     taken = {*names, *fit.problem.ranges}
-    name = next(n for k in count() if (n := f"{letter}{k or ''}") not in taken)
-    groups = [[make_term(f.format(factor, name), names) for f in functions] for factor in factors]
-    times = np.asarray(fit.points().times)
-    if functions == _WAVE:
-        where = frequency_range(times, most=_MOST_FREQUENCIES)
-    else:
-        where = shape_ranges(groups[0], {TIME: times}, {})[name]
-    _, number, gain = best_number(fit, groups, name, where)
-    return _Offer(tuple(term.at({name: number}) for group in groups for term in group), {name: where}, gain)
+    name = next(n for k in count() if (n := f"{kind.letter}{k or ''}") not in taken)
+    terms = [make_term(text.format(factor, name), names) for factor in factors for text in kind.texts]
+    where = shape_ranges(terms[:2], {TIME: times[:, 0]}, {})[name] if kind is _DRIFT else None
+    where = where or frequency_range(times[:, 0], most=_MOST_FREQUENCIES)
+    chosen = fit.problem.candidates.subset(list(fit.structure))
+
+    def gains(group: int, numbers: np.ndarray) -> np.ndarray:
+        out: list[float] = []
+        for first in range(0, numbers.size, AT_ONCE // 2):
+            some = numbers[first : first + AT_ONCE // 2]
+            model, here = beside(fit, WithPushes(chosen, _Changing(forces[group], times, kind, some)))
+            out += [gain_of(model, here, k, k + some.size) for k in range(len(here), len(here) + some.size)]
+        return np.array(out)
+
+    _, number, gain = best_number(gains, len(factors), 2, where)
+    return _Offer(tuple(term.at({name: number}) for term in terms), {name: where}, gain)
 
 
 def _posed(search: Search, offer: _Offer) -> Search:

@@ -11,7 +11,7 @@ Without it 20 of 48 set-ups with 10 % noise are not exact and ok, forced and par
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,10 +24,10 @@ from leastaction.selection.search_state import Search, explains
 from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies import shape_fit, weak_start
 
-__all__ = ["best_number", "run"]
+__all__ = ["AT_ONCE", "best_number", "run"]
 
 _STARTS = 17  # numbers of a parameter that is no frequency
-_COLUMNS = 600  # scored at once: bounds memory
+AT_ONCE = 600  # columns scored together: bounds memory
 _CLOSER = np.linspace(-0.75, 0.75, 7)  # of the distance of two frequencies: about the best one
 
 
@@ -51,7 +51,10 @@ def _scanned(search: Search, name: str) -> Search:
     without = fit.grid.fit(rest, fit.start) if held else fit
     if not len(rest) or not np.isfinite(without.evidence):
         return search
-    _, number, gain = best_number(without, [[problem.terms[k] for k in bearers]], name, problem.ranges[name])
+    group = [problem.terms[k] for k in bearers]
+    _, number, gain = best_number(
+        lambda _, numbers: _gains(without, group, name, numbers), 1, len(bearers), problem.ranges[name]
+    )
     if gain <= 0.0:
         return search
     moved = search.at({name: number})
@@ -62,32 +65,41 @@ def _scanned(search: Search, name: str) -> Search:
 
 
 def best_number(
-    fit: Fit, groups: Sequence[Sequence[Term]], name: str, where: ShapeRange
+    gains: Callable[[int, np.ndarray], np.ndarray], groups: int, size: int, where: ShapeRange
 ) -> tuple[int, float, float]:
     """The group of terms, and the number of their shape parameter, that explain the most beside a fit.
+
+    Parameters
+    ----------
+    gains : callable
+        ``gains(group, numbers)``: by how much −2 log likelihood falls, at each number.
+    groups, size : int
+        Groups, and terms in each.
+    where : ShapeRange
+        Of the number.
 
     Returns
     -------
     group : int
     number : float
     gain : float
-        By how much −2 log likelihood falls with that group, beyond chance.
+        Beyond chance.
     """
     tried = where.starts(_STARTS)
-    gains = np.array([_gains(fit, group, name, tried) for group in groups])
-    chance = chi_square_cutoff(1 + max(map(len, groups)), gains.size)
-    which, at = map(int, np.unravel_index(int(np.argmax(gains)), gains.shape))
-    number, most = float(tried[at]), float(gains[which, at])
+    table = np.array([gains(group, tried) for group in range(groups)])
+    which, at = map(int, np.unravel_index(int(np.argmax(table)), table.shape))
+    number, most = float(tried[at]), float(table[which, at])
     if where.spacing == "frequency":
         closer = number + where.apart * _CLOSER
-        number = float(closer[int(np.argmax(_gains(fit, groups[which], name, closer)))])
-    return which, number, most - chance
+        finer = gains(which, closer)
+        number, most = float(closer[int(np.argmax(finer))]), float(finer.max())
+    return which, number, most - chi_square_cutoff(1 + size, table.size)
 
 
 def _gains(fit: Fit, group: Sequence[Term], name: str, numbers: np.ndarray) -> np.ndarray:
     """By how much −2 log likelihood falls with the terms of one group, at each number."""
     base = [fit.problem.terms[m] for m in fit.structure]
-    at_once = max(1, _COLUMNS // len(group))
+    at_once = max(1, AT_ONCE // len(group))
     out: list[float] = []
     for first in range(0, numbers.size, at_once):
         some = numbers[first : first + at_once].tolist()
