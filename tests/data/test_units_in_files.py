@@ -6,6 +6,7 @@ import datetime
 import math
 import pickle
 import sys
+import time
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ import leastaction as la
 from leastaction import InputError, io
 from leastaction.cli import program
 from leastaction.data.formats import text as text_module
-from leastaction.data.formats.units import parts_of_date, unit_of
+from leastaction.data.formats.units import normal, parted, parts_of_date, unit_of
 from leastaction.findings import find
 from leastaction.model.term import ModelTerm
 
@@ -347,6 +348,26 @@ def test_what_overflows_is_refused(file):
 @pytest.mark.parametrize("text", ["", " ", "[]", "()", "furlong", "s/s", "°C", "1", "MS", "nm", "deg/deg"])
 def test_no_unit(text):
     assert unit_of(text) is None
+
+
+PARTS = ["t", " ", "x", "ms", "deg", "/", "[", "]", "(", "_", "in", "°", "·", "^", "-1", "2", "s"]
+
+
+@given(st.text(max_size=30) | st.lists(st.sampled_from(PARTS)).map("".join))
+def test_any_name_can_be_parted(text):
+    unit_of(text)
+    for of_times in (False, True):
+        name, unit = parted(text, of_times)
+        assert unit is not None or name == normal(text.replace("º", "°"))
+
+
+@pytest.mark.parametrize("part", [" ", "_", "/", "[", "a_", "/s", "in ", "·s-1"])
+def test_long_names_take_no_time(file, part):
+    name = ("a" + 100_000 * part)[:100_000]
+    began = time.process_time()
+    with pytest.raises(InputError, match="no column 'x'"):
+        io.read(file(table(f"t;{name};y", "{k};{k};{k}", units="s;s;s")), ["x"])
+    assert time.process_time() - began < 2.0
 
 
 # --- dates ------------------------------------------------------------------------------------------

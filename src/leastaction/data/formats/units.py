@@ -126,6 +126,7 @@ def _plainly(text: str) -> str:
 
 
 _UNITS = _table()
+_LONGEST = 200  # characters of a name: the search for a unit in it takes the square of them
 _TIMES = ", ".join(_BASE["time"])
 # behind an underscore or a space; not those that are a word of mechanics or a letter as well
 _ENDINGS = frozenset({"rad", "mrad", "deg", "mm", "Nm", "mNm", "Nmm", "rpm", "deg/s", "rad/s", "mm/s"})
@@ -141,6 +142,8 @@ def unit_of(text: str) -> Unit | None:
     ['ms', 'us', 'deg', 'deg/s', 'Nm', 'rad/s2']
     """
     text = text.strip()
+    if len(text) > _LONGEST:
+        return None
     if len(text) > 2 and text[0] + text[-1] in ("[]", "()", "{}", "<>"):
         text = text[1:-1]
     plain = _plainly(text)
@@ -203,6 +206,8 @@ def parted(column: str, time: bool = False) -> tuple[str, Unit | None]:
     ('time', 'us')
     """
     text = normal(column.replace("º", "°"))
+    if len(text) > _LONGEST:
+        return text, None
     name, unit = _parted(text, time)
     # neither is a coordinate a time, nor is a quotient of units (N/mm, counts/rev) one of them
     return (text, None) if unit and (unit.kind == "time") != time and not (time and name) else (name, unit)
