@@ -12,6 +12,7 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
+from leastaction.model.term import Z95
 from studies._tables import (
     Records,
     Table,
@@ -115,7 +116,7 @@ def _compared(estimate: float, true: float, one) -> dict:
         "standard_error": error,
         "z": (estimate - true) / error if usable else None,
         "covered": bool(one.lower <= true <= one.upper) if usable else False,
-        "covered_by_error": bool(abs(estimate - true) <= 1.959964 * error) if usable else False,
+        "covered_by_error": bool(abs(estimate - true) <= Z95 * error) if usable else False,
     }
 
 

@@ -23,6 +23,7 @@ from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shapes import with_tangents
 from leastaction.findings import Finding, find
+from leastaction.identifiers import names_in_terms
 from leastaction.library import Term, make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.significance import chi_square_cutoff
@@ -99,7 +100,7 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
         ends = np.quantile(motion[:, group], _ENDS, axis=0)
         widths = DIAGNOSIS.bump_width * (ends[1] - ends[0]) / (number - 1)
         text = "".join(f"-(({names[i]}-{{c{i}}})/{{w{i}}})**2" for i in group)
-        template = make_term(f"{factor}exp({text})", [*names, *(f"{n}_dot" for n in names)])
+        template = make_term(f"{factor}exp({text})", names_in_terms(names))
         width = {f"w{i}": w for i, w in zip(group, widths.tolist(), strict=True)}
         places: list[list[float]] = [
             np.linspace(float(low), float(high), number).tolist() for low, high in zip(*ends, strict=True)

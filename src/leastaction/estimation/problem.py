@@ -107,16 +107,19 @@ class Problem:
     def surcharges_of(self, lengths: Iterable[float | None]) -> np.ndarray:
         """2 (ℓ − log K) for terms of description length ℓ; 0 where there is none, NaN or None."""
         found = np.array([np.nan if length is None else length for length in lengths])
-        alike = np.log(max(np.count_nonzero(~self.is_known), 1))
-        return np.where(np.isnan(found), 0.0, 2.0 * (found - alike))
+        return np.where(np.isnan(found), 0.0, 2.0 * (found - self._alike))
 
     @property
     def bits(self) -> np.ndarray:
         """(n_candidates,) bits that it takes to name each; NaN without description lengths."""
         if self.lengths is None:
             return np.full(self.known.size, np.nan)
-        alike = np.log(max(np.count_nonzero(~self.is_known), 1))
-        return np.where(np.isnan(self.lengths), alike, self.lengths) / np.log(2.0)
+        return np.where(np.isnan(self.lengths), self._alike, self.lengths) / np.log(2.0)
+
+    @property
+    def _alike(self) -> float:
+        """Length in nats of a term that is as long as any other: log K of K candidates."""
+        return float(np.log(max(np.count_nonzero(~self.is_known), 1)))
 
     @cached_property
     def shape_values(self) -> dict[str, float]:

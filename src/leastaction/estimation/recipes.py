@@ -17,9 +17,9 @@ from leastaction.estimation.observations import Observations
 
 __all__ = ["Recipe", "Samples", "cut"]
 
-_NUMBERS = 2**17  # evaluated at once: 1 MB
-"""In the Jacobian of a block, 1 MB: 2730 knot intervals with two coordinates. A step costs 3 % more than in
-one piece, with blocks of half the size 9 % more; larger ones can be shared out less."""
+_NUMBERS = 2**17
+"""Evaluated at once in the Jacobian of a block, 1 MB: 2730 knot intervals with two coordinates. A step costs
+3 % more than in one piece, with blocks of half the size 9 % more; larger ones can be shared out less."""
 
 Samples = tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]]
 """Times and coordinates of each trial, and rates."""

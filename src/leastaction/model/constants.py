@@ -34,7 +34,7 @@ from leastaction.selection.significance import chi_square_cutoff
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["Offer", "SimpleConstants", "find_simple_constants"]
+__all__ = ["Offer", "SimpleConstants", "covariance_of", "find_simple_constants"]
 
 _WINDOW = math.log(4.0)
 _SAME = 1e-9  # relative: degrees that do not depend on the state
@@ -146,7 +146,7 @@ def find_simple_constants(model: LagrangianModel) -> SimpleConstants:
     >>> [str(offer) for offer in LagrangianModel("x", terms).simple_constants.offers]
     ['x_dot**2 = 0.50030(40): 1/2']
     """
-    covariance = _covariance(model)
+    covariance = covariance_of(model)
     found = _accepted(_direct(model))
     simple = {term.written for term in (*model.terms, *model.dissipation) if term.known}
     simple |= {offer.subject for _, offer in found}
@@ -218,8 +218,8 @@ def _values(model: LagrangianModel) -> np.ndarray:
     return np.array([*terms, *(shape.value for shape in model.shapes)])
 
 
-def _covariance(model: LagrangianModel) -> np.ndarray:
-    """Of `_values`; zero for what is known. Without one, the errors count as independent."""
+def covariance_of(model: LagrangianModel) -> np.ndarray:
+    """Of coefficients and shape parameters, zero where known; without one, errors count as independent."""
     both = (*model.terms, *model.dissipation)
     errors = np.array([*(t.standard_error for t in both), *(s.standard_error for s in model.shapes)])
     out = np.diag(np.nan_to_num(errors) ** 2)

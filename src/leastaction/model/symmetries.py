@@ -27,6 +27,7 @@ from leastaction.library.invariance import Change, Invariance, exchanges, revers
 from leastaction.library.jets import Jets
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.checks import angles_in
+from leastaction.model.constants import covariance_of
 from leastaction.model.notation import latex_number, latex_symbols
 from leastaction.selection.significance import chi_square_cutoff, normal_cutoff
 
@@ -154,7 +155,9 @@ class _Search:
         self.invariance = Invariance(self.terms, names)
         self.coefficients = np.array([term.coefficient for term in model.terms])
         self.strengths = np.array([term.coefficient for term in model.dissipation])
-        self.covariance, self.friction_covariance = _covariances(model)
+        covariance, n = covariance_of(model), len(model.terms)
+        self.covariance = covariance[:n, :n]
+        self.friction_covariance = covariance[n : n + len(model.dissipation), n : n + len(model.dissipation)]
         self.pushed = _pushed(model)
 
     def run(self) -> Iterator[Symmetry]:
@@ -352,17 +355,6 @@ def _judge(rows: np.ndarray, coefficients: np.ndarray, covariance: np.ndarray) -
     if chi2 > chi_square_cutoff(values.size) or precision > 1.0 / normal_cutoff():
         return None
     return _Verdict("within errors", values.size, chi2, precision)
-
-
-def _covariances(model: LagrangianModel) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances of the coefficients of L and of ψ, zero for those that are given."""
-    both = (*model.terms, *model.dissipation)
-    out = np.zeros((len(both), len(both)))
-    if model.covariance is not None:
-        free = [k for k, term in enumerate(both) if not term.known]
-        out[np.ix_(free, free)] = model.covariance[: len(free), : len(free)]
-    n = len(model.terms)
-    return out[:n, :n], out[n:, n:]
 
 
 def _pushed(model: LagrangianModel) -> set[int]:
