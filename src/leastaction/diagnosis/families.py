@@ -25,7 +25,7 @@ from leastaction.selection.likelihood_refinement import beside, gain_of, penalty
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit, weak_start
-from leastaction.selection.strategies.shape_start import place
+from leastaction.selection.strategies.shape_start import places
 
 __all__ = ["lacking_family", "named_family"]
 
@@ -120,7 +120,7 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
         return None
     offers = sorted(_offers(fit, kinetic), key=lambda offer: -offer.worth)
     posed = [_posed(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
-    points = [(point.score, at.at(point.values)) for at in posed if (point := place(at, _STARTS)) is not None]
+    points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
     begun = [at for _, at in sorted(points, key=lambda pair: pair[0])[:_SEARCHED]]
     searched = [searched_with(at, weak_start, shape_fit) for at in begun]
     for at in sorted(searched, key=lambda at: -value(at.found)):

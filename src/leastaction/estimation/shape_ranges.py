@@ -74,6 +74,12 @@ class ShapeRange:
             return float(self.low ** (1.0 - share) * self.high**share)
         return float(self.low + share * (self.high - self.low))
 
+    def share(self, number: float) -> float:
+        """Where a number lies in the range; the inverse of `at` inside it."""
+        if self.spacing == "log":
+            return float(np.log(max(number, 1e-300) / self.low) / np.log(self.high / self.low))
+        return (number - self.low) / (self.high - self.low)
+
     def stepped(self, value: float, step: float) -> float:
         """The value after a step, no farther than half of it (or of a quarter of a linear range).
 

@@ -2,28 +2,35 @@
 
 Candidates with shape parameters are placed one after the other: of the numbers that the range of the
 parameters offers, those that explain the rows of the weak form with the cheapest support, refined by
-Gauss–Newton steps. Then each is looked for once more with the others in place.
+Gauss–Newton steps. Then each is looked for once more with the others in place. Numbers that do it nearly as
+well are compared by fits: a steep exponential, say, follows the noise of a few samples.
 
-Cost: two passes over some tens of numbers for each candidate, each a search for a support on the weak form.
-Skipped where no candidate has shape parameters.
+Cost: two passes over some tens of numbers for each candidate, each a search for a support on the weak form;
+a search for a structure with each of the few best. Skipped where no candidate has shape parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
 
 from leastaction.estimation.problem import Problem
-from leastaction.estimation.shape_ranges import shape_starts
+from leastaction.estimation.shape_ranges import ShapeRange, shape_starts
+from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.shape_profile import Profile, ProfilePoint
+from leastaction.selection.strategies import shape_fit, weak_start
 
-__all__ = ["place", "run"]
+__all__ = ["places", "run"]
 
 _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
 _MOST_STARTS = 512  # of a candidate with more
 _REFINED = 4  # of the starts, beside each number of plain candidates
 _PASSES = 2  # over the candidates
+_COMPARED = 3  # numbers that are compared by fits
+_NEAR = 0.03  # of a range: numbers that lead to the same fit
 
 
 def run(search: Search) -> Search:
@@ -32,31 +39,35 @@ def run(search: Search) -> Search:
     if not problem.ranges:
         return search
     search.report("shapes", {})
-    point = place(search)
-    return search if point is None else search.at(point.values)
+    begun = [search.at(point.values) for point in places(search)[:_COMPARED]]
+    if len(begun) < 2:
+        return begun[0] if begun else search
+    return max(begun, key=lambda at: value(shape_fit.run(weak_start.run(at)).found))
 
 
-def place(search: Search, most: int = _MOST_STARTS) -> ProfilePoint | None:
+def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
     """All shape parameters of the grid's problem, those of one candidate after those of another.
 
-    Of each candidate with shape parameters ``most`` starts are tried; None where it is undefined at all.
+    Of each candidate with shape parameters ``most`` starts are tried. The best comes first, then what the
+    last candidate may have instead; empty where one is undefined at all.
     """
     problem = search.grid.problem
     profile = Profile(search.grid, search.curve, search.seed)
     values: dict[str, float] = {}
-    best: ProfilePoint | None = None
+    found: list[ProfilePoint] = []
     groups = _groups(problem)
     for _ in range(_PASSES if len(groups) > 1 else 1):
         for group in groups:
             others = {n: v for n, v in values.items() if n not in group}
             bearers = _determined(problem, {*others, *group})
+            ranges = {name: problem.ranges[name] for name in group}
             count = min(_STARTS.get(len(group), _MOST_STARTS), most)
-            starts = shape_starts({name: problem.ranges[name] for name in group}, count)
-            found = _best(profile, bearers, others, starts)
-            complete = best is not None and set(best.values) == {*others, *group}
-            if found is not None and not (complete and best is not None and best.score <= found.score):
-                best, values = found, dict(found.values)
-    return best
+            starts = shape_starts(ranges, count)
+            new = _distinct(_best(profile, bearers, others, starts, rising=len(group) == 1), ranges)
+            complete = bool(found) and set(found[0].values) == {*others, *group}
+            if new and not (complete and found[0].score <= new[0].score):
+                found, values = new, dict(new[0].values)
+    return found
 
 
 def _groups(problem: Problem) -> list[tuple[str, ...]]:
@@ -81,19 +92,44 @@ def _best(
     bearers: Sequence[int],
     others: dict[str, float],
     starts: Iterable[dict[str, float]],
-) -> ProfilePoint | None:
-    """The best support after Gauss–Newton steps from the best few starts beside simple and all candidates.
+    rising: bool,
+) -> list[ProfilePoint]:
+    """Supports after Gauss–Newton steps from the best few starts, beside ever more plain candidates.
 
     Ends beside as many plain candidates as let noise explain what is left.  All of the starts are compared
-    there: the first that does may be a harmonic of the numbers, which more terms make up for.
+    there: the first that does may be a harmonic of the numbers, which more terms make up for.  Where the
+    starts rise, only those are begun with that are better than their neighbours.
     """
-    tried = [profile.point({**others, **start}, bearers) for start in starts]
-    best: ProfilePoint | None = None
-    for level in zip(*filter(None, tried), strict=True):
-        for point in sorted(level, key=lambda p: p.ratio)[:_REFINED]:
-            found = profile.searched(profile.refined(point, bearers))
-            if best is None or found.score < best.score:
-                best = found
-        if best is not None and best.ratio < SELECTION.rows_explained:
-            return best
-    return best
+    tried = list(filter(None, (profile.point({**others, **start}, bearers) for start in starts)))
+    found: list[ProfilePoint] = []
+    for level in zip(*tried, strict=True):
+        begun = _lowest(level) if rising else level
+        for point in sorted(begun, key=lambda p: p.ratio)[:_REFINED]:
+            found.append(profile.searched(profile.refined(point, bearers)))
+        found.sort(key=lambda p: p.score)
+        if found[0].ratio < SELECTION.rows_explained:
+            break
+    return found
+
+
+def _lowest(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
+    """Points that are no worse than their neighbours."""
+    ratios = np.array([np.inf, *(p.ratio for p in points), np.inf])
+    low = (ratios[1:-1] <= ratios[:-2]) & (ratios[1:-1] <= ratios[2:])
+    return [point for point, is_low in zip(points, low, strict=True) if is_low]
+
+
+def _distinct(points: Sequence[ProfilePoint], ranges: Mapping[str, ShapeRange]) -> list[ProfilePoint]:
+    """Points without those that lie near a better one, within a few per cent of the ranges."""
+    kept: list[ProfilePoint] = []
+    for point in points:
+        if not any(_near(point, other, ranges) for other in kept):
+            kept.append(point)
+    return kept
+
+
+def _near(one: ProfilePoint, other: ProfilePoint, ranges: Mapping[str, ShapeRange]) -> bool:
+    return all(
+        abs(where.share(one.values[name]) - where.share(other.values[name])) < _NEAR
+        for name, where in ranges.items()
+    )
