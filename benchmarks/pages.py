@@ -1,16 +1,27 @@
-"""The numbers of docs/choose.md and the examples of docs/limits.md.
+"""The numbers of docs/choose.md, the examples of docs/limits.md, the picture of README.md and docs/index.md.
 
-python benchmarks/pages.py choose limits
+python benchmarks/pages.py choose limits picture
 """
 
 from __future__ import annotations
 
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 
 import leastaction as la
 from leastaction import systems
+from leastaction.model.notation import rounded
+from leastaction.model.term import ModelTerm
+from leastaction.report.axes import Axes
+from leastaction.report.series import Series
+from leastaction.report.svg import path, stroke, text
+from leastaction.simulation.forecast import ForecastResult
+
+ROOT = Path(__file__).resolve().parents[1]
+PICTURE = ROOT / "docs/_static/pendulum.svg"
 
 DOUBLE = systems.get("double_pendulum")
 LIBRARY = la.Library.mechanical(DOUBLE.coordinates, angles=DOUBLE.angles)
@@ -43,8 +54,8 @@ def choose() -> None:
 def show(title: str, model: la.LagrangianModel) -> None:
     terms = ", ".join(term.expression for term in (*model.terms, *model.dissipation))
     print(f"{title}: {model.fit.status}\n    {terms}")
-    for text in (*model.fit.warnings, *(model.diagnostics.notes if model.diagnostics else ())):
-        print(f"    - {text}")
+    for sentence in (*model.fit.warnings, *(model.diagnostics.notes if model.diagnostics else ())):
+        print(f"    - {sentence}")
 
 
 def changed(data: la.Trajectories, q=lambda q: q, forces=lambda f: f) -> la.Trajectories:
@@ -77,6 +88,117 @@ def limits() -> None:
     show("swing of 0.02 rad", la.discover(small, library, known={"theta_dot**2": 0.5}))
 
 
+# ------------------------------------------------------------ the picture: what the example of README.md does
+# The colours of report/style.css on light paper. A picture in a README cannot know whether the page about it
+# is dark, so it brings its own ground.
+STYLE = """svg{--paper:#fcfcfa;--ink:#1d2125;--muted:#59616a;--grid:#dfe1de;--measured:#878d95;--fit:#0a5c9e;
+--forecast:#cc5200;--shade:#e1eaf3;font:13px system-ui,-apple-system,"Segoe UI",Roboto,
+"Liberation Sans",Arial,sans-serif}
+.tick{font-size:12px;fill:var(--muted)}.label,.row{fill:var(--ink)}
+.head{font-size:15px;font-weight:600;fill:var(--ink)}
+.law{font-size:17px;fill:var(--fit)}"""
+WIDTH, HEIGHT = 700.0, 460.0
+EVERY = 4  # of the samples one is drawn
+# Of a pendulum with mass m and length l in the field g, and friction −c dθ/dt: reading, unit, true value.
+READINGS = {
+    "theta_dot**2": ("½ m l²", "kg m²", 0.5),
+    "cos(theta)": ("m g l", "N m", 9.81),
+    "theta_dot**2/2": ("friction c", "N m s", 0.2),
+}
+
+
+def example() -> tuple[str, str]:
+    """The Python block of README.md, and the text block after it, which is what it prints."""
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"^```python\n(.*?)^```\n+.*?^```text\n(.*?)^```", page, re.M | re.S)
+    assert found is not None
+    return found[1], found[2]
+
+
+def picture() -> None:
+    """Run the example of README.md and draw what it has found."""
+    names: dict = {}
+    exec(compile(example()[0], "README.md", "exec"), names)
+    PICTURE.write_text(draw(names["runs"], names["model"], names["forecast"]), encoding="utf-8")
+    print(f"{PICTURE}: {PICTURE.stat().st_size} bytes")
+
+
+def draw(runs: la.Trajectories, model: la.LagrangianModel, forecast: ForecastResult) -> str:
+    """Three panels: the first run with its fitted curve, the law, the forecast of the last run."""
+    series, fitted, new = Series(model), runs[0], runs[-1]
+    trace = forecast.traces[0]
+    recorded, ahead = Axes((424.0, 196.0)), Axes((676.0, 188.0))
+    recorded.dots(fitted.t[::EVERY], fitted.q[::EVERY, 0], "measured", 3.4)
+    fine = np.linspace(fitted.t[0], fitted.t[-1], 601)
+    recorded.line(fine, series.curve_of(0, fine)[:, 0], "fit", 1.8)
+    ahead.band(x=(float(new.t[0]), trace.origin))
+    ahead.dots(new.t[::EVERY], new.q[::EVERY, 0], "measured", 3.4)
+    ahead.line(trace.t, trace.forecast[:, 0], "forecast", 2.0)
+    for axes, run in ((recorded, fitted), (ahead, new)):
+        axes.limit(x=(float(run.t[0]), float(run.t[-1])))
+        axes.label("t (s)", "angle θ", y_unit="rad")
+    panels = [
+        (12, 34, recorded.svg("a", "A recording", "Noisy samples of an angle, and the curve fitted to them")),
+        (12, 266, ahead.svg("b", "A forecast", "It follows the samples of a recording that was not fitted")),
+    ]
+    body = "".join(
+        str(panel).replace(
+            "<svg ", f'<svg x="{x}" y="{y}" width="{axes.width:g}" height="{axes.height:g}" ', 1
+        )
+        for (x, y, panel), axes in zip(panels, (recorded, ahead), strict=True)
+    )
+    errors = f"rms error {forecast.rms[0]:.3f} rad, noise {model.noise_std[0]:.3f} rad"
+    words = (
+        text("1  Noisy measurements (simulated pendulum)", 14, 25, "head")
+        + text("dots: measured, line: fitted", 424, 49, "tick", "end")
+        + text("2  The law found", 450, 25, "head")
+        + text("3  A forecast of a recording that was not used", 14, 256, "head")
+        + text(f"from the shaded half second and the known torque; {errors}", 676, 281, "tick", "end")
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" width="{WIDTH:g}" '
+        f'height="{HEIGHT:g}" role="img">\n'
+        f"<!-- python benchmarks/pages.py picture: runs the example of README.md -->\n"
+        f"<style>{STYLE}</style>\n"
+        f'<rect x="0.5" y="0.5" width="{WIDTH - 1:g}" height="{HEIGHT - 1:g}" rx="8" fill="var(--paper)" '
+        f'stroke="var(--grid)"/>\n{body}\n{words}\n{draw_law(model)}\n</svg>\n'
+    )
+
+
+def measured(term: ModelTerm) -> str:
+    """A coefficient and its standard error."""
+    error = rounded(term.standard_error, digits=2)
+    return f"{rounded(term.coefficient, term.standard_error)} ± {error}"
+
+
+def draw_law(model: la.LagrangianModel) -> str:
+    """The formulas, and a whisker for each coefficient on one axis of deviations from the true value."""
+    left, right, zero, per_cent = 450.0, 688.0, 569.0, 32.0
+    found = {term.expression: term for term in (*model.terms, *model.dissipation)}
+    value = {name: rounded(t.coefficient, t.standard_error) for name, t in found.items()}
+    parts = [
+        text(f"L = {value['theta_dot**2']} θ̇² + {value['cos(theta)']} cos θ", left, 54, "law"),
+        text(f"friction torque −{value['theta_dot**2/2']} θ̇", left, 78, "law"),
+        path(f"M{zero:g} 94V202", stroke("muted", 1.0, dashes="4 3")),
+    ]
+    for k, (name, (reading, unit, true)) in enumerate(READINGS.items()):
+        y, term = 108.0 + 36.0 * k, found[name]
+        low, at, high = (
+            zero + per_cent * 100 * (bound / true - 1) for bound in (term.lower, term.coefficient, term.upper)
+        )
+        parts += [
+            f'<rect x="{left:g}" y="{y - 14:g}" width="{right - left:g}" height="18" fill="var(--paper)"/>',
+            text(reading, left, y, "row"),
+            text(f"{measured(term)} {unit}", right, y, "row", "end"),
+            path(f"M{low:.1f} {y + 12:g}H{high:.1f}", stroke("fit", 2.5)),
+            f'<circle cx="{at:.1f}" cy="{y + 12:g}" r="4.5" fill="var(--fit)"/>',
+        ]
+    ticks = ((-3, "−3 %"), (0, "true value"), (3, "+3 %"))
+    parts += [text(words, zero + per_cent * x, 216, "tick", "middle") for x, words in ticks]
+    parts.append(text("bars: 95 % intervals", zero, 233, "tick", "middle"))
+    return "".join(parts)
+
+
 if __name__ == "__main__":
     for name in sys.argv[1:] or ("choose", "limits"):
-        {"choose": choose, "limits": limits}[name]()
+        {"choose": choose, "limits": limits, "picture": picture}[name]()

@@ -6,19 +6,23 @@ The scripts of examples/ run as they are, draw, and stay short: ``make gallery``
 from __future__ import annotations
 
 import ast
+import contextlib
 import importlib.util
 import inspect
+import io
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import click
 import pytest
 
 import leastaction as la
+from benchmarks import pages
 from leastaction import systems
 from leastaction.cli.program import program
 from leastaction.findings import CODES, REASONS, TEXT, because
@@ -177,6 +181,63 @@ def test_examples_of_the_pages_run(
 @pytest.mark.parametrize(("name", "block"), _examples(), ids=[name for name, _ in _examples()])
 def test_examples_are_python(name: str, block: str) -> None:
     compile(block, name, "exec")
+
+
+# -------------------------------------------------------------- README.md: what it shows is what comes out
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def first() -> tuple[str, dict[str, Any]]:
+    """What the example of README.md prints, and the names that it leaves."""
+    names: dict[str, Any] = {"__name__": "__main__"}
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(pages.example()[0], "README.md", "exec"), names)
+    return printed.getvalue(), names
+
+
+def _texts(svg: str) -> list[str]:
+    return re.findall(r"<text[^>]*>([^<]*)</text>", svg)
+
+
+def test_the_first_example_prints_what_the_readme_shows(first: tuple[str, dict[str, Any]]) -> None:
+    assert first[0] == pages.example()[1]
+
+
+def test_the_first_example_is_ten_lines() -> None:
+    assert len([line for line in pages.example()[0].splitlines() if line]) <= 10
+    assert "```python" not in README.replace("```python", "", 1), "pages.example() knows one block"
+
+
+def test_the_first_formula_is_explained_with_the_numbers_found(first: tuple[str, dict[str, Any]]) -> None:
+    model = first[1]["model"]
+    for term in (*model.terms, *model.dissipation):
+        reading, unit, true = pages.READINGS[term.expression]
+        row = next(line for line in README.splitlines() if line.startswith(f"| `{term.expression}`"))
+        assert f"| {pages.measured(term)} |" in row
+        assert f"| {reading.split()[-1] if 'friction' in reading else reading}, " in row
+        assert row.endswith(f"| {true:g} {unit} |")
+        assert term.lower <= true <= term.upper
+    assert len(first[1]["candidates"]) == 9  # "nine candidate terms"
+
+
+def test_the_picture_is_that_of_the_first_example(first: tuple[str, dict[str, Any]]) -> None:
+    kept = pages.PICTURE.read_text(encoding="utf-8")
+    names = first[1]
+    assert _texts(kept) == _texts(pages.draw(names["runs"], names["model"], names["forecast"]))
+    assert len(kept.encode()) < 60_000
+    assert f"]({pages.PICTURE.relative_to(ROOT).as_posix()})" in README
+
+
+def test_links_of_the_readme_lead_somewhere() -> None:
+    links = re.findall(r"\]\(([^)]+)\)", README)
+    assert len(links) > 10
+    for link in links:
+        name, _, anchor = link.partition("#")
+        assert (ROOT / name).exists(), link
+        if anchor:
+            titles = re.findall(r"^#+ (.+)$", (ROOT / name).read_text(encoding="utf-8"), re.M)
+            assert anchor in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
 CHECK = _load("check_pages")
