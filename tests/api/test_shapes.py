@@ -133,6 +133,20 @@ def test_it_simulates(model):
     np.testing.assert_allclose(np.hstack([motion.q, motion.qdot]), expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("names", ["ab", "ba"])
+def test_terms_that_can_be_exchanged_have_rising_numbers(data, names):
+    """Both exponentials of the law have a rate of their own; which is called a does not hang on the search."""
+    texts = [f"exp(-{{{name}}}*x)" for name in names]
+    model = la.discover(data, ["x_dot**2", *texts], known=KNOWN)
+    numbers = {shape.name: shape.value for shape in model.shapes}
+    assert numbers == pytest.approx({"a": RATE, "b": 2 * RATE}, rel=0.1)
+    weights = {term.written: term.coefficient for term in model.terms}
+    assert weights["exp(-{a}*x)"] > 0.0 > weights["exp(-{b}*x)"]
+    swapped = {"a": (0.7, 1.0), "b": (0.1, 10.0)}  # what the user bounds apart is no exchange
+    bounded = la.discover(data, ["x_dot**2", *texts], known=KNOWN, shapes=swapped)
+    assert {shape.name: shape.value for shape in bounded.shapes} == pytest.approx(numbers, rel=1e-3)
+
+
 def test_a_bound_that_excludes_the_truth_is_named(data):
     model = la.discover(data, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (1.2, 3.0)})
     assert model.fit.status == "doubtful"

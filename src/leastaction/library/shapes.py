@@ -6,9 +6,11 @@ that the estimation needs.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 import sympy
@@ -17,8 +19,9 @@ from leastaction.errors import InputError
 from leastaction.library.parser import is_constant, shape_symbol
 from leastaction.library.term import Template, Term
 
-__all__ = ["check_numbers", "check_shapes", "shape_names", "tangent", "term_somewhere"]
+__all__ = ["check_numbers", "check_shapes", "exchanges", "shape_names", "tangent", "term_somewhere"]
 
+_NAME = re.compile(r"\{(\w+)\}")
 _PROPORTIONAL = 1e-9
 _POINTS = 12
 
@@ -26,6 +29,35 @@ _POINTS = 12
 def shape_names(terms: Sequence[Term]) -> tuple[str, ...]:
     """Names of the shape parameters of some terms, sorted."""
     return tuple(sorted({name for term in terms for name in term.shapes}))
+
+
+def exchanges(terms: Sequence[Term]) -> list[dict[str, str]]:
+    """Exchanges of names, each with another, after which the terms are the same: m and n of xᵐ and xⁿ.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Of one kind, all that hold some of the names.
+
+    Examples
+    --------
+    >>> from leastaction.library.term import make_term
+    >>> exchanges([make_term(text, ["x"]) for text in ("x**{m}", "x**{n}", "exp(-{a}*x)")])
+    [{'m': 'n', 'n': 'm'}]
+    """
+    templates = [term if term.template is None else term.template.term for term in terms]
+    whole = {template.expr for template in templates}
+    found: list[dict[str, str]] = []
+    for one, other in combinations([t for t in templates if t.shapes], 2):
+        names, others = (list(dict.fromkeys(_NAME.findall(t.text))) for t in (one, other))
+        if len(names) != len(others) or _NAME.sub("{}", one.text) != _NAME.sub("{}", other.text):
+            continue
+        pairs = [(a, b) for a, b in zip(names, others, strict=True) if a != b]
+        exchange = {**dict(pairs), **{b: a for a, b in pairs}}
+        symbols = {shape_symbol(a): shape_symbol(b) for a, b in exchange.items()}
+        if pairs and {expr.xreplace(symbols) for expr in whole} == whole and exchange not in found:
+            found.append(exchange)
+    return found
 
 
 def _somewhere(names: Sequence[str]) -> dict[str, float]:

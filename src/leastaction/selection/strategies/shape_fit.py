@@ -7,10 +7,15 @@ Cost: three to six joint fits. Skipped where the structure holds no shape parame
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shapes import fit_shapes
+from leastaction.estimation.structure import Structure
+from leastaction.library import exchanges, shape_symbol
 from leastaction.selection.likelihood_refinement import penalty, refine, value
 from leastaction.selection.search_state import Search
 
@@ -30,7 +35,38 @@ def run(search: Search) -> Search:
         if better is None:
             break
         fit = better
+    fit = _ordered(fit)
     return search.now(fit).at(fit.problem.shape_values)
+
+
+def _ordered(fit: Fit) -> Fit:
+    """The same law with rising numbers in terms that can be exchanged, such as x**{m} and x**{n}."""
+    free: list[int] = fit.problem.free.tolist()
+    swaps = exchanges([fit.problem.terms[k] for k in free if fit.problem.terms[k].shapes])
+    for swap in [swap for _ in swaps for swap in swaps]:  # sorts by exchanges
+        numbers, first = fit.problem.shape_values, min(swap)
+        alike = all(fit.problem.ranges[a] == fit.problem.ranges[b] for a, b in swap.items())
+        used = {*swap} <= {*fit.problem.shapes_of(fit.structure)}
+        if alike and used and numbers[first] > numbers[swap[first]]:
+            fit = _exchanged(fit, swap)
+    return fit
+
+
+def _exchanged(fit: Fit, swap: Mapping[str, str]) -> Fit:
+    """The same law with the numbers of some names exchanged, and the coefficients of their terms."""
+    problem, symbols = fit.problem, {shape_symbol(a): shape_symbol(b) for a, b in swap.items()}
+    templates = {k: t.template.term.expr for k, t in enumerate(problem.terms) if t.template is not None}
+    places = {expr: k for k, expr in templates.items()}
+    new = [
+        places.get(templates[k].xreplace(symbols), k) if k in templates else k
+        for k in range(len(problem.terms))
+    ]
+    if problem.is_known[[k for k, other in enumerate(new) if k != other]].any():
+        return fit
+    moved = problem.at({a: problem.shape_values[b] for a, b in swap.items()})
+    start = replace(fit.start, coefficients=fit.start.coefficients[new])
+    other = fit_shapes(fit.grid.posed(moved).fit(Structure([new[k] for k in fit.structure]), start))
+    return other if other.usable else fit
 
 
 def _smaller(fit: Fit) -> Fit | None:
