@@ -135,7 +135,7 @@ def test_it_simulates(model):
 
 @pytest.mark.parametrize("names", ["ab", "ba"])
 def test_terms_that_can_be_exchanged_have_rising_numbers(data, names):
-    """Both exponentials of the law have a rate of their own; which is called a does not hang on the search."""
+    """Both exponentials of the law have a rate of their own; which is called a is no accident."""
     texts = [f"exp(-{{{name}}}*x)" for name in names]
     model = la.discover(data, ["x_dot**2", *texts], known=KNOWN)
     numbers = {shape.name: shape.value for shape in model.shapes}
