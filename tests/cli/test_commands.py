@@ -245,6 +245,8 @@ def test_validate(work, model, tmp_path):
         "validate", model, work / "run.csv", "--coordinates", "theta", "--time", "t", "--trial", "trial"
     )
     assert "theta" in without.stdout
+    assert "without --forces, none act in the forecast" in without.stderr
+    assert "without --forces" not in result.stderr
 
 
 def _data_options(data, coordinates, forces, angles=None, force_delay=None):

@@ -143,6 +143,9 @@ def validate(
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
     trajectories = data(default=found.coordinates).in_order_of(found.coordinates).read()
+    if not trajectories.driven and not any(term.known for term in found.terms):
+        # the scale of the model came from forces
+        warn("the model was found with known forces; without --forces, none act in the forecast")
     with live_progress("forecast"):
         result = found.validate(trajectories, length)
     if found.fit.status != "ok":
