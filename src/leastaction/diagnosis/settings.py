@@ -80,6 +80,11 @@ class DiagnosisSettings:
     bump_visited: float = 0.005
     """Share of the motion near a bump, at least. Half, twice: no effect."""
 
+    wave_share: float = 0.2
+    """Share of the equation error that a function of time has to explain before it is searched with. Eight
+    laws that depend on time gave 0.36 to 0.81, eight that lack a term 0.01 to 0.51. Half: 3 of these instead
+    of 2 are searched with, in vain; twice: one of 15 recordings of the former is not named."""
+
     one_and_the_same: float = 0.99
     """Correlation above which a shape parameter is said to move with another parameter as one. It is
     named then; whether there is a finding, another setting decides."""

@@ -4,8 +4,8 @@ The equation error of such a law follows the clock, not the state.  It is explai
 where φ is a coordinate (a force on it) or a potential (a coefficient that oscillates), or by a factor that
 drifts, φ t and φ exp(−a t).  What they gain is read from the quadratic model of the likelihood about the fit,
 at frequencies a quarter of a turn apart at the latest time.  A search with the best frequency decides, and a
-further one is looked for where an error is left.  The law is said to depend on time if its
-equations hold, and no smooth change of a potential is left that would explain more.
+further one is looked for where an error is left.  The law is said to depend on time if its equations hold,
+and no smooth change of a potential is left that would explain more.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from itertools import count
 
 import numpy as np
 
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import searched_with
 from leastaction.estimation.fit import Fit
@@ -34,7 +35,6 @@ from leastaction.selection.strategies.frequency_scan import AT_ONCE, best_number
 __all__ = ["time_dependence"]
 
 _ROUNDS = 3  # functions of time in one law, at most
-_SHARE = 0.2  # of the equation error that a function of time explains, at least: others are not searched with
 _MOST_FACTORS = 12  # bounds time
 _MOST_FREQUENCIES = 1000  # bounds time
 
@@ -136,7 +136,7 @@ def _best(fit: Fit, factors: Sequence[str]) -> _Offer | None:
     pushes = _forces(fit, terms)
     offers = [_offer(fit, factors, pushes, kind) for kind in (_WAVE, _DRIFT)]
     best = max(offers, key=lambda offer: offer.gain)
-    return best if best.gain > fit.relevant_gain(_SHARE) else None
+    return best if best.gain > fit.relevant_gain(DIAGNOSIS.wave_share) else None
 
 
 def _forces(fit: Fit, terms: Sequence[Term]) -> np.ndarray:
