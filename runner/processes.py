@@ -9,7 +9,7 @@ from pathlib import Path
 
 from runner.origin import ROOT
 
-__all__ = ["end", "environment", "last_words"]
+__all__ = ["end", "environment", "last_words", "stop"]
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
@@ -20,14 +20,19 @@ def environment() -> dict[str, str]:
     return {**os.environ, **dict.fromkeys(_THREADS, "1"), "MPLBACKEND": "Agg", "PYTHONPATH": path}
 
 
-def end(process: subprocess.Popen) -> None:
-    """End a process and what it has started, if it still runs; close its pipes."""
+def stop(process: subprocess.Popen) -> None:
+    """End a process and what it has started, if it still runs. Its pipes stay open for who reads them."""
     if process.poll() is None:
         if hasattr(os, "killpg"):
             os.killpg(process.pid, signal.SIGKILL)  # it leads a group of its own
         else:
             process.kill()
         process.wait()
+
+
+def end(process: subprocess.Popen) -> None:
+    """End a process, and close its pipes."""
+    stop(process)
     for pipe in (process.stdin, process.stdout):
         if pipe:
             pipe.close()

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from runner.origin import ROOT, failure
-from runner.processes import end, environment, last_words
+from runner.processes import end, environment, last_words, stop
 from studies.case import Case
 
 __all__ = ["Options", "solved"]
@@ -112,10 +112,15 @@ class Worker:
         return kept
 
     def close(self) -> None:
-        """End the process for good."""
+        """End the process for good.
+
+        The thread that runs it closes the pipes: one that waits for a pipe closed by another waits forever.
+        """
         with self._lock:
             self._closed = True
-        self.end()
+            process = self._process
+        if process is not None:
+            stop(process)
 
     def end(self) -> None:
         """End the process and what it has started."""
