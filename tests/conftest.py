@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import linecache
 import os
+from collections.abc import Callable
+from pathlib import Path
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # before anything imports matplotlib: no display is needed
 
@@ -39,3 +41,15 @@ linecache.checkcache = _check_again
 def rng() -> np.random.Generator:
     """Return a generator that starts from the same state in every test."""
     return np.random.default_rng(20260101)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that writes text or bytes to a file, run.csv by default, and returns the path."""
+
+    def write(content: str | bytes, name: str = "run.csv") -> Path:
+        path = tmp_path / name
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        return path
+
+    return write

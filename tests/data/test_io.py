@@ -18,18 +18,6 @@ NAN = float("nan")
 PLAIN = "t,theta,tau\n" + "".join(f"{k / 10},{k},{-k}\n" for k in range(6))
 
 
-@pytest.fixture
-def file(tmp_path):
-    """Return a function that writes text or bytes to run.csv and returns the path."""
-
-    def write(content, name="run.csv"):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return write
-
-
 def table(*lines, header="t,theta"):
     return "\n".join([header, *lines]) + "\n"
 

@@ -28,18 +28,6 @@ K = np.arange(6)
 DEGREES = np.radians(10.0 * K)
 
 
-@pytest.fixture
-def file(tmp_path):
-    """Return a function that writes text or bytes to a file and returns the path."""
-
-    def write(content, name="run.csv"):
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        return path
-
-    return write
-
-
 def table(header, row, units=None, count=6):
     """A header, perhaps a row of units, and rows made of a template over k."""
     lines = [header, *([units] if units else []), *(row.format(k=k, ten=10 * k) for k in range(count))]

@@ -10,20 +10,19 @@ evidence, its equations hold, and it leaves no doubt about the form itself.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from leastaction.diagnosis.missing_terms import missing_term
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
-from leastaction.diagnosis.wider_search import MOST_SAMPLES, searched_with
+from leastaction.diagnosis.wider_search import MOST_SAMPLES, Offer, offered, searched_with
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges, shape_starts
 from leastaction.findings import Finding, find
 from leastaction.library import Term, make_term, shape_names
-from leastaction.selection.likelihood_refinement import beside, gain_of, penalty, value
-from leastaction.selection.progress import silent
-from leastaction.selection.search_state import Search, equations_hold, restarted
+from leastaction.selection.likelihood_refinement import gains_beside, penalty, value
+from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit, weak_start
 from leastaction.selection.strategies.shape_start import places
 
@@ -48,26 +47,7 @@ _POSITIVE = (("X**{n}",), ("X**{n}", "X**{m}"))
 _BOTH_SIGNS = (("abs(X)**{n}",),)
 
 
-@dataclass(frozen=True)
-class _Offer:
-    """Terms with unknown numbers that belong together.
-
-    Attributes
-    ----------
-    terms : list of Term
-        With the best of their numbers.
-    ranges : mapping of str to ShapeRange
-        Where to look for better ones.
-    worth : float
-        By how much −2 log likelihood falls with them, less what they cost.
-    """
-
-    terms: list[Term]
-    ranges: Mapping[str, ShapeRange]
-    worth: float
-
-
-def _offers(fit: Fit, kinetic: bool) -> Iterator[_Offer]:
+def _offers(fit: Fit, kinetic: bool) -> Iterator[Offer]:
     """The dictionary for the one coordinate of a fit; with ``kinetic``, masses that depend on it."""
     (name,), points = fit.problem.coordinates, fit.points()
     states = dict(zip((name, f"{name}_dot"), map(np.asarray, points.columns), strict=False))
@@ -119,7 +99,7 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
     if not (fit.converged and np.isfinite(fit.evidence)):
         return None
     offers = sorted(_offers(fit, kinetic), key=lambda offer: -offer.worth)
-    posed = [_posed(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
+    posed = [offered(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
     points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
     begun = [at for _, at in sorted(points, key=lambda pair: pair[0])[:_SEARCHED]]
     searched = [searched_with(at, weak_start, shape_fit) for at in begun]
@@ -135,20 +115,11 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
     return None
 
 
-def _offer(fit: Fit, terms: list[Term], ranges: Mapping[str, ShapeRange]) -> _Offer:
+def _offer(fit: Fit, terms: list[Term], ranges: Mapping[str, ShapeRange]) -> Offer:
     """The numbers with which −2 log likelihood falls the most, and by how much, less what they cost."""
     starts = [[t.at(numbers) for t in terms] for numbers in shape_starts(ranges, _STARTS)]
     base = [fit.problem.terms[m] for m in fit.structure]
     flat = [term for start in starts for term in start]
-    model, here = beside(fit, fit.problem.candidates.of([*base, *flat]))
-    places = range(len(base), len(base) + len(flat), len(terms))
-    gains = [gain_of(model, here, *range(place, place + len(terms))) for place in places]
+    gains = gains_beside(fit, fit.problem.candidates.of([*base, *flat]), len(terms))
     best = int(np.argmax(gains))
-    return _Offer(starts[best], ranges, gains[best] - penalty(fit.grid) * (len(terms) + len(ranges)))
-
-
-def _posed(search: Search, offer: _Offer) -> Search:
-    """A search on the grid of the fit that has the offer among its candidates."""
-    before = search.found.problem
-    problem = replace(before.wider(offer.terms), ranges={**before.ranges, **offer.ranges})
-    return restarted(replace(search, report=silent), search.found.grid.posed(problem))
+    return Offer(starts[best], ranges, gains[best] - penalty(fit.grid) * (len(terms) + len(ranges)))

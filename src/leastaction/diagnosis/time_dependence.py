@@ -10,7 +10,7 @@ and no smooth change of a potential is left that would explain more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -18,19 +18,17 @@ import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
-from leastaction.diagnosis.wider_search import searched_with
+from leastaction.diagnosis.wider_search import Offer, offered, searched_with
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
-from leastaction.estimation.shape_ranges import ShapeRange, frequency_range, shape_ranges
+from leastaction.estimation.shape_ranges import frequency_range, shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import TIME, names_in_terms
 from leastaction.library import Term, make_term, shape_names, time_symbol
-from leastaction.mechanics.euler_lagrange import Points
-from leastaction.selection.likelihood_refinement import beside, gain_of
-from leastaction.selection.progress import silent
-from leastaction.selection.search_state import Search, equations_hold, restarted
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, shape_fit, weak_start
-from leastaction.selection.strategies.frequency_scan import AT_ONCE, best_number
+from leastaction.selection.strategies.frequency_scan import best_number
 
 __all__ = ["time_dependence"]
 
@@ -62,25 +60,6 @@ _WAVE = _Kind("w", ("{0}*cos({{{1}}}*t)", "{0}*sin({{{1}}}*t)"), (np.cos, np.sin
 _DRIFT = _Kind("a", ("{0}*t", "{0}*exp(-{{{1}}}*t)"), (lambda u: u, lambda u: np.exp(-u)))
 
 
-@dataclass(frozen=True)
-class _Offer:
-    """Factors times functions of time, with the number that explains the most.
-
-    Attributes
-    ----------
-    terms : tuple of Term
-        For every factor φ, with the number in place.
-    ranges : mapping of str to ShapeRange
-        Of the one shape parameter.
-    gain : float
-        By how much −2 log likelihood falls with the terms of one factor, beyond chance.
-    """
-
-    terms: tuple[Term, ...]
-    ranges: Mapping[str, ShapeRange]
-    gain: float
-
-
 def time_dependence(search: Search) -> list[Finding]:
     """Say with which terms that hold the time the equations hold; nothing if none are found."""
     factors = _factors(search.found)
@@ -91,7 +70,7 @@ def time_dependence(search: Search) -> list[Finding]:
         offer = _best(fit, factors)
         if offer is None:
             return []
-        search = searched_with(_posed(search, offer), weak_start, shape_fit, feeding_friction)
+        search = searched_with(offered(search, offer), weak_start, shape_fit, feeding_friction)
         if equations_hold(search.found):
             # waves imitate a potential that no candidate can write; a smooth change of it remains
             imitated = doubts_about_the_form(search.found, search.relevance)
@@ -129,14 +108,14 @@ def _factors(fit: Fit) -> list[str]:
     return list(dict.fromkeys([*forces, *simplest, *found]))[:_MOST_FACTORS]
 
 
-def _best(fit: Fit, factors: Sequence[str]) -> _Offer | None:
+def _best(fit: Fit, factors: Sequence[str]) -> Offer | None:
     """The offer with which one factor explains the most, if that is a good part of the equation error."""
     names = names_in_terms(fit.problem.coordinates)
     terms = [make_term(factor, names) for factor in factors]
     pushes = _forces(fit, terms)
     offers = [_offer(fit, factors, pushes, kind) for kind in (_WAVE, _DRIFT)]
-    best = max(offers, key=lambda offer: offer.gain)
-    return best if best.gain > fit.relevant_gain(DIAGNOSIS.wave_share) else None
+    best = max(offers, key=lambda offer: offer.worth)
+    return best if best.worth > fit.relevant_gain(DIAGNOSIS.wave_share) else None
 
 
 def _forces(fit: Fit, terms: Sequence[Term]) -> np.ndarray:
@@ -150,7 +129,7 @@ def _forces(fit: Fit, terms: Sequence[Term]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Changing:
-    """Forces times functions of time, for every number: first one function, then the other."""
+    """Forces times both functions of time, for every number."""
 
     force: np.ndarray
     times: np.ndarray
@@ -162,37 +141,28 @@ class _Changing:
 
     def on(self, intervals: slice, n_dof: int) -> np.ndarray:
         phase = self.numbers[:, None] * self.times[intervals].T.ravel()
-        values = np.concatenate([function(phase) for function in self.kind.functions])
-        return values[:, None, :] * self.force[intervals].transpose(2, 1, 0).reshape(n_dof, -1)
+        values = np.stack([function(phase) for function in self.kind.functions], axis=1)
+        return values.reshape(len(self), 1, -1) * self.force[intervals].transpose(2, 1, 0).reshape(n_dof, -1)
 
     def within(self, intervals: slice) -> _Changing:
         return replace(self, force=self.force[intervals], times=self.times[intervals])
 
 
-def _offer(fit: Fit, factors: Sequence[str], forces: np.ndarray, kind: _Kind) -> _Offer:
+def _offer(fit: Fit, factors: Sequence[str], forces: np.ndarray, kind: _Kind) -> Offer:
     """Factors times functions of time, which share the number that explains the most beside one of them."""
     names, times = names_in_terms(fit.problem.coordinates), fit.grid.spline.points
     taken = {*names, *fit.problem.ranges}
     name = next(n for k in count() if (n := f"{kind.letter}{k or ''}") not in taken)
     terms = [make_term(text.format(factor, name), names) for factor in factors for text in kind.texts]
-    where = shape_ranges(terms[:2], {TIME: times[:, 0]}, {})[name] if kind is _DRIFT else None
-    where = where or frequency_range(times[:, 0], most=_MOST_FREQUENCIES)
+    where = (
+        frequency_range(times[:, 0], most=_MOST_FREQUENCIES)
+        if kind is _WAVE
+        else shape_ranges(terms[:2], {TIME: times[:, 0]}, {})[name]
+    )
     chosen = fit.problem.candidates.subset(list(fit.structure))
 
-    def gains(group: int, numbers: np.ndarray) -> np.ndarray:
-        out: list[float] = []
-        for first in range(0, numbers.size, AT_ONCE // 2):
-            some = numbers[first : first + AT_ONCE // 2]
-            model, here = beside(fit, WithPushes(chosen, _Changing(forces[group], times, kind, some)))
-            out += [gain_of(model, here, k, k + some.size) for k in range(len(here), len(here) + some.size)]
-        return np.array(out)
+    def columns(group: int, numbers: np.ndarray) -> EulerLagrange:
+        return WithPushes(chosen, _Changing(forces[group], times, kind, numbers))
 
-    _, number, gain = best_number(gains, len(factors), 2, where)
-    return _Offer(tuple(term.at({name: number}) for term in terms), {name: where}, gain)
-
-
-def _posed(search: Search, offer: _Offer) -> Search:
-    """A search on the grid of the fit that has the offer among its candidates."""
-    before = search.found.problem
-    problem = replace(before.wider(offer.terms), ranges={**before.ranges, **offer.ranges})
-    return restarted(replace(search, report=silent), search.found.grid.posed(problem))
+    _, number, gain = best_number(fit, columns, len(factors), 2, where)
+    return Offer([term.at({name: number}) for term in terms], {name: where}, gain)

@@ -199,6 +199,13 @@ def beside(fit: Fit, candidates: EulerLagrange) -> tuple[QuadraticModel, tuple[i
     return model, tuple(range(chosen))
 
 
+def gains_beside(fit: Fit, candidates: EulerLagrange, size: int) -> np.ndarray:
+    """By how much −2 log likelihood falls with each so many columns in a row behind the chosen terms."""
+    model, here = beside(fit, candidates)
+    places = range(len(here), len(candidates), size)
+    return np.array([gain_of(model, here, *range(k, k + size)) for k in places])
+
+
 def gain_of(model: QuadraticModel, members: tuple[int, ...], *more: int) -> float:
     """By how much further terms lower −2 log likelihood."""
     return model.best({members}, 1)[0].cost - model.best({(*members, *more)}, 1)[0].cost

@@ -11,23 +11,23 @@ Without it 20 of 48 set-ups with 10 % noise are not exact and ok, forced and par
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shape_ranges import ShapeRange
-from leastaction.library import Term
-from leastaction.selection.likelihood_refinement import beside, gain_of, value
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.selection.likelihood_refinement import gains_beside, value
 from leastaction.selection.search_state import Search, explains
 from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies import shape_fit, weak_start
 
-__all__ = ["AT_ONCE", "best_number", "run"]
+__all__ = ["best_number", "run"]
 
 _STARTS = 17  # numbers of a parameter that is no frequency
-AT_ONCE = 600  # columns scored together: bounds memory
+_COLUMNS = 600  # columns scored together: bounds memory
 _CLOSER = np.linspace(-0.75, 0.75, 7)  # of the distance of two frequencies: about the best one
 
 
@@ -51,10 +51,13 @@ def _scanned(search: Search, name: str) -> Search:
     without = fit.grid.fit(rest, fit.start) if held else fit
     if not len(rest) or not np.isfinite(without.evidence):
         return search
-    group = [problem.terms[k] for k in bearers]
-    _, number, gain = best_number(
-        lambda _, numbers: _gains(without, group, name, numbers), 1, len(bearers), problem.ranges[name]
-    )
+    base = [problem.terms[k] for k in rest]
+
+    def columns(_: int, numbers: np.ndarray) -> EulerLagrange:
+        more = [problem.terms[k].at({name: x}) for x in numbers.tolist() for k in bearers]
+        return problem.candidates.of([*base, *more])
+
+    _, number, gain = best_number(without, columns, 1, len(bearers), problem.ranges[name])
     if gain <= 0.0:
         return search
     moved = search.at({name: number})
@@ -65,14 +68,15 @@ def _scanned(search: Search, name: str) -> Search:
 
 
 def best_number(
-    gains: Callable[[int, np.ndarray], np.ndarray], groups: int, size: int, where: ShapeRange
+    fit: Fit, columns: Callable[[int, np.ndarray], EulerLagrange], groups: int, size: int, where: ShapeRange
 ) -> tuple[int, float, float]:
     """The group of terms, and the number of their shape parameter, that explain the most beside a fit.
 
     Parameters
     ----------
-    gains : callable
-        ``gains(group, numbers)``: by how much −2 log likelihood falls, at each number.
+    fit : Fit
+    columns : callable
+        ``columns(group, numbers)``: the chosen terms, and behind them those of a group with each number.
     groups, size : int
         Groups, and terms in each.
     where : ShapeRange
@@ -83,8 +87,14 @@ def best_number(
     group : int
     number : float
     gain : float
-        Beyond chance.
+        By how much −2 log likelihood falls, beyond chance.
     """
+
+    def gains(group: int, numbers: np.ndarray) -> np.ndarray:
+        at_once = max(1, _COLUMNS // size)
+        parts = np.array_split(numbers, range(at_once, numbers.size, at_once))
+        return np.concatenate([gains_beside(fit, columns(group, part), size) for part in parts])
+
     tried = where.starts(_STARTS)
     table = np.array([gains(group, tried) for group in range(groups)])
     which, at = map(int, np.unravel_index(int(np.argmax(table)), table.shape))
@@ -94,17 +104,3 @@ def best_number(
         finer = gains(which, closer)
         number, most = float(closer[int(np.argmax(finer))]), float(finer.max())
     return which, number, most - chi_square_cutoff(1 + size, table.size)
-
-
-def _gains(fit: Fit, group: Sequence[Term], name: str, numbers: np.ndarray) -> np.ndarray:
-    """By how much −2 log likelihood falls with the terms of one group, at each number."""
-    base = [fit.problem.terms[m] for m in fit.structure]
-    at_once = max(1, AT_ONCE // len(group))
-    out: list[float] = []
-    for first in range(0, numbers.size, at_once):
-        some = numbers[first : first + at_once].tolist()
-        more = [term.at({name: x}) for x in some for term in group]
-        model, here = beside(fit, fit.problem.candidates.of([*base, *more]))
-        places = range(len(base), len(base) + len(more), len(group))
-        out += [gain_of(model, here, *range(k, k + len(group))) for k in places]
-    return np.array(out)
