@@ -82,7 +82,7 @@ $(STUDIES:%=study-%): study-%: $(STAMPS)/core
 	$(BIN)/python -m studies.run $* $(RUN_ARGS)
 	$(BIN)/python -m studies.collate $*
 
-# What has a record in reproduction/results/METHOD.jsonl is not run again.
+# What has a record in reproduction/results/runs.jsonl is not run again.
 table1 table2: table%: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.run --table $* $(RUN_ARGS)
 	$(BIN)/python -m reproduction.collate

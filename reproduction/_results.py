@@ -14,7 +14,7 @@ from reproduction import methods
 from reproduction.problem import Case
 from runner.store import Store
 
-__all__ = ["Column", "Group", "Results", "best", "complete", "read"]
+__all__ = ["Column", "Group", "Results", "best", "complete", "read", "store_of"]
 
 NO_REGULARISATION = "no-regularisation"  # the variant that only the second table asks for
 EXPERIMENTS = ("from-truth", "true-terms")  # variants of the paper's method that are told the truth
@@ -40,9 +40,14 @@ class Group:
         return f"{self.library.capitalize()} library, {unit}, {number}"
 
 
+def store_of(folder: Path) -> Store:
+    """Return the records of a folder: ``runs.jsonl``, or one file a method as was the former layout."""
+    return Store(folder, Case.from_dict, single="runs")
+
+
 def read(folder: Path) -> Results:
     """Read every record of a folder; ValueError names a file, and its line, that is not one."""
-    return Results(Store(folder, Case.from_dict).read())
+    return Results(store_of(folder).read())
 
 
 class Results:

@@ -64,7 +64,7 @@ class Case:
 
     @property
     def part(self) -> str:
-        """Name of the file that holds the run's record."""
+        """The part of the records that the run belongs to: those of its method."""
         return self.method
 
     def as_dict(self) -> dict:

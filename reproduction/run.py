@@ -25,10 +25,11 @@ import leastaction as la
 from leastaction import systems
 from reproduction._execute import end_with_parent, execute
 from reproduction._launch import Options, launched
+from reproduction._results import store_of
 from reproduction.problem import Case
 from runner.course import carry_out, say
 from runner.origin import ROOT
-from runner.store import Store, to_line
+from runner.store import to_line
 
 RESULTS = ROOT / "reproduction" / "results"
 # Table 2: A complete data, B with missing samples, C without the regularisation that only Adam's loss has
@@ -140,7 +141,7 @@ def main(
     everything = build_cases(chosen, names or systems.names(), levels or _LEVELS[table], *shape)
     here = usable(everything, home, console)
     options = Options(jobs, scheduler, timeout, home)
-    store = Store(results, Case.from_dict)
+    store = store_of(results)
     records = carry_out(
         here, store, partial(launched, options=options), _line, console, retry_failed, dry_run
     )

@@ -1,4 +1,4 @@
-"""Records of runs, one JSON document a line, in one file a part: ``<folder>/<part>.jsonl``.
+"""Records of runs, one JSON document a line, one file a part (``<folder>/<part>.jsonl``) or one in all.
 
 A record is added at the end of its file by one write that is forced to the disk. A runner that is killed
 loses only the runs under way: an unfinished last line, which has no newline, is dropped. Each start and each
@@ -37,7 +37,7 @@ class RecordError(ValueError):
 
 
 class Case(Protocol):
-    """One run: its name, which no other run of the folder has, and the file that holds its record."""
+    """One run: its name, which no other run of the folder has, and the part that it belongs to."""
 
     @property
     def key(self) -> str: ...
@@ -61,22 +61,30 @@ class Store:
         ``case(config)`` returns the case of a record's configuration.
     say : callable
         Is given the message that an unfinished line has been left out.
+    single : str
+        Name of the one file that holds all parts, without its ending; "": each part has a file of its own.
     """
 
     folder: Path
     case: Callable[[Mapping], Case]
     say: Callable[[str], object] = _say
+    single: str = ""
 
     def path(self, part: str) -> Path:
-        return self.folder / f"{part}.jsonl"
+        """Return the file to which records of a part are added."""
+        return self.folder / f"{self.single or part}.jsonl"
 
     def key(self, record: Mapping) -> str:
         return self.case(record["config"]).key
 
+    def _part(self, record: Mapping) -> str:
+        return self.case(record["config"]).part
+
     def read(self, *parts: str) -> list[dict]:
         """Return the records of these parts, by default of all, sorted by the names of their cases.
 
-        Folders of the former layout, one ``<key>.json`` a run, are read too; a line comes before such a file.
+        Folders of former layouts are read too: one ``<key>.json`` a run; with `single`, one file a part. A
+        line comes before such a file, and a line of the one file before the others.
 
         Raises
         ------
@@ -87,15 +95,13 @@ class Store:
         for path in self._former(parts):
             key, record = self._parsed(path.read_bytes(), str(path))
             found[key] = record
-        for path in [self.path(part) for part in parts] if parts else sorted(self.folder.glob("*.jsonl")):
-            if path.exists():
-                lines = self._lines(path, "is left out")
-                found |= {key: record for key, record, _ in lines}
-        return [found[key] for key in sorted(found)]
+        for path in self._files(parts):
+            found |= {key: record for key, record, _ in self._lines(path, "is left out")}
+        return [found[key] for key in sorted(found) if not parts or self._part(found[key]) in parts]
 
     def append(self, record: Mapping) -> None:
         """Add a record; it is on the disk when this returns."""
-        path = self.path(self.case(record["config"]).part)
+        path = self.path(self._part(record))
         line = to_line(record).encode() + b"\n"
         path.parent.mkdir(parents=True, exist_ok=True)
         with _locked(path), path.open("r+b", buffering=0) as file:
@@ -111,7 +117,7 @@ class Store:
 
     def tidy(self, *parts: str) -> None:
         """Sort the files of these parts and drop unfinished lines and those that a later one replaces."""
-        for path in map(self.path, parts):
+        for path in dict.fromkeys(map(self.path, parts)):
             if not path.exists():
                 continue
             with _locked(path):
@@ -125,6 +131,14 @@ class Store:
                     left.unlink()
                 if text != path.read_bytes():
                     la.io.write_text(path, text.decode())
+
+    def _files(self, parts: tuple[str, ...]) -> list[Path]:
+        """Files of lines that are there; the one of all parts is the last, because a later line holds."""
+        paths = {self.folder / f"{part}.jsonl" for part in parts} or set(self.folder.glob("*.jsonl"))
+        paths |= {self.path(self.single)} if self.single else set()
+        return sorted(
+            (path for path in paths if path.exists()), key=lambda path: (path.stem == self.single, path)
+        )
 
     def _former(self, parts: tuple[str, ...]) -> list[Path]:
         """Files of single records: ``<key>.json``, where the key begins with the part."""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,11 +17,12 @@ from click.testing import CliRunner
 
 from reproduction import problem
 from reproduction._launch import Options, launch
+from reproduction._results import store_of
 from reproduction.problem import Case
 from reproduction.run import build_cases, main, settings
 from runner.course import open_cases
 from runner.origin import ROOT
-from runner.store import Store, to_line
+from runner.store import to_line
 
 # A stand-in for reproduction.methods: it notes when a run begins and ends. "gated" waits for a file from the
 # second trial on, so that a test decides what is under way when it kills something.
@@ -89,7 +91,7 @@ class Fake:
 
     def records(self) -> dict[str, dict]:
         """Read every record, which fails on a half-written one."""
-        store = Store(self.results, Case.from_dict, say=pytest.fail)
+        store = replace(store_of(self.results), say=pytest.fail)
         return {store.key(record): record for record in store.read()}
 
 
@@ -215,12 +217,19 @@ def test_unknown_method_is_named():
 
 def test_failed_runs_are_open_only_if_asked(tmp_path):
     cases = [fake_case("gated", trial) for trial in range(3)]
-    for case, finished in zip(cases, (True, False), strict=False):
-        document = {"config": case.as_dict(), "result": {"finished": finished}}
-        (tmp_path / f"{case.key}.json").write_text(json.dumps(document))  # the former layout
-    store = Store(tmp_path, Case.from_dict)
+    documents = [
+        {"config": case.as_dict(), "result": {"finished": finished}}
+        for case, finished in zip(cases, (True, False), strict=False)
+    ]
+    # the two former layouts
+    (tmp_path / f"{cases[0].key}.json").write_text(json.dumps(documents[0]))
+    (tmp_path / "gated.jsonl").write_text(json.dumps(documents[1]) + "\n")
+    store = store_of(tmp_path)
     assert open_cases(cases, store) == cases[2:]
     assert open_cases(cases, store, retry_failed=True) == cases[1:]
+    store.append({"config": cases[1].as_dict(), "result": {"finished": True}})
+    assert open_cases(cases, store, retry_failed=True) == cases[2:]
+    assert (tmp_path / "runs.jsonl").read_text().count("\n") == 1
 
 
 def test_cases_of_the_tables():

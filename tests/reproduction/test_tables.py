@@ -15,13 +15,12 @@ import leastaction as la
 from leastaction import systems
 from reproduction import scoring
 from reproduction._findings import findings
-from reproduction._results import Group, Results
+from reproduction._results import Group, Results, store_of
 from reproduction._speed import speed
 from reproduction._tables import ablation, experiments, group_tables, number
 from reproduction.collate import HERE, main, mixed_settings
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
-from runner.store import Store
 
 PAPER = json.loads((HERE / "paper.json").read_text())
 GROUP = Group("relative", "compact", 5)
@@ -403,7 +402,7 @@ def test_published_numbers_are_complete():
 def test_collate_writes_both_files(tmp_path):
     records = [record(l2=0.5), record("adam", 0.2), record("adam", variant="no-regularisation", l2=0.9)]
     records.append(record(library="large", l2=0.1))
-    store = Store(tmp_path, Case.from_dict)
+    store = store_of(tmp_path)
     for document in records:
         store.append(document)
     (tmp_path / "notes").mkdir()

@@ -90,6 +90,23 @@ def test_the_former_layout_is_read_and_a_line_comes_before_it(store):
     assert store.read("faults") == []
 
 
+def test_one_file_holds_all_parts_and_a_file_of_one_part_is_still_read(store):
+    for trial, study in ((0, "single"), (1, "single"), (1, "faults")):
+        store.append(record(trial, study, value="file a part"))
+    former = {path.name: path.read_bytes() for path in store.folder.iterdir()}
+    together = Store(store.folder, Case.from_dict, say=pytest.fail, single="runs")
+    together.append(record(2, value="one file"))
+    together.append(record(1, value="one file"))
+    together.tidy("single", "faults")
+    assert together.path("single") == together.path("faults") == store.folder / "runs.jsonl"
+    assert [r["result"]["value"] for r in together.read("single")] == ["file a part", "one file", "one file"]
+    assert trials(together.read("single")) == [0, 1, 2]
+    assert trials(together.read("faults")) == [1]
+    assert trials(together.read()) == [1, 0, 1, 2]
+    assert trials([json.loads(line) for line in together.path("").read_text().splitlines()]) == [1, 2]
+    assert {name: (store.folder / name).read_bytes() for name in former} == former
+
+
 @pytest.mark.parametrize(
     "line", ["{}", "no json", '{"config": {"colour": 1}, "result": {"finished": true}}', ""]
 )
