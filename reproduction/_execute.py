@@ -33,16 +33,16 @@ _PEERS = {
 def execute(case: Case, method: ModuleType, parallel: int = 1) -> dict:
     """Solve one case and return its record; whatever a method raises becomes a record too."""
     before = {"load_before": _load(), "start_mb": _peak_mb()}
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall, cpu = time.perf_counter(), _cpu()
     solved = False
     try:
         problem = pose(case)
-        wall, cpu = time.perf_counter(), time.process_time()
+        wall, cpu = time.perf_counter(), _cpu()
         answer = method.solve(problem)
         cost = {
             "wall_s": time.perf_counter() - wall,
-            "cpu_s": time.process_time() - cpu,
-            "peak_mb": _peak_mb(),
+            "cpu_s": _cpu() - cpu,
+            "peak_mb": round(_peak_mb() + answer.child_mb, 1),
         }
         solved = True
         scores = score(problem, answer)
@@ -90,6 +90,12 @@ def _peak_mb() -> float:
         size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         kilobytes = size / 1024 if sys.platform == "darwin" else size
     return round(kilobytes * 1024 / 1e6, 1)
+
+
+def _cpu() -> float:
+    """Seconds of the processor that this process has used, and those that it started and that have ended."""
+    spent = os.times()
+    return time.process_time() + spent.children_user + spent.children_system
 
 
 def _load() -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +14,13 @@ from reproduction import methods
 from reproduction.problem import Case
 from runner.store import Store
 
-__all__ = ["Column", "Group", "Results", "best", "complete", "read", "store_of"]
+__all__ = ["Column", "Group", "Results", "best", "competes", "complete", "read", "store_of"]
 
 NO_REGULARISATION = "no-regularisation"  # the variant that only the second table asks for
 EXPERIMENTS = ("from-truth", "true-terms")  # variants of the paper's method that are told the truth
-APART = (NO_REGULARISATION, *EXPERIMENTS)  # these do not compete
+NAMES, GIVEN = "names", "given-rates"  # variants of the comparison with symbolic regression
+APART = (NO_REGULARISATION, *EXPERIMENTS, NAMES, GIVEN)  # these do not compete in the tables of the paper
+UDSR = "udsr"  # nor does this method, which is run for a few cases only
 
 Column = tuple[str, str]  # method, variant
 
@@ -97,7 +99,7 @@ class Results:
     @property
     def comparable(self) -> Results:
         """Those of the first table: complete data, nothing left out of a method and nothing told to it."""
-        return self.where(lambda c: c["missing"] == 0 and c["variant"] not in APART)
+        return self.where(lambda c: c["missing"] == 0 and competes(c))
 
     @property
     def finished(self) -> list[dict]:
@@ -126,6 +128,11 @@ class Results:
         named = (r["method"]["title"] for r in records if r["method"]["title"])
         title = next(named, column[0])
         return f"{title}, {column[1]}" if column[1] else title
+
+
+def competes(config: Mapping) -> bool:
+    """Tell whether a run belongs into the tables of the paper: its method is whole, and told nothing."""
+    return config["variant"] not in APART and config["method"] != UDSR
 
 
 def complete(runs: Sequence[Results]) -> list[bool]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from reproduction._results import APART, Column, Results
+from reproduction._results import Column, Results, competes
 from reproduction._tables import Cell, Table, number
 from reproduction.scoring import NEAR_BEST
 
@@ -33,7 +33,7 @@ def speed(results: Results) -> list[Table]:
     whole, level = [], []
     for r in filter(_timed, results.records):
         config, theirs, own = r["config"], r["result"], ours.get(_pairing(r))
-        if config["method"] == "ours" or config["variant"] in APART or own is None:
+        if config["method"] == "ours" or not competes(config) or own is None:
             continue
         place = (config["method"], config["variant"]), config["system"]
         whole.append((*place, _own_seconds(theirs) / own["cpu_s"]))

@@ -134,6 +134,8 @@ class Answer:
         The found law as the method prints it, when it is not a combination of the library's terms.
     history : list of (seconds, dict of coefficients)
         For methods that iterate: what had been found when, for time to a given error.
+    child_mb : float
+        Largest resident memory of a process that the method has started, in MB.
     """
 
     coefficients: Mapping[str, float] | None
@@ -143,6 +145,7 @@ class Answer:
     errors: Mapping[str, float] | None = None
     expression: str = ""
     history: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)
+    child_mb: float = 0.0
 
 
 def pose(case: Case) -> Problem:

@@ -19,6 +19,7 @@ NAMES = (
     "sindy_weak",
     "rk4_sindy",
     "operon",
+    "udsr",
 )
 
 

@@ -1,8 +1,13 @@
-"""leastaction with every option at its default."""
+"""leastaction with every option at its default; variant "names" is told no candidates, only the coordinates.
+
+Its candidates are those of ``--library symbolic``, grown from the coordinates' names. Its law may be written
+in other terms than the textbook's, and then counts as wrong where terms are compared.
+"""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import leastaction as la
 from reproduction.problem import Answer, Problem
@@ -19,13 +24,22 @@ def solve(problem: Problem) -> Answer:
         if "coefficients" in details:
             course.append((time.perf_counter() - started, details["coefficients"]))
 
-    model = la.discover(problem.data, problem.library, known=problem.known, progress=watch)
+    library = _library(problem)
+    model = la.discover(problem.data, library, known=problem.known, progress=watch)
     course.append((time.perf_counter() - started, {t.expression: t.coefficient for t in model.terms}))
-    found = problem.free(course[-1][1])
+    free = replace(problem, library=library).free
     return Answer(
-        coefficients=found,
+        coefficients=free(course[-1][1]),
         acceleration=model.acceleration,
         status=model.fit.status,
-        errors=problem.free({t.expression: t.standard_error for t in model.terms}),
-        history=[(seconds, problem.free(values)) for seconds, values in course],
+        errors=free({t.expression: t.standard_error for t in model.terms}),
+        history=[(seconds, free(values)) for seconds, values in course],
     )
+
+
+def _library(problem: Problem) -> la.Library:
+    if problem.case.variant == "names":
+        return la.Library.symbolic(problem.system.coordinates, problem.system.angles)
+    if problem.case.variant:
+        raise ValueError(f"variant {problem.case.variant!r} is unknown; use names")
+    return problem.library

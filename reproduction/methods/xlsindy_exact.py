@@ -15,10 +15,10 @@ REFERENCE = "Purnomo & Hayashibe 2023, Sci Rep 13:7919"
 
 def solve(problem: Problem) -> Answer:
     started = time.perf_counter()
-    return solve_from(problem, _states(problem), started)
+    return solve_from(problem, states(problem), started)
 
 
-def _states(problem: Problem) -> States:
+def states(problem: Problem) -> States:
     """Measured positions with exact rates whose noise is of the case's level, as the authors give them.
 
     The level is relative to the standard deviation of each rate over all trajectories, or absolute (in

@@ -143,6 +143,15 @@ def test_operon_finds_the_driven_pendulum_and_repeats_itself():
     assert np.isnan(lost).all()
 
 
+def test_operon_with_given_rates():
+    options = {"population_size": 300, "generations": 15}
+    given = operon.solve(problem_of("single_pendulum", 0.01, variant="given-rates"), **options)
+    assert given.settings["generations"] == 15
+    assert acceleration_error(given.acceleration, problem_of("single_pendulum")) < 0.05
+    with pytest.raises(ValueError, match="variant 'other' is unknown; use given-rates"):
+        operon.solve(problem_of("single_pendulum", variant="other"))
+
+
 def test_operon_is_given_a_root_when_the_library_has_one():
     problem = problem_of("magnetic_pendulum", trajectories=1)
     answer = operon.solve(problem, population_size=20, generations=1)

@@ -82,7 +82,7 @@ def test_history_ends_in_the_answer(name):
 @pytest.mark.usefixtures("brief")
 def test_xlsindy_ends_in_least_squares():
     problem = posed("xlsindy_exact", "magnetic_pendulum", noise=0.02)
-    states = load("xlsindy_exact")._states(problem)
+    states = load("xlsindy_exact").states(problem)
     answer = load("xlsindy_exact").solve(problem)
     columns = np.concatenate([la.euler_lagrange(problem.library, *s.swapaxes(0, 1)) for s, _ in states])
     columns = columns.reshape(-1, len(problem.library))
@@ -96,7 +96,7 @@ def test_xlsindy_ends_in_least_squares():
 @pytest.mark.parametrize("convention", ["relative", "absolute"])
 def test_xlsindy_exact_is_given_noise_of_the_level_on_all_channels(convention):
     problem = posed("xlsindy_exact", "double_pendulum", 0.05, noise_convention=convention, missing=0.1)
-    states = np.concatenate([s for s, _ in load("xlsindy_exact")._states(problem)])
+    states = np.concatenate([s for s, _ in load("xlsindy_exact").states(problem)])
     kept = [np.isfinite(measured.q).all(axis=1) for measured in problem.data]
     for place, name in ((1, "qdot"), (2, "qddot")):
         exact = [getattr(motion, name) for motion in problem.truth]

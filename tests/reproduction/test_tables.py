@@ -291,6 +291,15 @@ class TestTables:
         assert len(first.rows) == 1
         assert "no-regularisation" not in " ".join(first.head)
 
+    def test_runs_of_other_tasks_do_not_compete(self):
+        plain = [record(), record("adam", 0.3), record("operon", None, cpu_s=4.0)]
+        others = [record("udsr", None), record("udsr", None, variant="repaired")]
+        others += [record("ours", 1e-9, variant="names"), record("operon", None, variant="given-rates")]
+        assert group_tables(Results([*plain, *others]), GROUP, PAPER) == group_tables(
+            Results(plain), GROUP, PAPER
+        )
+        assert speed(Results([*plain, *others])) == speed(Results(plain)) != []
+
     def test_experiments_are_no_competitors(self):
         plain = [record(), record("adam", 0.3), record("adam", 0.3, system="double_pendulum")]
         assert experiments(Results(plain), GROUP, PAPER) is None
