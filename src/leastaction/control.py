@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-import sympy as sp
 from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
@@ -122,7 +121,7 @@ def linearize(
     state = [checked_start(model.coordinates, zero if x is None else x, label) for label, x in given]
     mass = model.mass_matrix(state[0], state[1], t)
     qddot = model.acceleration(*state, t=t)
-    slopes = _slopes(model, state[0], state[1], qddot, t)
+    slopes = model.mechanics.slopes(state[0], state[1], qddot, t)
     if not (np.isfinite(qddot).all() and np.isfinite(slopes).all()):
         raise InputError(
             f"the equations cannot be linearised at q = {quoted(state[0].tolist())}: the mass matrix is "
@@ -134,23 +133,6 @@ def linearize(
     return control.StateSpace(
         a, b, np.eye(2 * n), np.zeros((2 * n, len(columns))), name=name, **_labels(model, columns)
     )
-
-
-def _slopes(
-    model: LagrangianModel, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray, t: float | None
-) -> np.ndarray:
-    """∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (n_dof, 2 n_dof)."""
-    mechanics = model.mechanics
-    held = [sp.Symbol(f"a_{i}", real=True) for i in range(model.n_dof)]
-    rows = [
-        right - sp.Add(*(m * a for m, a in zip(row, held, strict=True)))
-        for row, right in zip(mechanics.mass, mechanics.right, strict=True)
-    ]
-    state = [*mechanics.q, *mechanics.qdot]
-    slopes = mechanics.compile([sp.diff(row, x) for row in rows for x in state], held)
-    with np.errstate(all="ignore"):
-        values = slopes(*q, *qdot, *([t] if model.timed else []), *qddot)
-    return np.reshape(values, (model.n_dof, 2 * model.n_dof))
 
 
 def _control():

@@ -196,6 +196,16 @@ class Mechanics:
         return self.compile([*(entry for row in self.mass for entry in row), *self.right], self.parameters)
 
     @cached_property
+    def _slopes_function(self) -> Callable[..., list[Any]]:
+        held = [sp.Symbol(f"a_{i}", real=True) for i in range(self.n_dof)]
+        rows = [
+            right - sp.Add(*(m * a for m, a in zip(row, held, strict=True)))
+            for row, right in zip(self.mass, self.right, strict=True)
+        ]
+        slopes = [sp.diff(row, x) for row in rows for x in (*self.q, *self.qdot)]
+        return self.compile(slopes, [*held, *self.parameters])
+
+    @cached_property
     def _energy_function(self) -> Callable[..., list[Any]]:
         return self.compile([self.energy_expression])
 
@@ -235,6 +245,23 @@ class Mechanics:
         for i in range(n):
             right[..., i] = next(values)
         return mass, right
+
+    def slopes(
+        self,
+        q: np.ndarray,
+        qdot: np.ndarray,
+        qddot: np.ndarray,
+        t: Any = None,
+        parameters: Iterable[np.ndarray] = (),
+    ) -> np.ndarray:
+        """Return ∂(r − M q̈)/∂(q, q̇) at constant q̈, shape (..., n_dof, 2 n_dof)."""
+        held = [qddot[..., i] for i in range(self.n_dof)]
+        with np.errstate(all="ignore"):
+            values = self._slopes_function(*self._columns(q, qdot, t), *held, *parameters)
+        out = np.empty((*q.shape, 2 * self.n_dof))
+        for k, value in enumerate(values):
+            out[(..., *divmod(k, 2 * self.n_dof))] = value
+        return out
 
     def mass_matrix(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
         """Return M, shape (..., n_dof, n_dof)."""

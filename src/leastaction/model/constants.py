@@ -34,7 +34,7 @@ from leastaction.selection.significance import chi_square_cutoff
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["Offer", "SimpleConstants", "covariance_of", "find_simple_constants"]
+__all__ = ["Offer", "SimpleConstants", "covariance_of", "find_simple_constants", "values_of"]
 
 _WINDOW = math.log(4.0)
 _SAME = 1e-9  # relative: degrees that do not depend on the state
@@ -175,7 +175,7 @@ def _together(
     """The offers, with the test of all of them at once."""
     if not offers:
         return SimpleConstants()
-    values = _values(model)
+    values = values_of(model)
     numbers = np.array([offer.number for offer in offers])
     below = np.array([question.below for question in asked])
     rows = np.array([question.row for question in asked]) - numbers[:, None] * below
@@ -212,7 +212,7 @@ def _offer(question: _Question, expected: float) -> Offer | None:
     return Offer(q.subject, q.reference, *interval, sign * _NUMBERS[text], shown, expected)
 
 
-def _values(model: LagrangianModel) -> np.ndarray:
+def values_of(model: LagrangianModel) -> np.ndarray:
     """Coefficients of L and of ψ, then the shape parameters."""
     terms = [term.coefficient for term in (*model.terms, *model.dissipation)]
     return np.array([*terms, *(shape.value for shape in model.shapes)])
@@ -247,7 +247,7 @@ def _ratios(model: LagrangianModel, covariance: np.ndarray) -> list[_Question]:
     """Ratios within the terms that scale alike."""
     both = (*model.terms, *model.dissipation)
     unit = np.eye(len(covariance))
-    values = _values(model)
+    values = values_of(model)
     usable = [t.known or t.standard_error > 0 for t in both]
     relative = np.sqrt(np.diag(covariance))[: len(both)] / np.abs(values[: len(both)])
     alike: dict[tuple[object, ...], list[int]] = {}

@@ -20,6 +20,7 @@ from leastaction.model import checks
 from leastaction.model import file as model_file
 from leastaction.model import text as model_text
 from leastaction.model.constants import SimpleConstants, find_simple_constants
+from leastaction.model.linear import Resting
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import ForecastResult, forecast
@@ -33,7 +34,7 @@ __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LagrangianModel(model_text.Written):
+class LagrangianModel(model_text.Written, Resting):
     r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t) with numbers and their errors.
 
     The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
