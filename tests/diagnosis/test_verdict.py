@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import PENDULUM_LIBRARY, changed, pendulum, record
+from helpers import PENDULUM_LIBRARY, changed, findings_of, pendulum, record
 from leastaction import systems
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
@@ -273,3 +273,71 @@ def test_the_likelier_of_a_wrong_coefficient_and_a_missing_term_is_named(candida
     subject = {"missing-term": "cos(theta2)", "wrong-known-coefficient": "theta1_dot**2"}[named]
     assert doubts.one(named).subject == (subject,)
     assert not_named not in doubts.codes
+
+
+# ------------------------------------------------------------- scales of the modes of a linear motion
+CHAIN = np.array([[20.0, -10.0, 0.0], [-10.0, 20.0, -10.0], [0.0, -10.0, 20.0]])  # three masses between walls
+
+
+def chain(n: int, forces=None, **known: float):
+    """Findings and law of springs and unit masses, with every quadratic term as a candidate."""
+    names = ["x", "y", "z"][:n]
+    pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+    texts = [f"{a}{dot}**2" for dot in ("_dot", "") for a in names] + [f"{a}**4" for a in names]
+    texts += [f"{a}{dot}*{b}{dot}" for dot in ("_dot", "") for a, b in pairs]
+
+    def pull(q, v, f):
+        return -CHAIN[:n, :n] @ q + (0.0 if f is None else f)
+
+    rng = np.random.default_rng(5)
+    starts = [(rng.uniform(-1.0, 1.0, n), rng.uniform(-1.0, 1.0, n)) for _ in range(3)]
+    data = record(pull, starts, names, forcing=forces)
+    return la.discover(data, la.Library(texts, names), known={f"{k}**2": c for k, c in known.items()})
+
+
+def push(k, t):
+    return 3.0 * np.sin(2.1 * t + k) + 3.0 * np.cos(3.7 * t - k) + 2.0 * np.sin(5.5 * t)
+
+
+@pytest.mark.parametrize(
+    ("n", "along", "known", "scales"),
+    [
+        (2, None, {"x_dot": 0.5}, 1),  # a known coefficient fixes one of the two
+        (2, None, {"x_dot": 0.5, "y_dot": 0.5}, 0),
+        (3, None, {"x_dot": 0.5}, 2),
+        (3, [1.0, 0.0, 0.0], {}, 0),  # a force on one mass drives all modes
+        (3, [0.0, 1.0, 0.0], {}, 1),  # in the middle of the chain it drives two of them
+        (2, [1.0, 1.0], {}, 1),  # forces on both, in the direction of one mode
+    ],
+)
+def test_scales_of_modes_that_nothing_fixes(n, along, known, scales):
+    forces = None if along is None else lambda k, t: np.outer(push(k, t), along)
+    model = chain(n, forces, **known)
+    found = findings_of(model, "mode-scale")
+    assert [(f.severity, f.values["open"], f.values["modes"]) for f in found] == [("note", scales, n)] * (
+        scales > 0
+    )
+    # whichever law it is, the frequencies are right
+    modes = model.linearise(np.zeros(n)).modes
+    truth = np.sqrt(np.linalg.eigvalsh(CHAIN[:n, :n]))
+    frequencies = [mode.natural_frequency for mode in modes]
+    np.testing.assert_allclose([f.value for f in frequencies], truth, rtol=2e-3)
+    assert all(abs(f.value - w) < 4.5 * f.standard_error for f, w in zip(frequencies, truth, strict=True))
+
+
+@pytest.mark.parametrize(("size", "is_open"), [(0.05, True), (1.0, False)])
+def test_large_motions_fix_the_scales(size, is_open):
+    system = systems.get("double_pendulum")
+    rng = np.random.default_rng(1)
+    starts = [(size * rng.uniform(-1.0, 1.0, 2), size * rng.uniform(-1.0, 1.0, 2)) for _ in range(3)]
+    still = np.zeros(2)
+    data = record(
+        lambda q, v, f: system.acceleration(q, v, still),
+        starts,
+        system.coordinates,
+        noise=0.01 * size,
+        rate=100.0,
+    )
+    known = {"cos(theta1)": system.lagrangian["cos(theta1)"]}
+    model = la.discover(data, systems.compact_library("double_pendulum"), known=known)
+    assert bool(findings_of(model, "mode-scale")) is is_open

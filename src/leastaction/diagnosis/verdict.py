@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.competing import rival_warnings
+from leastaction.diagnosis.competing import free_scales, rival_warnings
 from leastaction.diagnosis.families import lacking_family, named_family
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
@@ -29,6 +29,7 @@ from leastaction.selection.settings import SELECTION
 __all__ = ["Verdict", "verify"]
 
 _NOTHING = 1e-8  # of a standard error
+_OPEN = ("competing-structures", "hardly-determined", "scale-open")  # which scales that are open lead to
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +97,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if look_for_causes and not search.stopped and not doubtful(found):
         doubts = doubts_about_the_form(fit, search.relevance)
         found += [named_family(d, search) if d.code == "form-imitated" else d for d in doubts]
+    if look_for_causes and not search.stopped and not doubtful(f for f in found if f.code not in _OPEN):
+        found += free_scales(fit)
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 

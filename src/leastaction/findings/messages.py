@@ -331,6 +331,13 @@ CODES: dict[str, Message] = {
         _correlated,
         "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
+    "mode-scale": Message(
+        "note",
+        "L is not unique: the motion is so nearly linear that {open} of the scales of its {modes} modes may "
+        "be any number, with the same accelerations",
+        "natural frequencies, damping ratios and mode shapes do not depend on it (linearise); a known "
+        "coefficient or force for each mode fixes it",
+    ),
     "zero-offset": Message("note", zero_offset),
     "stopped-early": Message(
         "warning",
