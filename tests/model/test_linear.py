@@ -322,6 +322,8 @@ def test_a_kink_of_the_potential_is_refused():
     model = law(["x"], {"x_dot**2": 0.5, "abs(x)": -1.0, "abs(x-1)**3": -1.0})
     with pytest.raises(InputError, match=r"abs\(x\) has a kink"):
         model.linearise([0.0])
+    wedge = law(["x"], {"x_dot**2": 0.5, "abs(x)": -1.0, "x**2": -1.0})
+    assert [rest.stability for rest in wedge.equilibria(within={"x": (-1.0, 1.0)})] == ["undecided"]
     smooth = law(["x"], {"x_dot**2": 0.5, "abs(x)**3": -1.0})
     assert smooth.linearise([0.0]).stiffness.tolist() == [[0.0]]
 

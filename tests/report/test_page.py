@@ -73,8 +73,8 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     page = Page(source)
     main = page.root.one("main")
     assert " ".join(str(s.attributes["id"]) for s in main.all("section")) == (
-        "verdict lagrangian coefficients symmetries forecast curve residuals energy selection data dropped "
-        "reproduce"
+        "verdict lagrangian coefficients symmetries motions forecast curve residuals energy selection data "
+        "dropped reproduce"
     )
     linked = [a.attributes["href"] for a in page.root.one("nav").all("a")]
     assert linked == [f"#{s.attributes['id']}" for s in main.all("section")[1:]]

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -15,9 +16,10 @@ from leastaction import (
 from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
+from leastaction.report.captions import motion_note
 from leastaction.report.mathml import Notation
 from leastaction.report.series import Energy, Series, legible_samples, thin_line, thin_points
-from leastaction.report.tables import path_rows, symmetry_rows
+from leastaction.report.tables import motion_rows, path_rows, symmetry_rows
 from leastaction.report.text import plain
 from report_helpers import Page, spring
 
@@ -62,6 +64,28 @@ def test_symmetries_in_a_table():
     signs = re.sub(r"<math>.*?</math>", "∙", rows[2]["quantity"])
     assert signs == "angular momentum ∙ − ∙ + ∙ − ∙"
     assert rows[5]["quantity"] == "energy"  # too long, and nothing but L with other signs
+
+
+def test_small_motions_in_a_table():
+    friction = [ModelTerm("theta1_dot**2/2", 0.4), ModelTerm("abs(theta2_dot)", 0.1)]
+    terms = {"theta1_dot**2": 1.0, "theta2_dot**2": 0.5, "cos(theta1)": 9.0, "cos(theta1-theta2)": 4.0}
+    made = [ModelTerm(text, c, 0.01 * c) for text, c in terms.items()]
+    names = ["theta1", "theta2"]
+    model = LagrangianModel(names, made, friction, np.diag([1e-4, 2.5e-5, 8.1e-3, 1.6e-3, 0.0, 0.0]))
+    first, *others = motion_rows(model, Notation(names))
+    assert (first["place"], first["standing"]) == ("θ₁ = 0, θ₂ = 0", "stable")
+    for (pace, shape), mode in zip(first["modes"], model.linearise([0.0, 0.0]).modes, strict=True):
+        assert pace == f"{mode.frequency} Hz, damping ratio {mode.damping_ratio}"
+        lead = math.degrees(np.angle(mode.shape[np.argmin(np.abs(mode.shape))]))
+        assert f"at {lead:.0f}°".replace("-", "−") in shape
+    assert {row["standing"] for row in others} == {"unstable"}
+    assert len(others) == 3
+    note = motion_note(model.small_motions[0][1].left_out)
+    assert note.endswith("dry friction, abs(theta2_dot).")
+    assert "dry friction" not in motion_note(())
+    timed = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x*cos(t)", 1.0)])
+    nowhere = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -1.0)])
+    assert motion_rows(timed, Notation(["x"])) == motion_rows(nowhere, Notation(["x"])) == []
 
 
 def test_numbers_inside_terms_of_a_conserved_quantity_are_short():

@@ -152,7 +152,7 @@ def with_error(term: ModelTerm) -> str:
 def show_model(model: LagrangianModel) -> None:
     """Print Lagrangian, table, status, warnings, and what was left out before the fit."""
     from leastaction.model.notation import interval_text, plain_sum, z_text
-    from leastaction.model.text import simple_lines, symmetry_lines
+    from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
 
     say(f"L = {plain_sum(model.terms, model.expressions)}")
     if model.dissipation:
@@ -174,6 +174,8 @@ def show_model(model: LagrangianModel) -> None:
         say(line)
     for line in symmetry_lines(model):
         say(f"symmetry: {line}")
+    for line in resting_lines(model):
+        say(f"equilibrium: {line}")
     show_fit(model)
 
 

@@ -16,7 +16,7 @@ the covariance, poles and shapes by the perturbation theory of eigenvalues.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, cast
@@ -29,6 +29,7 @@ from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.model.checks import checked_start
 from leastaction.model.modes import ZERO, Matrices, Mode, find_modes, state_matrix
+from leastaction.model.notation import rounded
 from leastaction.model.rest import RestLaw, checked_forces, find_rests, periodic
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ __all__ = ["Equilibrium", "Linearisation", "Resting"]
 
 Stability = Literal["stable", "neutral", "unstable", "undecided"]
 
+_ORDER: tuple[Stability, ...] = ("stable", "neutral", "undecided", "unstable")
 _NEAR = 1e-3  # how far a state may be from its equilibrium: what people round off
 
 
@@ -64,6 +66,16 @@ class Equilibrium:
     stability: Stability
     isolated: bool
     recorded: bool | None
+
+    @property
+    def standing(self) -> str:
+        """Whether it is stable, and whether the recording reached it, as text."""
+        return f"{self.stability}{', beyond the recording' if self.recorded is False else ''}"
+
+    def place(self, names: Sequence[str]) -> str:
+        """Where it is, as text."""
+        pairs = zip(names, self.q.tolist(), self.standard_error.tolist(), strict=True)
+        return ", ".join(f"{name} = {rounded(q, error, uncertainty=True)}" for name, q, error in pairs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +187,31 @@ class Resting:
         model, law = cast("LagrangianModel", self), self._law
         push, ranges = checked_forces(law, forces), _ranges(model)
         found = find_rests(law, within or {}, push, inputs or {}, ranges)
-        return tuple(_equilibrium(law, q, push, ranges) for q in found)
+        return tuple(_equilibrium(law, q, push, ranges)[0] for q in found)
+
+    @cached_property
+    def small_motions(self) -> tuple[tuple[Equilibrium, Linearisation | None], ...]:
+        """Every equilibrium with the linear system about it, those that are stable first.
+
+        They are the `equilibria` that are found without arguments, coordinates that are `prescribed` held in
+        the middle of the recording. None where the mass matrix is singular; empty where the law is `timed`,
+        or where it is not known where to look.
+        """
+        model = cast("LagrangianModel", self)
+        ranges = _ranges(model)
+        if model.timed or (ranges is None and model.prescribed):
+            return ()
+        law, push = self._law, np.zeros(model.n_dof)
+        held = (
+            {} if ranges is None else dict(zip(model.coordinates, ranges.mean(axis=1).tolist(), strict=True))
+        )
+        inputs = {name: held[name] for name in model.prescribed}
+        try:
+            found = find_rests(law, {}, push, inputs, ranges)
+        except InputError:  # no recording, and a coordinate that is no angle
+            return ()
+        pairs = [_equilibrium(law, q, push, ranges) for q in found]
+        return tuple(sorted(pairs, key=lambda pair: _ORDER.index(pair[0].stability)))
 
     def linearise(self, q: ArrayLike, forces: ArrayLike | None = None) -> Linearisation:
         """Small motions about an equilibrium: frequencies, damping ratios and mode shapes with their errors.
@@ -212,7 +248,9 @@ def _ranges(model: LagrangianModel) -> np.ndarray | None:
     return np.stack([spans[:, 0].min(axis=0), spans[:, 1].max(axis=0)], axis=1)
 
 
-def _equilibrium(law: RestLaw, q: np.ndarray, forces: np.ndarray, ranges: np.ndarray | None) -> Equilibrium:
+def _equilibrium(
+    law: RestLaw, q: np.ndarray, forces: np.ndarray, ranges: np.ndarray | None
+) -> tuple[Equilibrium, Linearisation | None]:
     recorded = None
     if ranges is not None:
         low, high = ranges.T
@@ -221,9 +259,9 @@ def _equilibrium(law: RestLaw, q: np.ndarray, forces: np.ndarray, ranges: np.nda
     try:
         system = _about(law, q, forces)
     except InputError:  # a singular mass matrix
-        return Equilibrium(q, np.full(len(q), np.nan), "undecided", False, recorded)
+        return Equilibrium(q, np.full(len(q), np.nan), "undecided", False, recorded), None
     isolated = not _open_directions(system.stiffness).any()
-    return Equilibrium(q, system.standard_error, system.stability, isolated, recorded)
+    return Equilibrium(q, system.standard_error, system.stability, isolated, recorded), system
 
 
 def linearise(law: RestLaw, q: ArrayLike, forces: ArrayLike | None = None) -> Linearisation:
@@ -245,6 +283,7 @@ def linearise(law: RestLaw, q: ArrayLike, forces: ArrayLike | None = None) -> Li
 
 
 def _about(law: RestLaw, q: np.ndarray, forces: np.ndarray) -> Linearisation:
+    law.check_smooth(q)
     here = law.matrices(q)
     regular = all(np.isfinite(part).all() for part in here)
     if not regular or np.linalg.cond(here[0]) > 1e12:

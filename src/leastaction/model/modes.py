@@ -20,6 +20,7 @@ Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
 ZERO = 1e-7
 """Share of the largest pole: a double pole at zero comes out at the root of the rounding error."""
 
+_IN_STEP = 1e-3  # imaginary part of a shape: less is out of step by less than a tenth of a degree
 _ROUNDING = 1e-12  # of the largest eigenvalue: changes within a standard error that are none
 _SAME = 1e-6  # relative: sizes that only rounding tells apart
 
@@ -89,6 +90,47 @@ class Mode:
     damping_ratio: Estimate
     shape: np.ndarray
     shape_standard_error: np.ndarray
+
+    @property
+    def pace(self) -> str:
+        """Frequency and damping ratio, or the rate of a mode that does not swing, as text.
+
+        Examples
+        --------
+        >>> from leastaction import LagrangianModel
+        >>> from leastaction.model.term import ModelTerm
+        >>> terms = [ModelTerm("x_dot**2", 0.5), ModelTerm("cos(x)", 9.81, 0.04)]
+        >>> model = LagrangianModel("x", terms)
+        >>> [mode.pace for q in ([0.0], [3.1416]) for mode in model.linearise(q).modes]
+        ['0.4985(10) Hz', 'decays at 3.1321(64) 1/s', 'grows at 3.1321(64) 1/s']
+        """
+        if self.pole == 0.0:
+            return "moves freely"
+        if self.pole.imag == 0.0:
+            return f"{'grows' if self.pole.real > 0.0 else 'decays'} at {self.natural_frequency} 1/s"
+        ratio = f", damping ratio {self.damping_ratio}" if self.pole.real else ""
+        return f"{self.frequency} Hz{ratio}"
+
+    def deviations(self, names: Sequence[str]) -> list[str]:
+        """The shape as text, with the angle by which a coordinate leads where it is out of step.
+
+        Examples
+        --------
+        >>> from leastaction import LagrangianModel
+        >>> from leastaction.model.term import ModelTerm
+        >>> terms = [ModelTerm("x_dot**2+y_dot**2", 0.5), ModelTerm("cos(x)+cos(y-x)", 1.0)]
+        >>> model = LagrangianModel(["x", "y"], terms)
+        >>> [mode.deviations(model.coordinates) for mode in model.linearise([0.0, 0.0]).modes]
+        [['x 0.618034', 'y 1'], ['x 1', 'y -0.618034']]
+        """
+        out: list[str] = []
+        both = zip(names, self.shape.tolist(), self.shape_standard_error.tolist(), strict=True)
+        for name, part, error in both:
+            if abs(part.imag) > _IN_STEP:
+                out.append(f"{name} {abs(part):.3g} at {math.degrees(math.atan2(part.imag, part.real)):.0f}°")
+            else:
+                out.append(f"{name} {rounded(part.real, error.real, uncertainty=True)}")
+        return out
 
 
 def state_matrix(mass: np.ndarray, damping: np.ndarray, stiffness: np.ndarray) -> np.ndarray:

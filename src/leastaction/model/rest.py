@@ -166,7 +166,12 @@ def _jumps(expr: sp.Expr, symbols: Sequence[sp.Symbol], point: Mapping[sp.Symbol
 
 
 def _vanishes(expr: sp.Expr) -> bool:
-    return bool(sp.expand(expr) == 0) if expr.free_symbols else abs(float(expr)) < 1e-9
+    if expr.free_symbols:
+        return bool(sp.expand(expr) == 0)
+    try:
+        return abs(float(expr)) < 1e-9
+    except TypeError:  # not real
+        return False
 
 
 def _principal(covariance: np.ndarray) -> np.ndarray:
@@ -189,7 +194,7 @@ def checked_forces(law: RestLaw, forces: ArrayLike | None) -> np.ndarray:
     return out
 
 
-_STARTS, _MOST_STARTS = 256, 4096
+_STARTS, _MOST_WORK = 256, 2**14  # of n coordinates n² numbers to each start
 _SAMPLES = 64  # states at which equations are compared
 _STEPS, _LEAP = 100, 0.02  # of a width: the longest step
 _CELL = 1e-4  # of a width: nearer places are tried once
@@ -300,7 +305,7 @@ def _starts(
     """The middle, where points at random lead, and of one coordinate where the force changes its sign."""
     if not unknown:
         return centre[None]
-    number = min(_STARTS * 4 ** (len(unknown) - 1), _MOST_STARTS)
+    number = min(_STARTS * 4 ** (len(unknown) - 1), _MOST_WORK // len(unknown) ** 2)
     width = (box[:, 1] - box[:, 0])[unknown]
     ends = _walked(law, _drawn(box, centre, unknown, number), unknown, forces, _LEAP * width)
     places = np.unique(np.round(ends[:, unknown] / (_CELL * width)), axis=0, return_index=True)[1]

@@ -40,6 +40,7 @@ __all__ = [
     "latex",
     "outcome",
     "reach",
+    "resting_lines",
     "rows",
     "shown_quantity",
     "simple_lines",
@@ -205,6 +206,7 @@ CONSERVED = {
     "time translation": "energy",
 }
 _OBSTACLES = {"friction": "friction", "forces": "the known forces", "prescribed": "the prescribed motion"}
+_MOST_RESTS = 6  # equilibria that are listed
 _LONGEST = 80  # characters of an energy in a line of text
 
 
@@ -269,6 +271,28 @@ def symmetry_lines(model: LagrangianModel) -> list[str]:
         what = ", ".join(filter(None, (name, outcome(symmetry))))
         lines.append(f"{symmetry.name}, {reach(symmetry)}{f': {what}' if what else ''}")
     return lines
+
+
+def resting_lines(model: LagrangianModel) -> list[str]:
+    """One line for each equilibrium, with its frequencies and damping ratios.
+
+    Examples
+    --------
+    >>> from leastaction import LagrangianModel
+    >>> from leastaction.model.term import ModelTerm
+    >>> pendulum = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("cos(x)", 9.81, 0.04)],
+    ...                            [ModelTerm("x_dot**2/2", 0.1, 0.002)])
+    >>> for line in resting_lines(pendulum): print(line)
+    x = 0, stable: 0.4985(10) Hz, damping ratio 0.01596(32)
+    x = 3.14159, unstable
+    """
+    lines: list[str] = []
+    for rest, system in model.small_motions[:_MOST_RESTS]:
+        modes = () if system is None or rest.stability == "unstable" else system.modes
+        line = f"{rest.place(model.coordinates)}, {rest.standing}"
+        lines.append(f"{line}: {'; '.join(mode.pace for mode in modes)}" if modes else line)
+    more = len(model.small_motions) - _MOST_RESTS
+    return [*lines, f"and {more} more"] if more > 0 else lines
 
 
 def simple_lines(model: LagrangianModel) -> list[str]:

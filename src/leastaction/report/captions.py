@@ -18,6 +18,9 @@ from leastaction.report.text import listed, percent, plain, plural, signed
 from leastaction.simulation.forecast import ForecastResult
 
 __all__ = [
+    "MOTION_HEAD",
+    "MOTION_TITLE",
+    "NO_MOTIONS",
     "NO_SYMMETRIES",
     "SIMPLE_HEAD",
     "SIMPLE_TITLE",
@@ -26,6 +29,7 @@ __all__ = [
     "curve_title",
     "energy_title",
     "forecast_title",
+    "motion_note",
     "pareto_title",
     "path_title",
     "profile_title",
@@ -44,6 +48,11 @@ SIMPLE_HEAD = (
 )
 SYMMETRY_TITLE = "What leaves L as it is, and what is conserved with it"
 SYMMETRY_HEAD = (("symmetry", ""), ("holds", ""), ("quantity", ""), ("along the recording", ""))
+MOTION_TITLE = "Where the system can rest, and how it moves about there"
+MOTION_HEAD = (("equilibrium", ""), ("it is", ""), ("small motions", ""), ("shape", ""))
+NO_MOTIONS = (
+    "None within the recorded range and a full turn of angles. Not looked for where the law holds the time."
+)
 NO_SYMMETRIES = "None are looked for where the law holds the time."
 
 _AS_NOISE = 0.15  # |rms / σ − 1|
@@ -157,6 +166,18 @@ def symmetry_note(symmetries: Sequence[Symmetry]) -> str:
         ),
     )
     return " ".join(text for present, text in parts if present)
+
+
+def motion_note(left_out: Sequence[str]) -> str:
+    """How to read the table of small motions."""
+    text = (
+        "In brackets the standard error of the last digits, from that of the coefficients. Frequencies, "
+        "damping ratios and shapes do not depend on the scale of L. A shape lists deviations relative to the "
+        "largest, each in the unit of its coordinate; an angle says by how much a coordinate leads."
+    )
+    if left_out:
+        text += f" Left out, since it has no derivative at rest: dry friction, {listed(left_out)}."
+    return text
 
 
 def energy_title(energy: dict[str, Any]) -> str:

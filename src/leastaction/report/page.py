@@ -78,6 +78,7 @@ def _context(
         "symmetry_title": captions.SYMMETRY_TITLE,
         "symmetry_head": captions.SYMMETRY_HEAD,
         "symmetry_note": captions.symmetry_note(model.symmetries),
+        **_motions(model, notation),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": whisker_axis(),
         **_profiles(model),
@@ -131,6 +132,18 @@ def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
         for name, terms in groups
         if terms
     ]
+
+
+def _motions(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
+    systems = [system for _, system in model.small_motions if system is not None]
+    return {
+        "motions": tables.motion_rows(model, notation),
+        "n_motions": len(model.small_motions),
+        "motion_title": captions.MOTION_TITLE,
+        "motion_head": captions.MOTION_HEAD,
+        "motion_note": captions.motion_note(systems[0].left_out if systems else ()),
+        "no_motions": captions.NO_MOTIONS,
+    }
 
 
 def _profiles(model: LagrangianModel) -> dict[str, Any]:

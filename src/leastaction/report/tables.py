@@ -19,7 +19,7 @@ from leastaction.model.term import ModelTerm
 from leastaction.model.text import CONSERVED, outcome, reach, shown_quantity
 from leastaction.report.mathml import Notation, number_parts
 from leastaction.report.series import Series
-from leastaction.report.text import aligned, listed, percent, plain, signed, typeset
+from leastaction.report.text import aligned, listed, percent, plain, signed, typeset, typeset_all
 from leastaction.report.whisker import whisker
 from leastaction.simulation.forecast import ForecastResult
 
@@ -29,6 +29,7 @@ __all__ = [
     "dropped_rows",
     "forecast_rows",
     "forecast_trials",
+    "motion_rows",
     "option_rows",
     "pareto_rows",
     "path_rows",
@@ -38,6 +39,7 @@ __all__ = [
     "trial_rows",
 ]
 
+_MOST_RESTS = 12  # equilibria that are listed
 _REASONS = {
     "null": "no effect on the motion",
     "duplicate": "same as another",
@@ -117,6 +119,23 @@ def symmetry_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, 
         }
         for symmetry in model.symmetries
     ]
+
+
+def motion_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """Equilibria, each with the modes about it."""
+    names = [notation.text(name) for name in model.coordinates]
+    rows: list[dict[str, Any]] = []
+    for rest, system in model.small_motions[:_MOST_RESTS]:
+        free = () if system is None else [names[model.coordinates.index(c)] for c in system.coordinates]
+        modes = [(m.pace, ", ".join(m.deviations(free))) for m in (() if system is None else system.modes)]
+        rows.append(
+            {
+                "place": typeset_all(rest.place(names)),
+                "standing": rest.standing,
+                "modes": [tuple(map(typeset_all, mode)) for mode in modes],
+            }
+        )
+    return rows
 
 
 def _quantity(symmetry: Symmetry, notation: Notation) -> Markup:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset"]
+__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset", "typeset_all"]
 
+_NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:\(\d+\))?(?:e[-+]\d+)?")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -46,6 +48,17 @@ def typeset(text: str) -> str:
     mantissa, _, exponent = text.partition("e")
     mantissa = mantissa.replace("-", "−")
     return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}" if exponent else mantissa
+
+
+def typeset_all(text: str) -> str:
+    """Every number of a text with a minus sign and a power of ten.
+
+    Examples
+    --------
+    >>> typeset_all("x -0.5, y 1.2(3)e-05 1/s")
+    'x −0.5, y 1.2(3) × 10⁻⁵ 1/s'
+    """
+    return _NUMBER.sub(lambda found: typeset(found[0]), text)
 
 
 def signed(value: float, decimals: int | None = None) -> str:
