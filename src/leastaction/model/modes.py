@@ -72,11 +72,12 @@ class Mode:
     pole : complex
         In 1/s; of a pair the one above the real axis.
     natural_frequency : Estimate
-        |pole| in rad/s; of a real pole its rate in 1/s.
+        Size of the pole in rad/s; of a real pole its rate in 1/s.
     frequency : Estimate
-        |pole|/2π in Hz.
+        The same over 2π, in Hz.
     damping_ratio : Estimate
-        −Re pole/|pole|; 1 for a real pole that decays, −1 for one that grows, NaN for one at zero.
+        −Re(pole) over the size of the pole; 1 for a real pole that decays, −1 for one that grows, NaN for one
+        at zero.
     shape : ndarray, shape (n_free,), complex
         Deviations of the coordinates relative to the largest, each in its own unit. The imaginary part
         is zero where nothing damps or turns; else the argument is the phase by which a coordinate leads.
