@@ -20,6 +20,7 @@ from reproduction._render import Page, Section, html, markdown
 from reproduction._results import Results, read
 from reproduction._speed import speed
 from reproduction._tables import ablation, experiments, group_tables
+from reproduction._without_candidates import without_candidates
 
 HERE = Path(__file__).resolve().parent
 LEAD = (
@@ -42,6 +43,10 @@ def page(results: Results, paper: dict, remarks: dict[str, str]) -> Page:
         table = ablation(results, group, paper)
         if table:
             sections.append(Section(f"Second table. {group.title}", [table]))
+    for group in results.groups:
+        tables = without_candidates(results, group, paper)
+        if tables:
+            sections.append(Section(f"Without candidates. {group.title}", tables))
     pace = speed(results)
     if pace:
         sections.append(Section("Speed", pace))

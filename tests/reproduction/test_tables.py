@@ -18,6 +18,7 @@ from reproduction._findings import findings
 from reproduction._results import Group, Results, store_of
 from reproduction._speed import speed
 from reproduction._tables import ablation, experiments, group_tables, number
+from reproduction._without_candidates import is_right, without_candidates
 from reproduction.collate import HERE, main, mixed_settings
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
@@ -299,6 +300,61 @@ class TestTables:
             Results(plain), GROUP, PAPER
         )
         assert speed(Results([*plain, *others])) == speed(Results(plain)) != []
+
+    def test_those_without_candidates_are_compared_on_the_same_trials(self):
+        good = {"equation_error": 0.0005, "forecast_horizon": 12.0, "noise": 0.0}
+        plain = [record(trial=k, noise=0.0, equation_error=0.0001 + k, exact=bool(k)) for k in (0, 1)]
+        assert without_candidates(Results(plain), GROUP, PAPER) == []
+        law = {"expression": "theta_ddot = " + "sin(theta) + " * 20, "coefficients": None, "exact": None}
+        asked = [record("udsr", None, variant="repaired", **law, **good)]
+        asked += [record(variant="names", coefficients={"theta_dot**2": 0.5, "cos(theta)": -2.0}, **good)]
+        asked += [record("udsr", finished=False, noise=0.0), record("udsr", None, **law, missing=0.05)]
+        errors, cost, found = without_candidates(Results([*plain, *asked]), GROUP, PAPER)
+        assert errors.head[2:6] == [
+            "leastaction, compact candidates",
+            "leastaction, names alone",
+            "uDSR as released",
+            "uDSR repaired",
+        ]
+        assert [(c.text, c.detail, c.best) for c in errors.rows[0][2:]] == [
+            ("1.0e−4", "5.00 s", True),  # of the first trial alone
+            ("5.0e−4", "right form, 12.0 s", False),
+            ("timed out", "", False),
+            ("5.0e−4", "right form, 12.0 s", False),
+            ("162.44", "40/100", False),
+        ]
+        assert [c.text for c in errors.rows[-1]] == [
+            "right form",
+            "",
+            "0 of 1",
+            "1 of 1",
+            "0 of 1",
+            "1 of 1",
+            "",
+        ]
+        assert [c.text for c in cost.rows[0][2:]] == ["2.00", "2.00", "–", "2.00"]
+        assert [row[2].text[:30] for row in found.rows] == [
+            "L = 0.5*theta_dot**2 -2*cos(th",
+            "timed out",
+            "theta_ddot = sin(theta) + sin(",
+        ]
+        assert found.rows[-1][2].text.endswith(f"… ({len(law['expression'])} characters)")
+
+    @pytest.mark.parametrize(
+        ("exact", "error", "noise", "right"),
+        [
+            (True, 0.1, 0.1, True),
+            (False, 1e-9, 0.0, False),
+            (None, 0.0009, 0.0, True),
+            (None, 0.001, 0.0, False),
+            (None, None, 0.0, False),
+            (None, 1e-9, 0.01, None),
+        ],
+    )
+    def test_form_is_judged_by_terms_or_without_noise(self, exact, error, noise, right):
+        runs = [record(noise=noise, trial=k, exact=exact, equation_error=error) for k in (0, 1)]
+        assert is_right(Results(runs)) is right
+        assert is_right(Results([*runs, record(finished=False, noise=noise)])) is False
 
     def test_experiments_are_no_competitors(self):
         plain = [record(), record("adam", 0.3), record("adam", 0.3, system="double_pendulum")]
