@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,8 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = ["StreamedObservations", "is_long"]
 
 _LONG = 100_000  # samples: structures are searched on fewer
+_TOGETHER = 8  # blocks of one task: to hand over each by itself took 5 % of the time of two workers
+_LEAST_TASKS = 32  # so that workers end at about the same time
 
 
 def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
@@ -92,10 +95,14 @@ class StreamedObservations:
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
         """Apply a function to every block, with what it is given there."""
-        tasks = deque(self.crew.task(function, b, *g) for b, g in zip(self._blocks, given, strict=True))
+        every = [(block, *own) for block, own in zip(self._blocks, given, strict=True)]
+        size = max(1, min(_TOGETHER, len(every) // _LEAST_TASKS))
+        batches = [every[k : k + size] for k in range(0, len(every), size)]
+        tasks = deque(self.crew.task(_in_turn, function, len(b), *chain.from_iterable(b)) for b in batches)
+        del every, batches
         out: list[Any] = []
         while tasks:  # a task that is done goes, with what it was given
-            out += self.crew.results([tasks.popleft()])
+            out += self.crew.results([tasks.popleft()])[0]
         return out
 
     def passed(self, given: Sequence[tuple[Any, ...]]) -> list[_Passed]:
@@ -282,6 +289,12 @@ def _total(parts: Iterable[np.ndarray]) -> np.ndarray:
 
 
 # ---------------------------------------------------------------- what is computed with a block
+def _in_turn(function: Callable[..., Any], count: int, *given: Any) -> list[Any]:
+    """Apply a function to ``count`` blocks; what each is given comes one after the other."""
+    size = len(given) // count
+    return [function(*given[k * size : (k + 1) * size]) for k in range(count)]
+
+
 def _observe(recipe: Recipe) -> Observations:
     return recipe.observe()
 

@@ -12,7 +12,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
@@ -40,5 +43,9 @@ def _start(search: Search, grid: Grid) -> Start:
     found = search.found
     points = grid.smooth(search.scales.smooth.penalty).control_points
     longer = grid.spline.n_ctrl / len(found.control_points)
-    weights = replace(found.weights, slack=longer * found.weights.slack)
+    slack, physics = found.weights.slack, found.weights.physics
+    # w grows in proportion to the data where equations are exact, and not at all where an error shows;
+    # where hardly any shows in the pieces it may in all data: the geometric mean is a start for both
+    rise = np.where(slack < ESTIMATION.slack_left, np.sqrt(longer), 1.0)
+    weights = replace(found.weights, physics=rise * physics, slack=longer * slack / rise)
     return grid.fit_curve(found.structure, Start(points, found.coefficients, weights))[0]
