@@ -82,7 +82,7 @@ _FAULTS = (
 )
 _QUICK = 4  # of them
 # what a cause is looked for with; all others leave the causes of a search as they are
-_OF_CAUSES = ("certain", "force_share", "half_a_sample")
+_OF_CAUSES = ("certain", "force_share", "half_a_sample", "slight", "part_of_error", "follows")
 
 
 def _cases(faults) -> list[Case]:
@@ -274,12 +274,12 @@ def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
     """Keep the causes of a search while what they depend on stays the same: they take most of the time."""
     find, kept = verdict._likely_causes, {}
 
-    def once(search, share, off):
+    def once(search, effects, share, off):
         values = tuple(getattr(verdict.DIAGNOSIS, name) for name in used)
         any_error = bool((share > verdict.DIAGNOSIS.worth_knowing).any())
         key = (id(search), off, any_error, significance.SELECTION.false_alarm, values)
         if key not in kept:
-            kept[key] = (search, find(search, share, off))  # held, so that no other one gets its id
+            kept[key] = (search, find(search, effects, share, off))  # held, so that no other one gets its id
         return kept[key][1]
 
     verdict._likely_causes = once

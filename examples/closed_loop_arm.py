@@ -88,9 +88,9 @@ for warning in first.fit.warnings:
     print("-", warning)
 
 # %%
-# The structure is right already, but the result is doubtful, and the reason is named: a torque that is held
-# acts half a cycle later than its time stamp says. That is cured in one line (on the command line:
-# ``--force-delay 0.0025``).
+# The structure is right already and the law would forecast, so it is called usable, not ok, and the reason is
+# named: a torque that is held acts half a cycle later than its time stamp says. That is cured in one line (on
+# the command line: ``--force-delay 0.0025``).
 
 held = la.delay.shift_forces(data, 0.5 / rate)
 model = la.discover(held, library, dissipation=friction)

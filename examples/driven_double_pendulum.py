@@ -48,11 +48,14 @@ print(model.format_table())
 # The noise of the measured torques is averaged out before it can do harm (see "Measured forces" in the
 # docs' page on the method); otherwise all coefficients would come out two per cent larger.
 #
-# The result is called doubtful, and rightly so: some per cent of the torques remain unexplained, because
-# belts give, gears stick and currents are not torques. Where that is so, the coefficients are those of the
-# best short free runs along the fitted trials, and their intervals allow for what remains unexplained.
+# The result is called usable, not ok: some per cent of the torques remain unexplained, because belts give,
+# gears stick and currents are not torques, but free runs follow the data. Where that is so, the coefficients
+# are those of the best short free runs along the fitted trials, and their intervals allow for what remains
+# unexplained.
 
 print(model.fit.status)
+for statement, words in model.fit.statements.items():
+    print(f"{statement}: {words}")
 for warning in model.fit.warnings:
     print("-", warning)
 

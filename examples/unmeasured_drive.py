@@ -100,4 +100,4 @@ plt.show()
 # %%
 # **What to learn.** Whatever moves a coordinate without being measured (a drive, a hand, the ground), name
 # the coordinate in ``prescribed``. Told nothing, the fit would look for the motor's force among the terms
-# of L and end as *doubtful*.
+# of L, and the result would not be *ok*.

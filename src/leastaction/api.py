@@ -127,7 +127,7 @@ def discover(
     Returns
     -------
     LagrangianModel
-        With ``fit.status`` "ok" or "doubtful"; numerical failure never raises.
+        With ``fit.status`` "ok", "usable" or "doubtful"; numerical failure never raises.
 
     Raises
     ------

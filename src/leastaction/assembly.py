@@ -10,7 +10,7 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
-from leastaction.findings import doubtful, find
+from leastaction.findings import find, status_of
 from leastaction.model.diagnostics import Diagnostics, PathPoint, pareto
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -41,7 +41,7 @@ def assemble_model(
         *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
     )
     points = _points(fit, alternatives)
-    status = "doubtful" if doubtful(findings) else "ok"
+    status = status_of(findings)
     diagnostics = Diagnostics(
         fit.problem.trajectories,
         grid.spline,

@@ -374,5 +374,5 @@ def test_friction_that_was_not_asked_for_is_named():
     model = la.discover(
         la.Trajectory(t, decays, coordinates=["x"]), ["x_dot**2", "x**2", "x**4"], {"x_dot**2": 0.5}
     )
-    assert model.fit.status == "doubtful"
+    assert model.fit.status == "usable"
     assert [f.subject for f in findings_of(model, "unmodelled-friction")] == [("x_dot**2/2",)]

@@ -143,7 +143,7 @@ def stamped_late(seed: int) -> la.Trajectories:
 def test_a_delay_that_friction_could_hide_is_named(seed):
     library, friction = systems.compact_library("single_pendulum"), ["theta_dot**2/2"]
     model = la.discover(stamped_late(seed), library, dissipation=friction)
-    assert model.fit.status == "doubtful"
+    assert model.fit.status == "usable"
     (late,) = findings_of(model, "late-forces")
     assert late.values["delay"] == pytest.approx(-0.01, rel=0.2)
     assert not late.values["half_a_sample"]

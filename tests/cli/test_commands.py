@@ -105,6 +105,7 @@ def test_discover_prints_the_table(found):
     row = next(line for line in lines if line.startswith("theta_dot**2"))
     assert re.fullmatch(r"theta_dot\*\*2 +0\.\d+ ± 0\.0\d+ +0\.\d+ … 0\.\d+ +\d+", row)
     assert "fit: ok" in result.stdout
+    assert lines[lines.index("structure: determined") + 1].startswith("equations: hold to ")
     assert "left out before the fit: 1 candidate (1 without effect)" in result.stdout
     assert "in 1 trial, 0 diverged" in result.stdout
     assert lines[-2:] == [f"model: {folder / 'model.json'}", f"report: {folder / 'report.html'}"]

@@ -10,6 +10,7 @@ import pytest
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, findings_of, pendulum, record
 from leastaction import systems
+from leastaction.diagnosis.effects import gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.estimation.build import Request, build_problem
@@ -23,11 +24,11 @@ from leastaction.selection.search_state import begin_search
 
 
 class Doubts:
-    """The warnings of a model that has to be doubtful."""
+    """The warnings of a model that must not be ok."""
 
     def __init__(self, data, library, **options) -> None:
         model = la.discover(data, library, **options)
-        assert model.fit.status == "doubtful"
+        assert model.fit.status != "ok"
         self.findings = [finding for finding in model.fit.findings if finding.severity == "warning"]
         self.codes = [finding.code for finding in self.findings]
 
@@ -57,6 +58,17 @@ def test_delayed_forces():
     # recorded 30 ms before they act
     late = Doubts(*driven(delay=0.03)).one("late-forces")
     assert 0.02 <= late.values["delay"] <= 0.04
+
+
+def test_a_delay_too_small_to_matter_is_a_note():
+    """1 ms of 20 between samples: plain in the likelihood, and of no consequence."""
+    data = systems.generate("double_pendulum", noise=0.001, trials=2, duration=6.0, rate=50.0, seed=3)
+    data = la.Trajectories([change_one(t, delay=1e-3) for t in data])
+    model = la.discover(data, systems.compact_library("double_pendulum"))
+    (late,) = findings_of(model, "slight-delay")
+    assert (model.fit.status, late.severity) == ("ok", "note")
+    assert late.values["delay"] == pytest.approx(1e-3, rel=0.2)
+    assert late.values["share"] < 3e-4
 
 
 def test_scaled_forces():
@@ -156,6 +168,41 @@ def test_drag_is_named(offered):
     assert not {"late-forces", "scaled-forces", "swapped-forces"} & {*doubts.codes}
 
 
+@pytest.mark.parametrize(
+    ("damping", "code", "status"),
+    [(1e-3, "slight-friction", "ok"), (1e-2, "unmodelled-friction", "doubtful")],
+)
+def test_friction_too_small_to_matter_is_a_note(damping, code, status):
+    """A viscous force of 0.02 % of the forces, and one of 0.2 % of them."""
+    data = measured(lambda q, v, f: f - 9.81 * np.sin(q) - damping * v, ["theta"], 0.003, 2.0)
+    model = la.discover(data, PENDULUM_LIBRARY)
+    (friction,) = findings_of(model, code)
+    assert model.fit.status == status
+    assert friction.subject == ("theta_dot**2/2",)
+    assert friction.values["coefficient"] == pytest.approx(damping, rel=0.1)
+    # the share by another way: along the samples, whose velocities are differences
+    velocity = [np.gradient(t.q[:, 0], t.t) for t in data]
+    size = [
+        np.sqrt((np.gradient(v, t.t) ** 2 + (9.81 * np.sin(t.q[:, 0])) ** 2 + t.forces[:, 0] ** 2).mean())
+        for v, t in zip(velocity, data, strict=True)
+    ]
+    share = damping * np.sqrt(np.mean(np.square(velocity))) / np.sqrt(np.mean(np.square(size)))
+    assert friction.values["share"] == pytest.approx(share, rel=0.3)
+
+
+def test_what_explains_little_of_an_equation_error_is_minor():
+    data = pendulum(driven=False, viscous=0.05)
+    setup = build_problem(data, Request(la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}))
+    fit = find_structure(begin_search(setup)).found
+    whole = float(fit.weights.slack.sum())
+    assert is_minor(fit, 0.2 * whole)
+    assert not is_minor(fit, 0.3 * whole)
+    for k, member in enumerate(fit.structure):
+        assert gain_of_terms(fit, [member]) == pytest.approx(fit.z[k] ** 2)
+    expected = fit.estimates @ np.linalg.solve(fit.covariance, fit.estimates)
+    assert gain_of_terms(fit, fit.structure) == pytest.approx(expected, rel=1e-6)
+
+
 def test_a_constant_force_is_named():
     def pushed(q, v, f):
         return 0.4 - 9.81 * np.sin(q)
@@ -200,6 +247,29 @@ def test_wrong_known_coefficient_is_given_its_value(wrong):
     found = doubts.one("wrong-known-coefficient")
     assert (found.subject, found.values["given"]) == (("theta_dot**2",), wrong)
     assert found.values["estimate"] == pytest.approx(0.5, rel=0.05)
+
+
+def geared(ripple: float):
+    """A pendulum behind a gear of twelve teeth."""
+    return lambda q, v, f: f - 9.81 * np.sin(q) + ripple * np.sin(12.0 * q + 1.0)
+
+
+def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
+    data = measured(geared(0.4), ["theta"], 0.003, 2.0)
+    model = la.discover(data, PENDULUM_LIBRARY)
+    assert model.fit.status == "usable"
+    assert {f.code for f in model.fit.findings if f.severity == "warning"} == {"equations-off"}
+    (found,) = findings_of(model, "forecasts")
+    result = model.validate(data, horizon=found.values["horizon"])
+    assert found.values["error"] == pytest.approx(float(result.rms_over_std.max()), rel=0.3)
+    again = la.LagrangianModel.from_dict(model.to_dict())
+    assert again.fit == model.fit
+
+
+def test_a_machine_that_free_runs_do_not_follow_is_doubtful():
+    model = la.discover(measured(geared(6.0), ["theta"], 0.003, 2.0), PENDULUM_LIBRARY)
+    assert model.fit.status == "doubtful"
+    assert not findings_of(model, "forecasts")
 
 
 def test_slow_sampling():

@@ -13,7 +13,19 @@ import numpy as np
 import pytest
 
 from leastaction.errors import InputError
-from leastaction.findings import CODES, SEVERITIES, TEXT, Figures, Finding, find, sentence
+from leastaction.findings import (
+    CODES,
+    INEXACT,
+    SEVERITIES,
+    TEXT,
+    Figures,
+    Finding,
+    find,
+    sentence,
+    status_of,
+    templates,
+)
+from leastaction.model.term import FitSummary
 
 # ------------------------------------ the value: immutable, hashable, the same behind pickle and JSON
 VALUES = {"share": 0.25, "count": 3, "named": True, "gain": None, "terms": ["x", "y"], "unit": "deg/s"}
@@ -278,3 +290,41 @@ def test_figures_of_another_version_leave_the_sentence_as_it_was(values):
 
 def test_codes_nobody_knows_are_shown():
     assert sentence(Finding("from-the-future", "note", (), {}, "what will be"), "page") == "what will be"
+
+
+# ------------------------------------------------------------------------ what findings leave of a result
+OFF = find(
+    "equations-off", "x", equation_error=0.04, residual_ratio=2.0, cause_named=False, may_be_prescribed=False
+)
+FOLLOWED = find("forecasts", horizon=0.5, error=0.031)
+RIVAL = find("competing-structures", ["x"], others=["y"], at_names=[], at_values=[])
+
+
+@pytest.mark.parametrize(
+    ("findings", "status", "structure"),
+    [
+        ([], "ok", "determined"),
+        ([find("equation-error", "x", equation_error=0.002)], "ok", "determined"),
+        ([OFF], "doubtful", "in doubt, since the equations do not hold"),
+        ([OFF, FOLLOWED], "usable", "determined"),
+        ([OFF, FOLLOWED, RIVAL], "doubtful", "one of several that explain the data"),
+        ([FOLLOWED, RIVAL], "doubtful", "one of several that explain the data"),
+        ([RIVAL, find("not-converged", reason="step limit")], "doubtful", "not found"),
+    ],
+)
+def test_status_and_statements_follow_from_the_findings(findings, status, structure):
+    assert status_of(findings) == status
+    said = FitSummary(status, 1.0, findings=findings).statements
+    assert said["structure"] == structure
+    assert ("4 % of the forces (x)" in said["equations"]) == (OFF in findings)
+    assert ("3.1 % of the spread" in said["forecast"]) == (FOLLOWED in findings)
+
+
+def test_every_code_of_a_status_or_statement_exists():
+    warnings = {code for code, row in CODES.items() if row.severity == "warning"}
+    assert warnings >= INEXACT
+    assert warnings >= {code for some in templates._STRUCTURES.values() for code in some}
+
+
+def test_nothing_is_stated_where_nothing_was_fitted():
+    assert FitSummary().statements == {}

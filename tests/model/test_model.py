@@ -228,7 +228,7 @@ def test_wrong_parts_are_refused(change, message):
         (lambda: ModelTerm("x", 1.0, -0.1), "at least 0"),
         (lambda: ModelTerm("x", 1.0, 0.1, known=True), "known coefficient"),
         (lambda: ModelTerm("x", 1.0, 0.1, known="no"), "True or False"),
-        (lambda: FitSummary("good"), "'ok' or 'doubtful'"),
+        (lambda: FitSummary("good"), "'ok', 'usable' or 'doubtful'"),
         (lambda: FitSummary(warnings="text"), "sequence"),
         (lambda: FitSummary(physics_weight=3.0), "sequence"),
         (lambda: FitSummary(warnings=[3]), "expected text"),

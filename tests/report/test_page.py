@@ -20,7 +20,7 @@ from leastaction import (
     write_report,
 )
 from leastaction.curve.bspline import SplineGrid
-from leastaction.findings import Finding
+from leastaction.findings import Finding, find
 from leastaction.library import Dropped, make_term
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.mathml import number_parts
@@ -210,8 +210,23 @@ def test_verdict_comes_first_and_keeps_the_words_of_the_warnings(tmp_path):
     verdict = next(c for c in main.children if not isinstance(c, str))
     assert verdict.attributes["class"] == "doubtful"
     assert verdict.one(class_="badge").text.split()[-1] == "doubtful"
-    assert [li.text for li in verdict.all("li")] == [*fit.warnings]
-    assert verdict.all("li")[0].one("b").text == "the library cannot explain x"
+    warnings = verdict.one(class_="warnings").all("li")
+    assert [li.text for li in warnings] == [*fit.warnings]
+    assert warnings[0].one("b").text == "the library cannot explain x"
+
+
+def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
+    findings = [
+        find("late-forces", delay=0.02, half_a_sample=False, gain=90.0),
+        find("forecasts", horizon=0.5, error=0.031),
+    ]
+    page = Page(written(tmp_path, replace(spring(), fit=FitSummary("usable", 2.0, [1.0], findings=findings))))
+    verdict = next(c for c in page.root.one("main").children if not isinstance(c, str))
+    assert verdict.attributes["class"] == "usable"
+    assert "Use it where an error of 3.1 % of the spread over 0.5 s is good enough" in verdict.text
+    said = [li.text for li in verdict.one(class_="statements").all("li")]
+    assert said[0] == "Structure: determined"
+    assert said[2] == "Forecast: free runs over 0.5 s are off by 3.1 % of the spread"
 
 
 def test_units_known_terms_and_friction(tmp_path):

@@ -37,6 +37,7 @@ _STAGES = {
     "forecast": "Forecasting",
 }
 _MOST_DRAWN = 4
+_USABLE = "It follows the data as far as a note says; its equations hold to some per cent only:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
@@ -274,10 +275,13 @@ def _status(model: LagrangianModel) -> None:
             say("ok", "badge", "span")
             say("None of the checks has failed: the equations hold along the data.", "", "span")
         return
-    with html.div().classes("status doubtful"):
+    usable = model.fit.status == "usable"
+    with html.div().classes(f"status {model.fit.status}"):
         with html.p():
-            say("doubtful", "badge", "span")
-            say("Do not trust this model yet:", "", "span")
+            say(model.fit.status, "badge", "span")
+            say(_USABLE if usable else "Do not trust this model yet:", "", "span")
+        for name, text in model.fit.statements.items():
+            say(f"{name.capitalize()}: {text}.")
         with html.ul():
             for text in model.fit.sentences("warning", "page"):
                 say(text, "", "li")

@@ -65,8 +65,8 @@ def warn(text: str) -> None:
 
 
 def warn_of_doubts(what: str, model: LagrangianModel) -> None:
-    """Print the warnings of a doubtful model on stderr."""
-    warn(f"{what} is doubtful: {'; '.join(model.fit.sentences('warning', 'command line'))}")
+    """Print the warnings of a model that is not ok on stderr."""
+    warn(f"{what} is {model.fit.status}: {'; '.join(model.fit.sentences('warning', 'command line'))}")
 
 
 @contextmanager
@@ -181,13 +181,15 @@ def show_model(model: LagrangianModel) -> None:
 
 def show_fit(model: LagrangianModel) -> None:
     """Print the status of the fit, its warnings, and what was done to library and data."""
-    doubtful = model.fit.status != "ok"
-    status = "DOUBTFUL" if doubtful else "ok"
-    color = "yellow" if doubtful else "green"
+    doubts = model.fit.status != "ok"
+    status = model.fit.status.upper() if doubts else "ok"
+    color = "yellow" if doubts else "green"
     say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
+    for name, text in model.fit.statements.items():
+        say(f"{name}: {one_line(text)}")
     for text in model.fit.sentences("warning", "command line"):
         say(f"WARNING: {one_line(text)}", bold=True, fg="yellow")
-    if doubtful and not sys.stdout.isatty():
+    if doubts and not sys.stdout.isatty():
         # Where stdout goes to a file, whoever started the command still has to see this.
         warn_of_doubts("the fit", model)
     if model.diagnostics is None:

@@ -7,6 +7,7 @@ from math import comb
 
 import numpy as np
 
+from leastaction.diagnosis.effects import gain_of_terms, is_minor
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
@@ -27,7 +28,7 @@ _EXACT = 1e-8  # relative: what rounding leaves of equal matrices
 
 
 def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
-    """One finding for each rival, the most likely first.
+    """One finding for each rival, the most likely first; a note where terms that hardly matter compete.
 
     A rival R is a structure that the data do not exclude as the law.  Were it the law, the chosen structure S
     would be the likelier by chance only: by no more than S ∪ R is, whose further |S ∖ R| terms were taken
@@ -51,8 +52,11 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
         mine = [texts[m] for m in chosen if m not in rival.structure]
         theirs = [texts[m] for m in rival.structure if m not in chosen]
         state = _where_they_differ(fit, rival.coefficients)
-        where = {"at_names": list(state), "at_values": list(state.values())}
-        out.append(find("competing-structures", mine, others=theirs, **where))
+        figures = {"others": theirs, "at_names": list(state), "at_values": list(state.values())}
+        minor = is_minor(fit, gain_of_terms(fit, chosen.without(rival.structure)))
+        out.append(
+            find("slight-rival", mine, **figures) if minor else find("competing-structures", mine, **figures)
+        )
     return out
 
 

@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 import sympy as sp
 
+from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.missing_terms import Cause
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
@@ -31,8 +32,9 @@ __all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_frict
 _MOST_RELEASED = 3  # known coefficients, each a search
 
 
-def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
+def hidden_friction(effects: Effects, relevance: float) -> list[Finding]:
     """Friction that is not among the candidates and would explain much of the equation error."""
+    fit = effects.fit
     columns = fit.problem.candidates
     tested = usual_friction(columns)
     if not tested:
@@ -46,13 +48,16 @@ def hidden_friction(fit: Fit, relevance: float) -> list[Finding]:
     values = model.solution((*base, *found))
     for k in found:
         term, value = candidates.terms[k], float(values[k])
-        gain = gain_of(model, (*base, *(other for other in found if other != k)), k)
-        if value > 0.0:
-            out.append(unmodelled_friction(term, coefficient=value, gain=gain))
+        share = effects.of_terms(candidates.subset([k]), values[[k]])
+        others = (*base, *(other for other in found if other != k))
+        gain = gain_of(model, others, k)
+        figures = {"coefficient": value, "gain": gain, "share": share}
+        if effects.slight(share, gain):
+            out.append(find("slight-friction", term.text, velocities=_rates(term), **figures))
+        elif value > 0.0:
+            out.append(unmodelled_friction(term, **figures))
         else:
-            out.append(
-                find("energy-fed-in", term.text, velocities=_rates(term), coefficient=value, gain=gain)
-            )
+            out.append(find("energy-fed-in", term.text, velocities=_rates(term), **figures))
     return out
 
 
@@ -137,8 +142,9 @@ class _Late:
         return _Late(self.rates[intervals])
 
 
-def late_forces(fit: Fit, relevance: float) -> list[Finding]:
+def late_forces(effects: Effects, relevance: float) -> list[Finding]:
     """Forces that act later, or earlier, than their times say."""
+    fit = effects.fit
     if fit.grid.forces is None:
         return []
     given = [trajectory.forces for trajectory in fit.problem.trajectories]
@@ -151,7 +157,10 @@ def late_forces(fit: Fit, relevance: float) -> list[Finding]:
         return []
     delay = float(model.solution((*base, len(base)))[len(base)])
     held = abs(delay / fit.problem.trajectories.sampling_interval - 0.5) < DIAGNOSIS.half_a_sample
-    return [find("late-forces", delay=delay, half_a_sample=held, gain=gain)]
+    share = effects.of_force(abs(delay) * np.sqrt(np.square(rates).mean(axis=(0, 1))))
+    figures = {"delay": delay, "half_a_sample": held, "gain": gain, "share": share}
+    slight = effects.slight(share, gain)
+    return [find("slight-delay", **figures) if slight else find("late-forces", **figures)]
 
 
 def wrong_known(fit: Fit) -> list[Cause]:

@@ -49,6 +49,19 @@ class DiagnosisSettings:
     """Equation error relative to the terms of the equation. Less is neither noted nor explained: exact
     libraries leave 0.0002 at most. Half: 2 notes more; twice: 1 fewer."""
 
+    slight: float = 3e-4
+    """Share of the forces of an equation. A smaller effect is a note, however significant: friction of that
+    size takes some 0.4 % of the energy a period. Preference. Half, twice: no effect."""
+
+    part_of_error: float = 0.25
+    """Share of the variance of the equation error. What explains less is a note: most of what is unexplained
+    is something else. Half: no effect; twice: one result that lacks friction of 1 % a period is ok."""
+
+    follows: float = 0.2
+    """Error of free runs over a period, relative to the spread of the data. With less, a law whose equations
+    hold to some per cent only is usable. Preference. Half: one result in coloured noise is doubtful; twice:
+    two that lack a delay or a sign are usable."""
+
     noise_ratio: float = 1.15
     """Residual of a fit over that of the smoothing: more is motion that the equations do not explain. Half,
     twice: no effect."""

@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.diagnosis.competing import free_scales, rival_warnings
+from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.families import lacking_family, named_family
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
@@ -20,9 +21,10 @@ from leastaction.diagnosis.time_dependence import time_dependence
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.findings import Finding, doubtful, find
+from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
+from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
 
@@ -54,7 +56,9 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
     chi2 = fit.linearisation.squares / fit.grid.observations.counts / every**2
     share, rms = fit.equation_error()
-    share = np.maximum(share, _behind_noise(fit, rms / np.maximum(share, 1e-300), period))
+    size = rms / np.maximum(share, 1e-300)
+    share = np.maximum(share, _behind_noise(fit, size, period))
+    effects = Effects(fit, size)
     samples_per_period = period / fit.problem.trajectories.sampling_interval
     needed = DIAGNOSIS.few_samples
     found: list[Finding] = []
@@ -67,7 +71,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         if (share[i] > SELECTION.holds and not excused[i]) or chi2[i] > DIAGNOSIS.noise_ratio**2
     ]
     off = any(share[i] > SELECTION.holds for i in unexplained)
-    causes = _likely_causes(search, share, off) if look_for_causes else []
+    causes = _likely_causes(search, effects, share, off) if look_for_causes else []
     found += [
         find(
             "equations-off",
@@ -99,10 +103,12 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         found += [named_family(d, search) if d.code == "form-imitated" else d for d in doubts]
     if look_for_causes and not search.stopped and not doubtful(f for f in found if f.code not in _OPEN):
         found += free_scales(fit)
+    if not search.stopped and doubtful(found) and inexact(found):
+        found += _forecasts(fit, period)
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
-def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding]:
+def _likely_causes(search: Search, effects: Effects, share: np.ndarray, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
     if search.stopped:
         return []
@@ -122,11 +128,17 @@ def _likely_causes(search: Search, share: np.ndarray, off: bool) -> list[Finding
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
     found += [cause.finding for cause in likelier]
     for check in (hidden_friction, late_forces):
-        found += check(fit, relevance)
+        found += check(effects, relevance)
     # what is left of another cause may look like forces
     if not found and np.any(share > DIAGNOSIS.worth_knowing):
         found = scaled_forces(fit)
     return found
+
+
+def _forecasts(fit: Fit, period: float) -> list[Finding]:
+    """How well equations that hold to some per cent follow the data, where they do."""
+    error = forecast_error(fit, period)
+    return [find("forecasts", horizon=period, error=error)] if error <= DIAGNOSIS.follows else []
 
 
 def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
@@ -211,9 +223,12 @@ def _identifiability(fit: Fit) -> list[Finding]:
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
     texts = [fit.problem.terms[m].text for m in fit.structure]
-    loose = [text for text, r in zip(texts, relative, strict=True) if r > DIAGNOSIS.indistinct]
-    if not loose:
+    members = [m for m, r in zip(fit.structure, relative, strict=True) if r > DIAGNOSIS.indistinct]
+    if not members:
         return []
+    loose = [fit.problem.terms[m].text for m in members]
+    if is_minor(fit, gain_of_terms(fit, members)):
+        return [find("slight-terms", loose)]
     # eigenvector of relative changes: the terms that move together
     weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
     moving = [k for k in np.argsort(-np.abs(weakest)) if abs(weakest[k]) > DIAGNOSIS.part_of_it]

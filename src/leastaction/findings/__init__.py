@@ -1,11 +1,23 @@
 """What checks say: a code and figures for programs, sentences for people."""
 
-from leastaction.findings.finding import SEVERITIES, TEXT, Figures, Finding, Severity, doubtful
+from leastaction.findings.finding import (
+    INEXACT,
+    SEVERITIES,
+    TEXT,
+    Figures,
+    Finding,
+    Severity,
+    Status,
+    doubtful,
+    inexact,
+    status_of,
+)
 from leastaction.findings.messages import CODES, Audience, find, sentence
-from leastaction.findings.templates import REASONS, because
+from leastaction.findings.templates import REASONS, because, statements
 
 __all__ = [
     "CODES",
+    "INEXACT",
     "REASONS",
     "SEVERITIES",
     "TEXT",
@@ -13,8 +25,12 @@ __all__ = [
     "Figures",
     "Finding",
     "Severity",
+    "Status",
     "because",
     "doubtful",
     "find",
+    "inexact",
     "sentence",
+    "statements",
+    "status_of",
 ]

@@ -11,12 +11,27 @@ from typing import Any, Literal
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
-__all__ = ["SEVERITIES", "TEXT", "Figures", "Finding", "Severity", "Value", "doubtful"]
+__all__ = [
+    "INEXACT",
+    "SEVERITIES",
+    "TEXT",
+    "Figures",
+    "Finding",
+    "Severity",
+    "Status",
+    "Value",
+    "doubtful",
+    "inexact",
+    "status_of",
+]
 
 Severity = Literal["note", "warning"]
+Status = Literal["ok", "usable", "doubtful"]
 Value = None | bool | int | float | str | tuple["Value", ...]
 
 SEVERITIES: tuple[Severity, ...] = ("note", "warning")  # rising; a further level takes its place in this row
+INEXACT = frozenset({"equations-off", "unmodelled-friction", "late-forces"})
+"""Codes of warnings that say how exactly the equations hold, which forecasts may bear."""
 TEXT = "text"  # the code of a sentence that nobody took apart: from a user, or from a file of schema 1
 _CODE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _ENTRIES = ("code", "severity", "subject", "values", "message", "remedy")
@@ -209,3 +224,28 @@ class Finding:
 def doubtful(findings: Iterable[Finding]) -> bool:
     """Whether any finding is a warning."""
     return any(finding.severity == "warning" for finding in findings)
+
+
+def inexact(findings: Iterable[Finding]) -> bool:
+    """Whether all that is doubtful is how exactly the equations hold."""
+    return all(finding.code in INEXACT for finding in findings if finding.severity == "warning")
+
+
+def status_of(findings: Iterable[Finding]) -> Status:
+    """Return what findings leave of a result.
+
+    ``"ok"``: nothing is doubtful. ``"usable"``: the equations hold to some per cent only, nothing else is
+    doubtful, and free runs follow the data (the finding ``forecasts``). ``"doubtful"``: all else.
+
+    Examples
+    --------
+    >>> from leastaction.findings import find
+    >>> late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
+    >>> status_of([]), status_of([late]), status_of([late, find("forecasts", horizon=0.5, error=0.04)])
+    ('ok', 'doubtful', 'usable')
+    """
+    found = tuple(findings)
+    if not doubtful(found):
+        return "ok"
+    followed = any(finding.code == "forecasts" for finding in found)
+    return "usable" if followed and inexact(found) else "doubtful"

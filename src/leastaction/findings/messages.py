@@ -15,9 +15,14 @@ from leastaction.findings.templates import (
     Message,
     another_structure,
     converted_units,
+    equations_off,
     fill,
+    friction,
+    late_forces,
     rate_scaled,
     time_unit,
+    wrong_known,
+    wrong_known_remedy,
     zero_offset,
 )
 
@@ -59,35 +64,6 @@ def _time_dependent(f: dict[str, Any]) -> str:
     return fill("the law seems to depend on time: with {subject}", f) + (
         f"{numbers}, {f['free_terms']} free {terms} {explain} the motion"
     )
-
-
-def _unmodelled_friction(f: dict[str, Any]) -> str:
-    gain = f", -2 log likelihood {f['gain']:.0f}" if "gain" in f else ""
-    return fill("friction seems to act on {velocities} (coefficient about {coefficient:.2g}", f) + f"{gain})"
-
-
-def _late_forces(f: dict[str, Any]) -> str:
-    when = "later" if f["delay"] > 0.0 else "earlier"
-    half = ", half a sample; are they held from one sample to the next?" if f["half_a_sample"] else ""
-    return (
-        f"the forces seem to act about {1e3 * abs(f['delay']):.2g} ms {when} than recorded "
-        f"(-2 log likelihood {f['gain']:.0f}{half})"
-    )
-
-
-def _wrong_known(f: dict[str, Any]) -> str:
-    fewer = f"{f['fewer_terms']} terms fewer" if f["fewer_terms"] > 1 else "the other terms"
-    return fill(
-        "the known coefficient of {subject} may be wrong (set free it becomes {estimate:.3g} instead of "
-        f"{{given:.3g}}, and {fewer} explain the motion better)",
-        f,
-    )
-
-
-def _wrong_known_remedy(f: dict[str, Any]) -> str:
-    forces = f.get("force_factor")
-    units = f"; or the forces are {forces:.3g} times too large" if forces is not None else ""
-    return f"correct it, or leave it free{units}"
 
 
 def _hardly_determined(f: dict[str, Any]) -> str:
@@ -141,8 +117,7 @@ CODES: dict[str, Message] = {
     ),
     "equations-off": Message(
         "warning",
-        "the library cannot explain {subject} (the equation is off by {equation_error:.1f%} of its forces, "
-        "the residual is {residual_ratio:.2f} times the noise)",
+        equations_off,
         _equations_off_remedy,
     ),
     # a likely cause
@@ -150,21 +125,23 @@ CODES: dict[str, Message] = {
     "time-dependent": Message(
         "warning", _time_dependent, "add {subject} to the candidates, or measure what moves it"
     ),
-    "unmodelled-friction": Message(
-        "warning", _unmodelled_friction, "give {subject} as a candidate for dissipation"
-    ),
+    "unmodelled-friction": Message("warning", friction, "give {subject} as a candidate for dissipation"),
     "energy-fed-in": Message(
         "warning",
         "energy seems to be fed in along {velocities} (friction of about {coefficient:.2g})",
         "check the sign of forces and of known coefficients, and whether a driving force is missing",
     ),
-    "wrong-known-coefficient": Message("warning", _wrong_known, _wrong_known_remedy),
+    "wrong-known-coefficient": Message("warning", wrong_known, wrong_known_remedy),
     "late-forces": Message(
         "warning",
-        _late_forces,
+        late_forces,
         "find the delay with la.delay.estimate",
         on_command_line="give --force-delay {delay:.2g}, or that of the device",
     ),
+    "slight-friction": Message(
+        "note", friction, "with {subject} among the candidates for dissipation it would be in the model"
+    ),
+    "slight-delay": Message("note", late_forces, "too little to matter; la.delay.estimate finds it"),
     "scaled-forces": Message(
         "warning",
         "the forces seem to be {factor:.2g} times those given ({share:.0f%} of the equation error)",
@@ -266,6 +243,16 @@ CODES: dict[str, Message] = {
     "competing-structures": Message(
         "warning", "these data cannot tell {subject} from {others}", _competing_remedy
     ),
+    "slight-terms": Message(
+        "note",
+        "these data hardly determine {subject}, but what is unexplained matters more",
+        "leave it out of the candidates for a simpler law",
+    ),
+    "slight-rival": Message(
+        "note",
+        "these data cannot tell {subject} from {others}, but what is unexplained matters more",
+        "leave them out of the candidates for a simpler law",
+    ),
     "scale-open": Message(
         "warning",
         "nothing known reaches {subject}: the coefficients of its terms may all be multiplied by one number",
@@ -353,6 +340,12 @@ CODES: dict[str, Message] = {
         "note",
         "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
         "{horizon:.2g} s, and their intervals allow for what the library cannot explain",
+    ),
+    "forecasts": Message(
+        "note",
+        "free runs from states along the data, over {horizon:.2g} s or about a period, are off by "
+        "{error:.2g%} of the spread",
+        "compare forecasts of held-out trials with what you need",
     ),
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Literal
 
-from leastaction.findings.finding import Severity
+from leastaction.findings.finding import Finding, Severity
 
 __all__ = [
     "REASONS",
@@ -19,9 +19,15 @@ __all__ = [
     "another_structure",
     "because",
     "converted_units",
+    "equations_off",
     "fill",
+    "friction",
+    "late_forces",
     "rate_scaled",
+    "statements",
     "time_unit",
+    "wrong_known",
+    "wrong_known_remedy",
     "zero_offset",
 ]
 
@@ -62,9 +68,12 @@ class _Template(Formatter):
         return super().format_field(value, format_spec)
 
 
-def fill(text: Text, fields: dict[str, Any]) -> str:
+_MORE_THAN_NOISE = 1.05  # of the residual: less is the noise
+
+
+def fill(text: Text, fields: Mapping[str, Any]) -> str:
     """A text with its fields filled in."""
-    return text(fields) if callable(text) else _Template().vformat(text, (), fields)
+    return text(dict(fields)) if callable(text) else _Template().vformat(text, (), fields)
 
 
 def time_unit(f: dict[str, Any]) -> str:
@@ -155,8 +164,94 @@ def rate_scaled(f: dict[str, Any]) -> str:
     return fill(text, f)
 
 
+def equations_off(f: dict[str, Any]) -> str:
+    """Words for an equation that does not hold; noise is named only where the fit leaves more than that."""
+    more = f["residual_ratio"] > _MORE_THAN_NOISE
+    residual = ", the residual is {residual_ratio:.2f} times the noise" if more else ""
+    text = "the library cannot explain {subject} (the equation is off by {equation_error:.1f%} of its forces"
+    return fill(f"{text}{residual})", f)
+
+
+def friction(f: dict[str, Any]) -> str:
+    """Words for friction, or a drive, along velocities that no candidate describes."""
+    what = "energy seems to be fed in along" if f["coefficient"] < 0.0 else "friction seems to act on"
+    size = [f"coefficient about {f['coefficient']:.2g}"]
+    size += [fill("{share:.2g%} of the forces", f)] if f.get("share") is not None else []
+    size += [f"-2 log likelihood {f['gain']:.0f}"] if f.get("gain") is not None else []
+    return fill(f"{what} {{velocities}} ({', '.join(size)})", f)
+
+
+def late_forces(f: dict[str, Any]) -> str:
+    """Words for forces that act later, or earlier, than recorded."""
+    when = "later" if f["delay"] > 0.0 else "earlier"
+    half = ", half a sample; are they held from one sample to the next?" if f["half_a_sample"] else ""
+    return (
+        f"the forces seem to act about {1e3 * abs(f['delay']):.2g} ms {when} than recorded "
+        f"(-2 log likelihood {f['gain']:.0f}{half})"
+    )
+
+
+def wrong_known(f: dict[str, Any]) -> str:
+    """Words for a known coefficient that the data contradict."""
+    fewer = f"{f['fewer_terms']} terms fewer" if f["fewer_terms"] > 1 else "the other terms"
+    return fill(
+        "the known coefficient of {subject} may be wrong (set free it becomes {estimate:.3g} instead of "
+        f"{{given:.3g}}, and {fewer} explain the motion better)",
+        f,
+    )
+
+
+def wrong_known_remedy(f: dict[str, Any]) -> str:
+    """What to do about it."""
+    forces = f.get("force_factor")
+    units = f"; or the forces are {forces:.3g} times too large" if forces is not None else ""
+    return f"correct it, or leave it free{units}"
+
+
 def zero_offset(f: dict[str, Any]) -> str:
     """Words for an angle whose zero is off."""
     size = "large" if f["offset"] > 0 else "small"
     text = f"{{term}} with its sine reads as a zero offset: {{subject}} is too {size} by "
     return fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
+
+
+_STRUCTURES = {
+    "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
+    "not among the candidates": (
+        *("missing-term", "time-dependent", "form-imitated", "wrong-known-coefficient"),
+        *("energy-fed-in", "negative-dissipation", "swapped-forces"),
+    ),
+    "not determined by these data": (
+        *("hardly-determined", "scale-open", "form-open", "motion-in-noise"),
+        *("shape-undetermined", "shape-at-bound", "shape-not-settled"),
+    ),
+    "one of several that explain the data": ("competing-structures", "another-structure"),
+}
+"""What findings say of the structure, the worst first."""
+_LITTLE = 1e-3  # of the forces: smaller equation errors have no finding
+
+
+def statements(findings: Iterable[Finding]) -> dict[str, str]:
+    """What findings say of structure, equations and forecast, in words.
+
+    Examples
+    --------
+    >>> statements([])
+    {'structure': 'determined', 'equations': 'hold to 0.1 % of the forces', 'forecast': 'not tested'}
+    """
+    found = tuple(findings)
+    codes = {finding.code for finding in found}
+    structure = next((words for words, some in _STRUCTURES.items() if codes & {*some}), "determined")
+    followed = next((finding.values for finding in found if finding.code == "forecasts"), None)
+    if structure == "determined" and "equations-off" in codes and followed is None:
+        structure = "in doubt, since the equations do not hold"
+    left = [
+        fill("{equation_error:.2g%} of the forces (", finding.values) + ", ".join(finding.subject) + ")"
+        for finding in found
+        if "equation_error" in finding.values
+    ]
+    forecast = "not tested"
+    if followed is not None:
+        forecast = fill("free runs over {horizon:.2g} s are off by {error:.2g%} of the spread", followed)
+    equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
+    return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}

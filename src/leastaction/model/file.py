@@ -8,12 +8,12 @@ Schema 2, where ``null`` stands for "not available"::
                 "standard_error": number or null, "known": false}, ...],
      "dissipation": [the same],
      "noise_std": [number or null for each coordinate],
-     "fit": {"status": "ok" or "doubtful", "chi2_per_sample": number or null,
+     "fit": {"status": "ok", "usable" or "doubtful", "chi2_per_sample": number or null,
              "physics_weight": [number or null for each coordinate, or nothing],
              "findings": [{"code": text, "severity": "warning" or "note", "subject": [text, ...],
                            "values": {text: number, text, null or a list of these},
                            "message": text, "remedy": text}, ...],
-             "warnings": [text, ...]},
+             "warnings": [text, ...], "statements": {text: text}},
      "provenance": {anything that is JSON: version, options, hash of the data},
      "shapes": [{"name": text, "value": number, "standard_error": number or null,
                  "profile": [[number, rise of −2 log likelihood], ...]}, ...],     profile: optional
@@ -22,8 +22,9 @@ Schema 2, where ``null`` stands for "not available"::
 ``shapes`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression with shape
 parameters in braces.
 
-``fit.warnings`` repeats the findings of that severity in sentences, for scripts that want no more; it is not
-read.  In schema 1 it stood alone: its sentences become findings with the code ``text``.
+``fit.warnings`` repeats the findings of that severity in sentences, and ``fit.statements`` says what they
+leave of structure, equations and forecast, for scripts that want no more; neither is read.  In schema 1 the
+warnings stood alone: their sentences become findings with the code ``text``.
 
 Numbers are finite; expressions are read by `leastaction.library.parse_expression`, never evaluated.
 """
@@ -72,6 +73,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
             "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
             "findings": [finding.to_dict() for finding in model.fit.findings],
             "warnings": list(model.fit.warnings),
+            "statements": model.fit.statements,
         },
         "provenance": plain_json(model.provenance, "provenance"),
     }
@@ -332,7 +334,7 @@ def _term(value: Any, place: str) -> ModelTerm:
 
 def _fit(value: Any, schema: int) -> FitSummary:
     required = ("status", "chi2_per_sample", "physics_weight", "warnings")
-    _check_entries(value, "fit", required if schema == 1 else (*required, "findings"))
+    _check_entries(value, "fit", required if schema == 1 else (*required, "findings"), ("statements",))
     warnings = [
         _text(w, f"fit.warnings[{i}]")
         for i, w in enumerate(_list(value["warnings"], "fit.warnings", MAX_TERMS))

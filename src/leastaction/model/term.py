@@ -6,13 +6,13 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Literal, cast
+from typing import cast, get_args
 
 import numpy as np
 import sympy as sp
 
 from leastaction.errors import InputError
-from leastaction.findings import Audience, Finding, Severity, sentence
+from leastaction.findings import Audience, Finding, Severity, Status, sentence, statements
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 
@@ -245,9 +245,11 @@ class FitSummary:
 
     Parameters
     ----------
-    status : {"ok", "doubtful"}
-        ``"doubtful"``: the library cannot explain the data, the terms cannot be told apart by these data,
-        the mass matrix is not positive definite, or the solver did not converge; a warning says which.
+    status : {"ok", "usable", "doubtful"}
+        ``"usable"``: the equations hold to some per cent only, and free runs follow the data; see the finding
+        ``forecasts``. ``"doubtful"``: the library cannot explain the data, the terms cannot be told apart by
+        these data, the mass matrix is not positive definite, or the solver did not converge; a warning says
+        which.
     chi2_per_sample : float
         Mean of the squared data residuals in units of the noise; about 1 for a good fit. NaN: not available.
     physics_weight : sequence of float
@@ -267,21 +269,21 @@ class FitSummary:
     (['text'], ('the shaft is bent',))
     """
 
-    status: Literal["ok", "doubtful"]
+    status: Status
     chi2_per_sample: float
     physics_weight: tuple[float, ...]
     findings: tuple[Finding, ...]
 
     def __init__(
         self,
-        status: Literal["ok", "doubtful"] = "ok",
+        status: Status = "ok",
         chi2_per_sample: float = math.nan,
         physics_weight: Iterable[float] = (),
         warnings: Iterable[str] | None = None,
         findings: Iterable[Finding] = (),
     ) -> None:
-        if status not in ("ok", "doubtful"):
-            raise InputError(f"fit: the status is {quoted(status)}; expected 'ok' or 'doubtful'")
+        if status not in get_args(Status):
+            raise InputError(f"fit: the status is {quoted(status)}; expected 'ok', 'usable' or 'doubtful'")
         weights = _items(physics_weight, "fit: physics_weight", "numbers, one per coordinate")
         found = _findings(findings)
         if warnings is not None:
@@ -308,6 +310,14 @@ class FitSummary:
     def notes(self) -> tuple[str, ...]:
         """What was done to data and library on the user's behalf, and what else is worth knowing."""
         return self.sentences("note")
+
+    @property
+    def statements(self) -> dict[str, str]:
+        """What the findings say of ``"structure"``, ``"equations"`` and ``"forecast"``, in words.
+
+        Empty where nothing was fitted.
+        """
+        return statements(self.findings) if math.isfinite(self.chi2_per_sample) else {}
 
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.

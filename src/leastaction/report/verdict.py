@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from leastaction.model.model import LagrangianModel
+from leastaction.model.term import as_float
 from leastaction.report.mathml import Notation
 from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
@@ -18,23 +19,45 @@ __all__ = ["verdict"]
 def verdict(model: LagrangianModel, validation: ForecastResult | None, notation: Notation) -> dict[str, Any]:
     """What the first section shows."""
     return {
-        "ok": model.fit.status == "ok",
         "status": model.fit.status,
         "warnings": [(f.message, f.remedy) for f in model.fit.findings if f.severity == "warning"],
+        "statements": [(name.capitalize(), text) for name, text in _statements(model, validation).items()],
         "forecast": validation is not None,
+        "forecasts": _free_runs(model),
         "facts": [*_forecast_facts(validation), *_fit_facts(model, notation), *_size_facts(model)],
     }
+
+
+def _statements(model: LagrangianModel, validation: ForecastResult | None) -> dict[str, str]:
+    """Structure, equations and forecast in words; held-out trials say more than the data themselves."""
+    if validation is None:
+        return model.fit.statements
+    off = _worst(validation)
+    words = f"held-out trials are off by {percent(off)} of the spread over {plain(validation.horizon)} s"
+    return {**model.fit.statements, "forecast": words}
+
+
+def _worst(result: ForecastResult) -> float:
+    shares = result.rms_over_std
+    return float(np.nanmax(shares)) if not np.isnan(shares).all() else math.nan
+
+
+def _free_runs(model: LagrangianModel) -> str:
+    """How far free runs are off, in words; empty where that was not asked."""
+    for finding in model.fit.findings:
+        if finding.code == "forecasts":
+            error, horizon = (as_float(finding.values[name], name) for name in ("error", "horizon"))
+            return f"an error of {percent(error)} of the spread over {plain(horizon)} s"
+    return ""
 
 
 def _forecast_facts(result: ForecastResult | None) -> list[dict[str, Any]]:
     if result is None:
         return []
-    shares = result.rms_over_std
-    worst = float(np.nanmax(shares)) if not np.isnan(shares).all() else math.nan
     return [
         {
             "name": "Forecast error",
-            "value": percent(worst),
+            "value": percent(_worst(result)),
             "note": f"of the spread, over {plain(result.horizon)} s",
         }
     ]

@@ -1,0 +1,64 @@
+"""How much an effect matters: its share of the forces, and of what the equations leave unexplained.
+
+On a machine that obeys its law to some tenths of a per cent, long recordings show effects far below that:
+significant, and of no consequence.  They are worth a note, not a doubt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.fit import Fit
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["Effects", "gain_of_terms", "is_minor"]
+
+_STATES = 2000  # along the motion, at which an effect is computed
+
+
+def is_minor(fit: Fit, gain: float) -> bool:
+    """Whether what lowers −2 log likelihood by ``gain`` explains a small part of the equation error."""
+    return gain < fit.relevant_gain(DIAGNOSIS.part_of_error)
+
+
+def gain_of_terms(fit: Fit, members: Collection[int]) -> float:
+    """By how much terms lower −2 log likelihood, on the quadratic model: their squared distance from zero."""
+    at = [k for k, member in enumerate(fit.structure) if member in members]
+    covariance = fit.covariance[np.ix_(at, at)]
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    z = fit.estimates[at] / scale
+    return float(z @ np.linalg.lstsq(covariance / np.outer(scale, scale), z, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class Effects:
+    """What the forces of each equation amount to.
+
+    Attributes
+    ----------
+    fit : Fit
+    size : (n_dof,) array
+        Root mean square of the terms of each equation; NaN where a coordinate has none.
+    """
+
+    fit: Fit
+    size: np.ndarray
+
+    def of_force(self, rms: np.ndarray) -> float:
+        """Largest share of a generalised force with these root mean squares in an equation."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return float(np.nan_to_num(rms / self.size, nan=0.0, posinf=np.inf).max())
+
+    def of_terms(self, columns: EulerLagrange, coefficients: np.ndarray) -> float:
+        """Largest share of a sum of terms."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            push = np.tensordot(coefficients, columns.strong(self.fit.points(_STATES)), 1)
+            return self.of_force(np.sqrt(np.square(push).mean(axis=1)))
+
+    def slight(self, share: float, gain: float) -> bool:
+        """Whether an effect is too small to matter, or explains little of what is unexplained."""
+        return share <= DIAGNOSIS.slight or is_minor(self.fit, gain)
