@@ -148,11 +148,11 @@ def test_terms_that_can_be_exchanged_have_rising_numbers(data, names):
 
 
 def test_a_bound_that_excludes_the_truth_is_named(data):
-    model = la.discover(data, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (1.2, 3.0)})
+    model = la.discover(data, LIBRARY[:1] + LIBRARY[4:], known=KNOWN, shapes={"a": (0.9, 3.0)})
     assert model.fit.status == "doubtful"
-    assert model.provenance["options"]["shapes"] == {"a": [1.2, 3.0]}
+    assert model.provenance["options"]["shapes"] == {"a": [0.9, 3.0]}
     (finding,) = findings_of(model, "shape-at-bound")
-    assert finding.values["value"] == 1.2
+    assert finding.values["value"] == 0.9
     assert "widen the range" in str(finding)
 
 
@@ -193,11 +193,17 @@ def load(document, tmp_path):
     return la.load(path)
 
 
+def without_statements(document: dict) -> dict:
+    """As files were before they said what the findings leave of structure, equations and forecast."""
+    fit = {name: value for name, value in document["fit"].items() if name != "statements"}
+    return {**document, "fit": fit}
+
+
 def test_a_file_without_shapes_still_loads(tmp_path):
     model = load(SCHEMA_2, tmp_path)
     assert model.shapes == ()
     assert [term.template for term in model.terms] == ["", ""]
-    assert model.to_dict() == SCHEMA_2
+    assert without_statements(model.to_dict()) == SCHEMA_2
 
 
 def with_shape(**changes) -> dict:
@@ -258,7 +264,7 @@ def test_the_interval_is_that_of_the_profile(tmp_path):
     document["shapes"][0]["profile"] = [list(pair) for pair in cut.profile]
     model = load(document, tmp_path)
     assert model.shapes == (cut,)
-    assert model.to_dict() == document
+    assert without_statements(model.to_dict()) == document
 
 
 @pytest.mark.parametrize(

@@ -98,9 +98,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _whiteness(fit) + _zero_offsets(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
-    if look_for_causes and not search.stopped and not doubtful(found):
-        doubts = doubts_about_the_form(fit, search.relevance)
-        found += [named_family(d, search) if d.code == "form-imitated" else d for d in doubts]
+    if look_for_causes and not search.stopped and inexact(found):
+        found += _form(search, exact=not doubtful(found))
     if look_for_causes and not search.stopped and not doubtful(f for f in found if f.code not in _OPEN):
         found += free_scales(fit)
     if not search.stopped and doubtful(found) and inexact(found):
@@ -133,6 +132,18 @@ def _likely_causes(search: Search, effects: Effects, share: np.ndarray, off: boo
     if not found and np.any(share > DIAGNOSIS.worth_knowing):
         found = scaled_forces(fit)
     return found
+
+
+def _form(search: Search, exact: bool) -> list[Finding]:
+    """Whether the law is imitated, or its form open.
+
+    On a machine any form explains some of what is left, and leaves accelerations open by as much; of a law
+    that is imitated it explains much.
+    """
+    relevance = search.relevance if exact else max(search.relevance, DIAGNOSIS.part_of_error)
+    doubts = doubts_about_the_form(search.found, relevance)
+    imitated = [named_family(d, search) for d in doubts if d.code == "form-imitated"]
+    return imitated or (doubts if exact else [])
 
 
 def _forecasts(fit: Fit, period: float) -> list[Finding]:
