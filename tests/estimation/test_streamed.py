@@ -145,6 +145,18 @@ def test_a_fit_is_the_same_and_does_not_depend_on_who_computes(crew):
     np.testing.assert_array_equal(again.control_points, found.control_points)
 
 
+def test_with_coefficients_held_each_block_finds_the_curve_of_the_whole(crew):
+    whole, parts, physics, control = both(crew)
+    held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
+    expected = fit_joint(whole, held, WEIGHTS, control, VALUES, tolerance=1e-8)
+    found = parts.relaxed(held, WEIGHTS, control, VALUES)
+    costs = [linearise(whole, held, points, VALUES).cost(WEIGHTS) for points in (control, found)]
+    reached = expected.linearisation.cost(WEIGHTS)
+    assert expected.converged
+    assert costs[0] > reached + 10.0
+    assert costs[1] == pytest.approx(reached, abs=0.05)
+
+
 def test_a_stream_whose_curve_nothing_holds_fails_as_the_whole(crew):
     _, parts, physics, control = both(crew)
     broken = WEIGHTS.__class__(WEIGHTS.noise_std, np.array([np.nan, 1.0]), WEIGHTS.slack)

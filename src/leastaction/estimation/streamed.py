@@ -27,6 +27,7 @@ from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
 from leastaction.estimation.crew import Crew, Held, Shelf, opened
 from leastaction.estimation.elimination import Condensed
+from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.recipes import Recipe
@@ -127,13 +128,7 @@ class StreamedObservations:
         weights: Weights | None = None,
     ) -> StreamedLinearisation:
         """The joint problem linearised, and with weights its system eliminated, in one pass."""
-        unforced = replace(physics, forces=None)
-        at = tuple(
-            _Point(unforced.within(intervals), forces, control_points[points], coefficients)
-            for points, intervals, forces in zip(
-                self.points, self.intervals, self._forces_of(physics), strict=True
-            )
-        )
+        at = self._points_of(physics, control_points, coefficients)
         found = self.passed([(point, weights, 0.0) for point in at])
         out = StreamedLinearisation(
             self,
@@ -147,6 +142,31 @@ class StreamedObservations:
         if weights is None:
             return out
         return replace(out, ahead=(weights, tuple(found)))
+
+    def relaxed(
+        self, physics: Physics, weights: Weights, control_points: np.ndarray, coefficients: np.ndarray
+    ) -> np.ndarray:
+        """Control points fitted block by block; ``physics`` holds the coefficients.
+
+        One step for all blocks has to be as short as the worst of them allows: a single trial whose start is
+        bad held up thousands.
+        """
+        at = self._points_of(physics, control_points, coefficients)
+        lengths = np.array([part.stop - part.start for part in self.intervals])
+        own = [replace(weights, slack=share * weights.slack) for share in lengths / lengths.sum()]
+        return np.concatenate(self.each(_relaxed, list(zip(at, own, strict=True))))
+
+    def _points_of(
+        self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+    ) -> tuple[_Point, ...]:
+        """Where each block is linearised."""
+        unforced = replace(physics, forces=None)
+        return tuple(
+            _Point(unforced.within(intervals), forces, control_points[points], coefficients)
+            for points, intervals, forces in zip(
+                self.points, self.intervals, self._forces_of(physics), strict=True
+            )
+        )
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""
@@ -307,6 +327,12 @@ def _seen(block: _Block) -> Observations:
 def _linearised(block: _Block, point: _Point) -> Linearisation:
     physics = replace(point.physics, forces=opened(point.forces))
     return linearise(_seen(block), physics, point.control_points, point.coefficients)
+
+
+def _relaxed(block: _Block, point: _Point, weights: Weights) -> np.ndarray:
+    physics = replace(point.physics, forces=opened(point.forces))
+    found = fit_joint(_seen(block), physics, weights, point.control_points, point.coefficients)
+    return found.control_points if found.usable else point.control_points
 
 
 def _pass(
