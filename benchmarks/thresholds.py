@@ -274,12 +274,12 @@ def _causes_looked_for_once(used: tuple[str, ...]) -> Iterator[None]:
     """Keep the causes of a search while what they depend on stays the same: they take most of the time."""
     find, kept = verdict._likely_causes, {}
 
-    def once(search, effects, share, off):
+    def once(search, effects, off):
         values = tuple(getattr(verdict.DIAGNOSIS, name) for name in used)
-        any_error = bool((share > verdict.DIAGNOSIS.worth_knowing).any())
+        any_error = bool((effects.left > verdict.DIAGNOSIS.worth_knowing).any())
         key = (id(search), off, any_error, significance.SELECTION.false_alarm, values)
         if key not in kept:
-            kept[key] = (search, find(search, effects, share, off))  # held, so that no other one gets its id
+            kept[key] = (search, find(search, effects, off))  # held, so that no other one gets its id
         return kept[key][1]
 
     verdict._likely_causes = once

@@ -10,7 +10,7 @@ import pytest
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, findings_of, pendulum, record
 from leastaction import systems
-from leastaction.diagnosis.effects import gain_of_terms, is_minor
+from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.estimation.build import Request, build_problem
@@ -170,7 +170,7 @@ def test_drag_is_named(offered):
 
 @pytest.mark.parametrize(
     ("damping", "code", "status"),
-    [(1e-3, "slight-friction", "ok"), (1e-2, "unmodelled-friction", "doubtful")],
+    [(1e-3, "slight-friction", "ok"), (1e-2, "unmodelled-friction", "usable")],
 )
 def test_friction_too_small_to_matter_is_a_note(damping, code, status):
     """A viscous force of 0.02 % of the forces, and one of 0.2 % of them."""
@@ -201,6 +201,20 @@ def test_what_explains_little_of_an_equation_error_is_minor():
         assert gain_of_terms(fit, [member]) == pytest.approx(fit.z[k] ** 2)
     expected = fit.estimates @ np.linalg.solve(fit.covariance, fit.estimates)
     assert gain_of_terms(fit, fit.structure) == pytest.approx(expected, rel=1e-6)
+
+
+def test_terms_that_make_the_law_are_never_minor():
+    """Where the scale of L is open no term changes the likelihood, and yet they are the forces."""
+    data = pendulum(driven=False, viscous=0.05)
+    setup = build_problem(data, Request(la.Library(PENDULUM_LIBRARY, ["theta"]), {"theta_dot**2": 0.5}))
+    fit = find_structure(begin_search(setup)).found
+    rough = replace(fit, weights=replace(fit.weights, slack=np.array([1e12])))
+    left, rms = rough.equation_error()
+    members = [m for m in fit.structure if fit.problem.terms[m].text == "cos(theta)"]
+    assert is_minor(rough, gain_of_terms(rough, members))
+    assert not Effects(rough, rms / left, left).minor(members)
+    faint = replace(rough, coefficients=1e-6 * rough.coefficients)
+    assert Effects(faint, rms / left, left).minor(members)
 
 
 def test_a_constant_force_is_named():

@@ -37,7 +37,7 @@ _STAGES = {
     "forecast": "Forecasting",
 }
 _MOST_DRAWN = 4
-_USABLE = "It follows the data as far as a note says; its equations hold to some per cent only:"
+_USABLE = "Its free runs follow the data; its equations hold to some per cent only:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 

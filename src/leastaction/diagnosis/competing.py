@@ -7,7 +7,7 @@ from math import comb
 
 import numpy as np
 
-from leastaction.diagnosis.effects import gain_of_terms, is_minor
+from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.settings import ESTIMATION
@@ -27,7 +27,7 @@ _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 _EXACT = 1e-8  # relative: what rounding leaves of equal matrices
 
 
-def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Finding]:
+def rival_warnings(effects: Effects, alternatives: Sequence[Alternative]) -> list[Finding]:
     """One finding for each rival, the most likely first; a note where terms that hardly matter compete.
 
     A rival R is a structure that the data do not exclude as the law.  Were it the law, the chosen structure S
@@ -38,6 +38,7 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
     price of a term.  It is then likelier than S with any further term, which follows the noise only.  Not
     where the library is inexact: there a further term always helps.
     """
+    fit = effects.fit
     chosen = fit.structure
     same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
     outside = fit.problem.free.size - len(chosen)
@@ -53,7 +54,7 @@ def rival_warnings(fit: Fit, alternatives: Sequence[Alternative]) -> list[Findin
         theirs = [texts[m] for m in rival.structure if m not in chosen]
         state = _where_they_differ(fit, rival.coefficients)
         figures = {"others": theirs, "at_names": list(state), "at_values": list(state.values())}
-        minor = is_minor(fit, gain_of_terms(fit, chosen.without(rival.structure)))
+        minor = effects.minor(list(chosen.without(rival.structure)))
         out.append(
             find("slight-rival", mine, **figures) if minor else find("competing-structures", mine, **figures)
         )

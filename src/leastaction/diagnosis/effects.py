@@ -6,7 +6,7 @@ significant, and of no consequence.  They are worth a note, not a doubt.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,17 +36,20 @@ def gain_of_terms(fit: Fit, members: Collection[int]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Effects:
-    """What the forces of each equation amount to.
+    """What the forces of each equation amount to, and how much of them is unexplained.
 
     Attributes
     ----------
     fit : Fit
     size : (n_dof,) array
         Root mean square of the terms of each equation; NaN where a coordinate has none.
+    left : (n_dof,) array
+        Equation error relative to them.
     """
 
     fit: Fit
     size: np.ndarray
+    left: np.ndarray
 
     def of_force(self, rms: np.ndarray) -> float:
         """Largest share of a generalised force with these root mean squares in an equation."""
@@ -58,6 +61,15 @@ class Effects:
         with np.errstate(over="ignore", invalid="ignore"):
             push = np.tensordot(coefficients, columns.strong(self.fit.points(_STATES)), 1)
             return self.of_force(np.sqrt(np.square(push).mean(axis=1)))
+
+    def minor(self, members: Sequence[int]) -> bool:
+        """Whether terms of the structure explain little of what is unexplained, and are smaller than that.
+
+        Their size, too: where the scale of L is open, no term changes the likelihood by much.
+        """
+        columns = self.fit.problem.candidates.subset(list(members))
+        share = self.of_terms(columns, self.fit.coefficients[list(members)])
+        return share <= float(self.left.max()) and is_minor(self.fit, gain_of_terms(self.fit, members))
 
     def slight(self, share: float, gain: float) -> bool:
         """Whether an effect is too small to matter, or explains little of what is unexplained."""

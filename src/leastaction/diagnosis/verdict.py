@@ -9,7 +9,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.diagnosis.competing import free_scales, rival_warnings
-from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
+from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
@@ -58,7 +58,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     share, rms = fit.equation_error()
     size = rms / np.maximum(share, 1e-300)
     share = np.maximum(share, _behind_noise(fit, size, period))
-    effects = Effects(fit, size)
+    effects = Effects(fit, size, share)
     samples_per_period = period / fit.problem.trajectories.sampling_interval
     needed = DIAGNOSIS.few_samples
     found: list[Finding] = []
@@ -71,7 +71,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         if (share[i] > SELECTION.holds and not excused[i]) or chi2[i] > DIAGNOSIS.noise_ratio**2
     ]
     off = any(share[i] > SELECTION.holds for i in unexplained)
-    causes = _likely_causes(search, effects, share, off) if look_for_causes else []
+    causes = _likely_causes(search, effects, off) if look_for_causes else []
     found += [
         find(
             "equations-off",
@@ -91,8 +91,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
-    found += _signal(fit) + _identifiability(fit) + doubts_about_shapes(fit)
-    found += rival_warnings(fit, alternatives)
+    found += _signal(fit) + _identifiability(effects) + doubts_about_shapes(fit)
+    found += rival_warnings(effects, alternatives)
     found += _open_scales(fit) + _mass_matrix(fit)
     found += _friction(search)
     found += _whiteness(fit) + _zero_offsets(fit)
@@ -107,7 +107,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     return Verdict(tuple(found), float(np.mean(chi2)), rms)
 
 
-def _likely_causes(search: Search, effects: Effects, share: np.ndarray, off: bool) -> list[Finding]:
+def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]:
     """What was left out or is wrong, by tests on the fit, or by a new search where the equations are off."""
     if search.stopped:
         return []
@@ -129,7 +129,7 @@ def _likely_causes(search: Search, effects: Effects, share: np.ndarray, off: boo
     for check in (hidden_friction, late_forces):
         found += check(effects, relevance)
     # what is left of another cause may look like forces
-    if not found and np.any(share > DIAGNOSIS.worth_knowing):
+    if not found and np.any(effects.left > DIAGNOSIS.worth_knowing):
         found = scaled_forces(fit)
     return found
 
@@ -224,8 +224,9 @@ def _signal(fit: Fit) -> list[Finding]:
     ]
 
 
-def _identifiability(fit: Fit) -> list[Finding]:
+def _identifiability(effects: Effects) -> list[Finding]:
     """The combination of coefficients that the data determine least."""
+    fit = effects.fit
     covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
@@ -238,7 +239,7 @@ def _identifiability(fit: Fit) -> list[Finding]:
     if not members:
         return []
     loose = [fit.problem.terms[m].text for m in members]
-    if is_minor(fit, gain_of_terms(fit, members)):
+    if effects.minor(members):
         return [find("slight-terms", loose)]
     # eigenvector of relative changes: the terms that move together
     weakest = vectors[:, -1] / np.abs(vectors[:, -1]).max()
