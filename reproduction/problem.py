@@ -10,7 +10,7 @@ import numpy as np
 import leastaction as la
 from leastaction import systems
 
-__all__ = ["Answer", "Case", "Problem", "pose"]
+__all__ = ["Answer", "Case", "Problem", "inputs", "names", "pose"]
 
 DURATION, RATE = 20.0, 100.0  # seconds and samples a second
 
@@ -146,6 +146,18 @@ class Answer:
     expression: str = ""
     history: list[tuple[float, Mapping[str, float]]] = field(default_factory=list)
     child_mb: float = 0.0
+
+
+def names(problem: Problem) -> list[str]:
+    """Return the names of what q̈ is regressed on: coordinates, velocities, forces where they act."""
+    system = problem.system
+    driven = () if problem.data[0].forces is None else (f"f_{c}" for c in system.coordinates)
+    return [*system.coordinates, *system.velocities, *driven]
+
+
+def inputs(q: np.ndarray, qdot: np.ndarray, forces: np.ndarray | None) -> np.ndarray:
+    """Return coordinates, velocities and forces side by side, the columns of `names`."""
+    return np.column_stack([q, qdot] if forces is None else [q, qdot, forces])
 
 
 def pose(case: Case) -> Problem:

@@ -36,7 +36,7 @@ from scipy.signal import savgol_coeffs, savgol_filter
 from sklearn.exceptions import ConvergenceWarning
 
 import leastaction as la
-from reproduction.problem import Acceleration, Problem
+from reproduction.problem import Acceleration, Problem, inputs, names
 
 __all__ = [
     "SMOOTHERS",
@@ -154,18 +154,6 @@ def folds(motions: Sequence[Motion]) -> Iterator[tuple[list[Motion], list[Motion
         motions = [motions[0].part(slice(a, b)) for a, b in pairwise(borders)]
     for k in sorted({0, len(motions) // 2, len(motions) - 1}):
         yield [m for i, m in enumerate(motions) if i != k], [motions[k]]
-
-
-def names(problem: Problem) -> list[str]:
-    """Return the names of PySINDy's inputs: coordinates, velocities, forces."""
-    system = problem.system
-    driven = () if problem.data[0].forces is None else (f"f_{c}" for c in system.coordinates)
-    return [*system.coordinates, *system.velocities, *driven]
-
-
-def inputs(q: np.ndarray, qdot: np.ndarray, forces: np.ndarray | None) -> np.ndarray:
-    """Return coordinates, velocities and forces side by side."""
-    return np.column_stack([q, qdot] if forces is None else [q, qdot, forces])
 
 
 def feature_library(problem: Problem) -> ps.GeneralizedLibrary:

@@ -8,7 +8,7 @@ import numpy as np
 
 import leastaction as la
 from reproduction.methods.xlsindy_exact import states
-from reproduction.problem import Acceleration, Problem
+from reproduction.problem import Acceleration, Problem, inputs, names
 
 __all__ = ["GIVEN", "STRIDE", "acceleration_of", "choose", "names", "samples"]
 
@@ -17,17 +17,6 @@ GIVEN = "given-rates"  # the variant that is told velocities and accelerations
 NEAR = 1.01  # times the smallest error: a shorter expression is then preferred
 
 Samples = tuple[np.ndarray, np.ndarray]  # inputs, accelerations
-
-
-def names(problem: Problem) -> list[str]:
-    """Return the names of the inputs, in the sequence of the columns."""
-    system = problem.system
-    driven = () if problem.data[0].forces is None else (f"f_{c}" for c in system.coordinates)
-    return [*system.coordinates, *system.velocities, *driven]
-
-
-def _columns(q: np.ndarray, qdot: np.ndarray, forces: np.ndarray | None) -> np.ndarray:
-    return np.column_stack([q, qdot] if forces is None else [q, qdot, forces])
 
 
 def samples(problem: Problem, given: bool) -> tuple[Samples, Samples]:
@@ -40,17 +29,17 @@ def samples(problem: Problem, given: bool) -> tuple[Samples, Samples]:
         Exact velocities and accelerations plus noise of the case's level; else rates smoothed from positions.
     """
     if given:
-        pairs = [(_columns(*s.swapaxes(0, 1)[:2], f), s[:, 2]) for s, f in states(problem)]
+        pairs = [(inputs(*s.swapaxes(0, 1)[:2], f), s[:, 2]) for s, f in states(problem)]
     else:
         pairs = [
-            (_columns(motion.q, motion.qdot, run.forces), motion.qddot)
+            (inputs(motion.q, motion.qdot, run.forces), motion.qddot)
             for motion, run in zip(la.smooth(problem.data), problem.data, strict=True)
         ]
     if len(pairs) == 1:
         border = int(0.8 * len(pairs[0][0]))
         pairs = [tuple(a[:border] for a in pairs[0]), tuple(a[border:] for a in pairs[0])]
-    inputs, targets = (np.concatenate([pair[k][::STRIDE] for pair in pairs[:-1]]) for k in range(2))
-    return (inputs, targets), pairs[-1]
+    columns, targets = (np.concatenate([pair[k][::STRIDE] for pair in pairs[:-1]]) for k in range(2))
+    return (columns, targets), pairs[-1]
 
 
 def choose(
@@ -72,11 +61,11 @@ def acceleration_of(functions: Sequence[Callable[[np.ndarray], np.ndarray]]) -> 
     """Return q̈(q, q̇, f) of one function of the inputs a coordinate; NaN where the inputs are not finite."""
 
     def acceleration(q, qdot, forces=None):
-        inputs = _columns(q, qdot, forces)
-        good = np.isfinite(inputs).all(axis=1)  # Operon accepts finite numbers only
-        result = np.full((len(inputs), len(functions)), np.nan)
+        columns = inputs(q, qdot, forces)
+        good = np.isfinite(columns).all(axis=1)  # Operon accepts finite numbers only
+        result = np.full((len(columns), len(functions)), np.nan)
         if good.any():
-            result[good] = np.column_stack([function(inputs[good]) for function in functions])
+            result[good] = np.column_stack([function(columns[good]) for function in functions])
         return result
 
     return acceleration

@@ -115,6 +115,8 @@ def peak_mb() -> float:
 
 
 def end_with_parent() -> None:
+    """As in `reproduction._execute`, which the Python of uDSR cannot import."""
+
     def wait() -> None:
         while os.read(0, 1024):
             pass

@@ -98,9 +98,10 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _whiteness(fit) + _zero_offsets(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
-    if look_for_causes and not search.stopped and inexact(found):
+    to_its_end = look_for_causes and not search.stopped
+    if to_its_end and inexact(found):
         found += _form(search, exact=not doubtful(found))
-    if look_for_causes and not search.stopped and not doubtful(f for f in found if f.code not in _OPEN):
+    if to_its_end and not doubtful(f for f in found if f.code not in _OPEN):
         found += free_scales(fit)
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
