@@ -12,7 +12,7 @@ import leastaction as la
 from block_helpers import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
-from leastaction.estimation import joint, recipes, volume
+from leastaction.estimation import joint, observations, volume
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, employ
@@ -24,7 +24,7 @@ from leastaction.estimation.protocols import linearise
 def small_blocks():
     """Blocks as small as a trial."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recipes, "_NUMBERS", SMALL)
+        patch.setattr(observations, "_NUMBERS", SMALL)
         yield
 
 
@@ -41,7 +41,7 @@ def test_blocks_give_the_sums_of_the_whole(intervals, n_blocks, crew, monkeypatc
     monkeypatch.setattr(volume, "_CHUNK", 13)
     monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
     grid, data, physics, control = problem()
-    monkeypatch.setattr(recipes, "_NUMBERS", intervals * SMALL // 20)
+    monkeypatch.setattr(observations, "_NUMBERS", intervals * SMALL // 20)
     whole, parts = Observations(grid, *data), observe(grid, *data, crew)
     assert isinstance(parts, BlockedObservations)
     assert len(parts.blocks) == n_blocks
@@ -104,7 +104,7 @@ def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew, monkeypatc
     t, q = data[0][0], data[1][0]
     assert isinstance(observe(uniform_grid([2.0], 6.0, 5, 2), [t], [q], (), crew), Observations)
     assert isinstance(observe(grid, *data, crew), BlockedObservations)
-    monkeypatch.setattr(recipes, "_NUMBERS", grid.n_intervals * SMALL // 20)
+    monkeypatch.setattr(observations, "_NUMBERS", grid.n_intervals * SMALL // 20)
     assert isinstance(observe(grid, *data, crew), Observations)
 
 
@@ -166,7 +166,7 @@ def alone():
     """Trials, and the law that is found in one piece."""
     data = recordings()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recipes, "_NUMBERS", 2**40)
+        patch.setattr(observations, "_NUMBERS", 2**40)
         return data, found(data)
 
 

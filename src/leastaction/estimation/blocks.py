@@ -25,8 +25,7 @@ from leastaction.data.trajectories import Rate
 from leastaction.estimation.crew import Alone, Crew, Task
 from leastaction.estimation.elimination import NormalEquations, Quadratic
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations, counts_and_floors
-from leastaction.estimation.recipes import Recipe, cut
+from leastaction.estimation.observations import Observations, Recipe, counts_and_floors, cut
 from leastaction.estimation.streamed import StreamedObservations, is_long
 from leastaction.estimation.volume import Volume, add_volumes
 

@@ -10,31 +10,27 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import itertools
 import os
-import pickle
 import signal
 import threading
-import weakref
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from shutil import rmtree
-from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from leastaction.errors import InputError
+from leastaction.estimation.files import Folder, Held, Shelf, read, write
 from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
     from loky import ProcessPoolExecutor
 
-__all__ = ["Alone", "Crew", "DaskCrew", "Held", "ProcessCrew", "Shelf", "Task", "employ", "opened"]
+__all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
 _IDLE = 300.0  # seconds, after which a child ends, and so one whose parent was killed
@@ -42,101 +38,6 @@ _MEMORY_STAYS = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_":
 """For glibc in a child: memory is not given back to the system after each block, which took 15 % of time."""
 _MOST_STARTS = 3  # of the children of one discovery, before everything is computed here
 _LOOK = 1.0  # seconds between two looks at the cluster
-
-
-@dataclass(frozen=True, eq=False)
-class Held:
-    """A value that many tasks are given. It travels as the name of a file, which costs a tenth of sending it.
-
-    Attributes
-    ----------
-    value : object
-    path : Path
-        Of the file.
-    """
-
-    value: Any
-    path: Path
-
-    @classmethod
-    def write(cls, value: Any, path: Path) -> Held:
-        """Write the file."""
-        _write(value, path)
-        held = cls(value, path)
-        weakref.finalize(held, path.unlink, missing_ok=True)
-        return held
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _read, (self.path,)  # what arrives is the value itself
-
-
-class _Folder:
-    """A temporary folder, made with its first file; it goes with this value, or when it is closed."""
-
-    def __init__(self) -> None:
-        self._names = itertools.count()
-        self._path: Path | None = None
-        self._remove: weakref.finalize[..., Any] | None = None
-
-    def new_path(self) -> Path:
-        """A name that no other file of the folder has."""
-        if self._path is None:
-            self._path = Path(mkdtemp(prefix="leastaction-"))
-            self._remove = weakref.finalize(self, rmtree, self._path, ignore_errors=True)
-        return self._path / str(next(self._names))
-
-    def close(self) -> None:
-        """Remove it with its files."""
-        if self._remove is not None:
-            self._remove()
-        self._path = self._remove = None
-
-
-@dataclass(frozen=True, eq=False)
-class Shelf:
-    """A file for an array that a task computes, wherever that is, and that is read here, or never.
-
-    Attributes
-    ----------
-    path : Path
-    """
-
-    path: Path
-
-    @classmethod
-    def of(cls, path: Path) -> Shelf:
-        """A shelf whose file goes with it; its copies in other processes remove nothing."""
-        shelf = cls(path)
-        weakref.finalize(shelf, path.unlink, missing_ok=True)
-        return shelf
-
-    def put(self, array: np.ndarray) -> bool:
-        """Write the array; False where the disk is full."""
-        try:
-            with self.path.open("wb") as file:
-                np.save(file, array, allow_pickle=False)
-        except OSError:
-            return False
-        return True
-
-    def array(self) -> np.ndarray:
-        """What was put there."""
-        return np.load(self.path, allow_pickle=False)
-
-
-def opened(value: Any) -> Any:
-    """The value itself, which in another process has arrived already."""
-    return value.value if isinstance(value, Held) else value
-
-
-def _write(value: Any, path: Path) -> None:
-    with path.open("wb") as file:
-        pickle.dump(value, file, pickle.HIGHEST_PROTOCOL)
-
-
-def _read(path: Path) -> Any:
-    with path.open("rb") as file:
-        return pickle.load(file)
 
 
 @dataclass(eq=False)
@@ -196,7 +97,7 @@ class Alone:
     keeps = False
 
     def __init__(self) -> None:
-        self._folder = _Folder()
+        self._folder = Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         return Task(function, given)
@@ -232,7 +133,7 @@ class ProcessCrew:
     def __init__(self, workers: int) -> None:
         self._workers, self._starts_left = workers, _MOST_STARTS
         self._pool: ProcessPoolExecutor | None = None
-        self._folder = _Folder()
+        self._folder = Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
@@ -277,7 +178,7 @@ class ProcessCrew:
         future, path = task.future
         try:
             future.result()
-            out = _read(path)
+            out = read(path)
         except (BrokenExecutor, OSError):
             self._pool = None
             return task.here()
@@ -374,7 +275,7 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
 
 def _to_file(path: Path, function: Callable[..., Any], *given: Any) -> None:
     """In a child: compute, and leave the result in a file."""
-    _write(_quietly(function, *given), path)
+    write(_quietly(function, *given), path)
 
 
 def _begin_child() -> None:
