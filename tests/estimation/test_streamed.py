@@ -12,16 +12,18 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import leastaction as la
 from block_helpers import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
 from leastaction.diagnosis.friction import _Late
-from leastaction.estimation import recipes, streamed
+from leastaction.estimation import observations, streamed
 from leastaction.estimation.blocks import observe
 from leastaction.estimation.candidates import score
-from leastaction.estimation.crew import DaskCrew, Held, ProcessCrew, employ
+from leastaction.estimation.crew import DaskCrew, ProcessCrew, employ
+from leastaction.estimation.files import Held
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
@@ -43,7 +45,7 @@ def processes():
 def crew(request, monkeypatch, processes):
     """Whoever computes; every recording is long, and a block holds one trial or two."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
+    monkeypatch.setattr(observations, "_NUMBERS", SMALL)
     return None if request.param == "alone" else processes
 
 
@@ -157,6 +159,32 @@ def test_with_coefficients_held_each_block_finds_the_curve_of_the_whole(crew):
     assert costs[1] == pytest.approx(reached, abs=0.05)
 
 
+@pytest.mark.parametrize("seed", [10, 26, 33])
+def test_a_curve_that_noise_has_bent_finds_to_equations_that_hold_exactly(crew, seed):
+    """Near its upper equilibrium a pendulum falls either way: half a radian of noise hides which."""
+    rng = np.random.default_rng(seed)
+    angle, rate = 3.0 + 0.1 * rng.standard_normal(), 0.3 * rng.standard_normal()
+    t = np.arange(0.0, 10.0, 0.02)
+    swing = solve_ivp(
+        lambda _, y: [y[1], -9.81 * np.sin(y[0])],
+        (0.0, 10.0),
+        [angle, rate],
+        t_eval=t,
+        rtol=1e-10,
+        atol=1e-10,
+    )
+    noisy = swing.y[0][:, None] + 0.5 * rng.standard_normal((t.size, 1))
+    grid = uniform_grid([10.0], 25.0, 5, 1)
+    basis, rough = grid.design([t], 0), np.diff(np.eye(grid.n_ctrl), 3, axis=0)
+    start = np.linalg.solve((basis.T @ basis).toarray() + 0.1 * rough.T @ rough, basis.T @ noisy)
+    physics = Physics(euler_lagrange(["theta_dot**2", "cos(theta)"], ["theta"]), np.zeros(2, bool), None)
+    seen = observe(grid, [t], [noisy], crew=crew)
+    weights = WEIGHTS.__class__(np.array([0.5]), np.array([1e8]), np.array([1e-3]))
+    law = np.array([0.5, 9.81])
+    found = seen.relaxed(physics, weights, start, law)
+    assert linearise(seen, physics, found, law).cost(weights) < 1.2 * t.size
+
+
 def test_a_stream_whose_curve_nothing_holds_fails_as_the_whole(crew):
     _, parts, physics, control = both(crew)
     broken = WEIGHTS.__class__(WEIGHTS.noise_std, np.array([np.nan, 1.0]), WEIGHTS.slack)
@@ -268,20 +296,20 @@ def test_a_program_needs_no_guard_for_its_children(tmp_path):
 def counted_looks(monkeypatch) -> list[int]:
     """First knot intervals of blocks, each time that one is laid on its splines."""
     looked: list[int] = []
-    observe_block = recipes.Recipe.observe
+    observe_block = observations.Recipe.observe
 
     def counted(recipe):
         looked.append(recipe.intervals.start)
         return observe_block(recipe)
 
-    monkeypatch.setattr(recipes.Recipe, "observe", counted)
+    monkeypatch.setattr(observations.Recipe, "observe", counted)
     return looked
 
 
 def test_a_cluster_keeps_its_blocks(monkeypatch):
     """They are laid on the splines once, and the numbers are those of a stream."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
+    monkeypatch.setattr(observations, "_NUMBERS", SMALL)
     grid, data, physics, control = problem()
     alone = fit_joint(observe(grid, *data), physics, WEIGHTS, control, 1.05 * VALUES)
     looked = counted_looks(monkeypatch)
@@ -316,7 +344,7 @@ def peak_of(run) -> int:
 
 def test_memory_of_a_pass_does_not_grow_with_the_number_of_trials(monkeypatch):
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(recipes, "_NUMBERS", 2**14)
+    monkeypatch.setattr(observations, "_NUMBERS", 2**14)
     weights = WEIGHTS.__class__(WEIGHTS.noise_std[:2], WEIGHTS.physics, WEIGHTS.slack)
     physics = Physics(euler_lagrange(MORE[:5], ["x", "y"]), np.ones(5, dtype=bool), None)
     peaks = []
@@ -357,7 +385,7 @@ def just_too_long():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streamed, "_LONG", data.n_samples - 1)
         patch.setattr("leastaction.api.ENOUGH_SAMPLES", data.n_samples // 2)
-        patch.setattr(recipes, "_NUMBERS", 2**11)
+        patch.setattr(observations, "_NUMBERS", 2**11)
         yield data, la.discover(data, systems.compact_library("single_pendulum"))
 
 

@@ -25,12 +25,12 @@ import numpy as np
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
-from leastaction.estimation.crew import Crew, Held, Shelf, opened
+from leastaction.estimation.crew import Crew
 from leastaction.estimation.elimination import Condensed
+from leastaction.estimation.files import Held, Shelf, opened
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations
-from leastaction.estimation.recipes import Recipe
+from leastaction.estimation.observations import Observations, Recipe
 from leastaction.estimation.volume import Volume, add_volumes
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -38,6 +38,7 @@ __all__ = ["StreamedObservations", "is_long"]
 
 _LONG = 100_000  # samples: structures are searched on fewer
 _TOGETHER = 8  # blocks of one task: to hand over each by itself took 5 % of the time of two workers
+_RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of the equations
 _LEAST_TASKS = 32  # so that workers end at about the same time
 
 
@@ -330,9 +331,15 @@ def _linearised(block: _Block, point: _Point) -> Linearisation:
 
 
 def _relaxed(block: _Block, point: _Point, weights: Weights) -> np.ndarray:
-    physics = replace(point.physics, forces=opened(point.forces))
-    found = fit_joint(_seen(block), physics, weights, point.control_points, point.coefficients)
-    return found.control_points if found.usable else point.control_points
+    """The curve fitted to the equations; where it does not find to them, their weight rises in steps."""
+    physics, points = replace(point.physics, forces=opened(point.forces)), point.control_points
+    seen = _seen(block)
+    found = fit_joint(seen, physics, weights, points, point.coefficients)
+    for share in () if found.converged else _RISING:
+        eased = replace(weights, physics=share * weights.physics)
+        found = fit_joint(seen, physics, eased, points, point.coefficients)
+        points = found.control_points if found.usable else points
+    return found.control_points if found.converged else points
 
 
 def _pass(
