@@ -94,7 +94,7 @@ class BlockedObservations:
         squares, equation, terms = (_sum(c[k] for c in costs) for k in range(3))
         volume = add_volumes(c[3] for c in costs)
         return BlockedLinearisation(
-            self, blocks, squares, equation, terms, volume, physics.columns.prescribed
+            self, blocks, control_points, squares, equation, terms, volume, physics.columns.prescribed
         )
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
@@ -112,6 +112,7 @@ class BlockedLinearisation(Costs):
 
     observations: BlockedObservations
     blocks: tuple[Task, ...]
+    control_points: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
     terms: np.ndarray

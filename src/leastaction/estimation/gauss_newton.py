@@ -19,22 +19,32 @@ that cannot leave this region ends as "not finite".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from leastaction.estimation import joint
 from leastaction.estimation.candidates import score
 from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
-from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.joint import Linearisation, Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["JointFit", "Quadratic", "condense", "fit_joint", "score_candidates", "symmetric_inverse"]
+__all__ = [
+    "JointFit",
+    "Quadratic",
+    "condense",
+    "fit_joint",
+    "nearer",
+    "score_candidates",
+    "symmetric_inverse",
+]
 
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
 _MOST_IDLE = 3  # steps in turn that gain less than the tolerance
+_RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of equations that a curve does not find to at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +145,7 @@ def fit_joint(
         Never raises for numerical failure: see ``status``.
     """
     here = linearisation or linearise(observations, physics, control_points, coefficients, weights)
+    control_points = here.control_points
     cost, damping, status = here.cost(weights), 0.0, "step limit"
     if not np.isfinite(cost):
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
@@ -216,7 +227,8 @@ def _moved(
     shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
     points, coefficients = shift.reshape(start[0].shape), start[1].copy()
     coefficients[physics.free] += delta
-    return points, coefficients, linearise(observations, physics, points, coefficients, weights)
+    there = linearise(observations, physics, points, coefficients, weights)
+    return there.control_points, coefficients, there
 
 
 def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -240,6 +252,28 @@ def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np
         return symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
     except np.linalg.LinAlgError:
         return np.full(known_scale.shape, np.nan), None
+
+
+def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:
+    """The same coefficients at the best curve of some trials; None where none is found that costs less.
+
+    Noise may bend a curve so far that it does not find to equations that hold nearly exactly.  Then their
+    weight rises in steps.
+    """
+    grid, held = at.observations.grid, replace(at.physics, free=np.zeros_like(at.physics.free))
+    # of what the volume term weighs in the whole, these trials have a share
+    weights = replace(weights, slack=grid.n_intervals / grid.total * weights.slack)
+
+    def fitted(points: np.ndarray, share: float) -> JointFit:
+        eased = replace(weights, physics=share * weights.physics)
+        return fit_joint(at.observations, held, eased, points, at.coefficients)
+
+    found, points = fitted(at.control_points, 1.0), at.control_points
+    for share in () if found.converged else _RISING:
+        found = fitted(points, share)
+        points = found.control_points if found.usable else points
+    there = joint.linearise(at.observations, at.physics, found.control_points, at.coefficients)
+    return there if there.cost(weights) < at.cost(weights) else None
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")

@@ -28,6 +28,8 @@ class Linearised(Protocol):
     """The problem linearised at one point; see :class:`leastaction.estimation.joint.Linearisation`."""
 
     @property
+    def control_points(self) -> np.ndarray: ...
+    @property
     def squares(self) -> np.ndarray: ...
     @property
     def equation(self) -> np.ndarray: ...
@@ -84,7 +86,8 @@ def linearise(
 ) -> Linearised:
     """Linearise the joint problem at (P, λ), in one piece or in blocks of trials.
 
-    With ``weights`` the system at these weights will be wanted next: a stream makes it in the same pass.
+    With ``weights`` the system at these weights will be wanted next: a stream makes it in the same pass, and
+    leads on what is far from its best curve (see ``control_points`` of the result).
     """
     if isinstance(observations, Observations):
         return joint.linearise(observations, physics, control_points, coefficients)

@@ -28,7 +28,7 @@ from leastaction.estimation.candidates import CandidateBorder
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.elimination import Condensed
 from leastaction.estimation.files import Held, Shelf, opened
-from leastaction.estimation.gauss_newton import fit_joint
+from leastaction.estimation.gauss_newton import nearer
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations, Recipe
 from leastaction.estimation.volume import Volume, add_volumes
@@ -38,7 +38,7 @@ __all__ = ["StreamedObservations", "is_long"]
 
 _LONG = 100_000  # samples: structures are searched on fewer
 _TOGETHER = 8  # blocks of one task: to hand over each by itself took 5 % of the time of two workers
-_RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of the equations
+_FAR = 0.1  # a sample: a block is led on that its own step promises to lower the cost by so much
 _LEAST_TASKS = 32  # so that workers end at about the same time
 
 
@@ -63,7 +63,7 @@ class _Point(NamedTuple):
 class _Passed(NamedTuple):
     """What a pass keeps of a block; no system where H is not positive definite, or none was asked for.
 
-    ``shelf`` is where the solution of the system is, if not there.
+    ``shelf`` is where the solution of the system is, if not there; ``control_points`` are new ones.
     """
 
     squares: np.ndarray
@@ -72,6 +72,7 @@ class _Passed(NamedTuple):
     volume: Volume
     system: Condensed | None
     shelf: Shelf | None = None
+    control_points: np.ndarray | None = None
 
 
 class StreamedObservations:
@@ -128,34 +129,31 @@ class StreamedObservations:
         coefficients: np.ndarray,
         weights: Weights | None = None,
     ) -> StreamedLinearisation:
-        """The joint problem linearised, and with weights its system eliminated, in one pass."""
+        """The joint problem linearised, and with weights its system eliminated, in one pass.
+
+        A step has to be as short as the worst block allows: one trial of thousands whose curve was far from
+        where it belongs held up all others.  With weights the curve of such a block is led on by itself.
+        """
         at = self._points_of(physics, control_points, coefficients)
-        found = self.passed([(point, weights, 0.0) for point in at])
-        out = StreamedLinearisation(
+        found = self.passed([(point, weights, 0.0, True) for point in at])
+        led = {k: part.control_points for k, part in enumerate(found) if part.control_points is not None}
+        if led:
+            control_points = control_points.copy()
+            for k, points in led.items():
+                control_points[self.points[k]] = points
+            at = self._points_of(physics, control_points, coefficients)
+            found = [part._replace(control_points=None) for part in found]
+        return StreamedLinearisation(
             self,
             at,
+            control_points,
             _total(part.squares for part in found),
             _total(part.equation for part in found),
             _total(part.terms for part in found),
             add_volumes(part.volume for part in found),
             physics.columns.prescribed,
+            None if weights is None else (weights, tuple(found)),
         )
-        if weights is None:
-            return out
-        return replace(out, ahead=(weights, tuple(found)))
-
-    def relaxed(
-        self, physics: Physics, weights: Weights, control_points: np.ndarray, coefficients: np.ndarray
-    ) -> np.ndarray:
-        """Control points fitted block by block; ``physics`` holds the coefficients.
-
-        One step for all blocks has to be as short as the worst of them allows: a single trial whose start is
-        bad held up thousands.
-        """
-        at = self._points_of(physics, control_points, coefficients)
-        lengths = np.array([part.stop - part.start for part in self.intervals])
-        own = [replace(weights, slack=share * weights.slack) for share in lengths / lengths.sum()]
-        return np.concatenate(self.each(_relaxed, list(zip(at, own, strict=True))))
 
     def _points_of(
         self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
@@ -184,6 +182,7 @@ class StreamedLinearisation(Costs):
 
     observations: StreamedObservations
     at: tuple[_Point, ...]
+    control_points: np.ndarray
     squares: np.ndarray
     equation: np.ndarray
     terms: np.ndarray
@@ -245,7 +244,7 @@ class StreamedSystem:
         parts = None if damping else self.ready
         if parts is None:
             parts = tuple(
-                self.at.observations.passed([(point, self.weights, damping) for point in self.at.at])
+                self.at.observations.passed([(p, self.weights, damping, False) for p in self.at.at])
             )
         whole = [part.system for part in parts if part.system is not None]
         if len(whole) < len(parts):
@@ -330,33 +329,36 @@ def _linearised(block: _Block, point: _Point) -> Linearisation:
     return linearise(_seen(block), physics, point.control_points, point.coefficients)
 
 
-def _relaxed(block: _Block, point: _Point, weights: Weights) -> np.ndarray:
-    """The curve fitted to the equations; where it does not find to them, their weight rises in steps."""
-    physics, points = replace(point.physics, forces=opened(point.forces)), point.control_points
-    seen = _seen(block)
-    found = fit_joint(seen, physics, weights, points, point.coefficients)
-    for share in () if found.converged else _RISING:
-        eased = replace(weights, physics=share * weights.physics)
-        found = fit_joint(seen, physics, eased, points, point.coefficients)
-        points = found.control_points if found.usable else points
-    return found.control_points if found.converged else points
-
-
 def _pass(
-    block: _Block, point: _Point, weights: Weights | None, damping: float, shelf: Shelf | None
+    block: _Block, point: _Point, weights: Weights | None, damping: float, lead: bool, shelf: Shelf | None
 ) -> _Passed:
-    at, system = _linearised(block, point), None
-    if weights is None:
-        return _Passed(at.squares, at.equation, at.terms, at.at_mass, None)
+    at = _linearised(block, point)
+    found = _summed(at, weights, damping, shelf)
+    if lead and weights is not None and _is_far(at, found.system):
+        there = nearer(at, weights)
+        if there is not None:
+            return _summed(there, weights, damping, shelf)._replace(control_points=there.control_points)
+    return found
+
+
+def _summed(at: Linearisation, weights: Weights | None, damping: float, shelf: Shelf | None) -> _Passed:
+    found = _Passed(at.squares, at.equation, at.terms, at.at_mass, None)
     try:
-        system = at.normal(weights).condense(damping)
+        system = None if weights is None else at.normal(weights).condense(damping)
     except np.linalg.LinAlgError:
-        return _Passed(at.squares, at.equation, at.terms, at.at_mass, None)
+        return found
+    if system is None:
+        return found
     # single precision: a step needs no more
     solution = system.solution.astype(np.float32)
     shelf = shelf if shelf is not None and shelf.put(solution) else None
     system = system._replace(solution=np.empty((0, 0)) if shelf else solution)  # no view: it would stay
-    return _Passed(at.squares, at.equation, at.terms, at.at_mass, system, shelf)
+    return found._replace(system=system, shelf=shelf)
+
+
+def _is_far(at: Linearisation, system: Condensed | None) -> bool:
+    """Whether the curve, with coefficients held, is far from where its cost is least."""
+    return system is None or system.reach[0] > _FAR * at.observations.counts.sum()
 
 
 def _residuals(block: _Block, points: np.ndarray) -> list[np.ndarray]:

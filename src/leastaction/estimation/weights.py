@@ -25,7 +25,6 @@ from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Measurements, linearise
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.estimation.streamed import StreamedObservations
 
 __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
@@ -227,10 +226,9 @@ def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tup
     Returns the new start and the evidence at the old weights; −inf when the fit failed.
     """
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
-    points = start.control_points
-    if isinstance(observations, StreamedObservations):
-        points = observations.relaxed(held, start.weights, points, start.coefficients)
-    fit = fit_joint(observations, held, start.weights, points, start.coefficients, tolerance=1.0)
+    fit = fit_joint(
+        observations, held, start.weights, start.control_points, start.coefficients, tolerance=1.0
+    )
     if not fit.converged:
         return start, -np.inf
     try:
