@@ -18,6 +18,7 @@ from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_p
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.groups import Grouping
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.profile import profiled
 from leastaction.findings import doubtful, find
@@ -25,6 +26,7 @@ from leastaction.library import Library
 from leastaction.model.model import LagrangianModel
 from leastaction.selection.alternatives import find_alternatives
 from leastaction.selection.descent import run_descent
+from leastaction.selection.groups import search_groups
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
@@ -52,6 +54,7 @@ def discover(
     relevance: float = 0.05,
     seed: int = 0,
     shapes: Mapping[str, tuple[float, float]] | None = None,
+    groups: Mapping[str, object] | Iterable[object] | None = None,
     options: AdamOptions | Mapping[str, object] | None = None,
     progress: Progress | None = None,
     workers: int | Any = None,
@@ -112,6 +115,12 @@ def discover(
         Ranges of shape parameters: unknown numbers inside candidates, named in braces, as in
         ``exp(-{a}*x)`` or ``sqrt((x-{p})**2+(y-{r})**2)``. A parameter stays within its range; without
         one, the data suggest where to look. Several terms may share a parameter.
+    groups : iterable, or mapping of str, optional
+        Of each trajectory the name of its group, in a row or by the trajectories' names: recordings with and
+        without a payload, at several temperatures, with other springs. Which coefficients differ between
+        them is found, and by how much: ``model.groups``; all others are shared. ``model`` itself has the
+        coefficients of the group that is named first, ``model.of_group(name)`` those of another. There is
+        no trade-off curve then. Not with slow forces, shape parameters or ``method="adam"``.
     options : AdamOptions or mapping, optional
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
@@ -158,9 +167,11 @@ def discover(
     clock = Clock(progress)
     clock.start("prepare")
     trajectories = Trajectories.coerce(trajectories)
+    grouping = None if groups is None else Grouping.of(groups, trajectories)
     prescribed = _texts(prescribed)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
     _refuse_slow_forces(slow, descent)
+    _refuse_groups(grouping, slow, descent)
     request = Request(
         library,
         known or {},
@@ -185,7 +196,10 @@ def discover(
             report=clock.report,
         )
         _check_columns(setup, search.grid)
-        search = run_descent(search, settings) if descent else run_search(search)
+        if grouping is not None:
+            search = search_groups(setup, search, grouping)
+        else:
+            search = run_descent(search, settings) if descent else run_search(search)
         _refuse_nothing(search.found)
         clock.start("verify")
         search = search if search.stopped else search.now(profiled(search.found))
@@ -193,7 +207,10 @@ def discover(
         verdict = verify(search, alternatives)
         clock.stop()
         given = _given(method, request, setup, search, settings if descent else None)
-        return assemble_model(setup, search, verdict, alternatives, given, clock.timings)
+        if grouping is not None:
+            given["groups"] = [grouping.names[place] for place in grouping.places]
+        shown = alternatives if grouping is None else ()
+        return assemble_model(setup, search, verdict, shown, given, clock.timings)
 
 
 def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bool, whole: bool) -> Setup:
@@ -217,6 +234,12 @@ def _refuse_slow_forces(slow: Mapping[int, float], descent: bool) -> None:
         raise InputError(
             "method 'adam' takes forces as they are: a force_offset that changes needs the default"
         )
+
+
+def _refuse_groups(grouping: Grouping | None, slow: Mapping[int, float], descent: bool) -> None:
+    if grouping is not None and (slow or descent):
+        what = "method 'adam'" if descent else "a force_offset that changes"
+        raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
 
 
 def _refuse_nothing(fit: Fit) -> None:

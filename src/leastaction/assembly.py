@@ -10,8 +10,10 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.groups import GroupedColumns, GroupTerm
 from leastaction.findings import find, status_of
 from leastaction.model.diagnostics import Diagnostics, PathPoint, pareto
+from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 from leastaction.selection.alternatives import Alternative
@@ -58,11 +60,12 @@ def assemble_model(
         pareto=pareto(points),
     )
     terms = _terms(fit)
+    unknown = bool(np.isnan(fit.covariance).any())
     return LagrangianModel(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
-        None if np.isnan(fit.covariance).any() else _covariance(fit),
+        None if unknown else _covariance(fit),
         fit.weights.position_std,
         FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
@@ -75,12 +78,30 @@ def assemble_model(
         },
         diagnostics,
         _shapes(fit),
+        _groups(fit, unknown),
     )
 
 
 def _covariance(fit: Fit) -> np.ndarray:
-    """Of the members' coefficients, then of the shape parameters."""
-    return fit.covariance if fit.shapes is None else fit.shapes.covariance
+    """Of the members' coefficients, then of the shape parameters; not of differences between groups."""
+    if fit.shapes is not None:
+        return fit.shapes.covariance
+    n_own = sum(not isinstance(fit.problem.terms[k], GroupTerm) for k in fit.structure)
+    return fit.covariance[:n_own, :n_own]
+
+
+def _groups(fit: Fit, unknown: bool) -> Groups | None:
+    """What differs between groups of trials; its terms are the last of the structure."""
+    columns = fit.problem.candidates
+    if not isinstance(columns, GroupedColumns):
+        return None
+    found = zip(fit.structure, fit.estimates.tolist(), fit.standard_errors.tolist(), strict=True)
+    differences = [
+        GroupDifference(term.whole.text, columns.names[term.group], value, error, term.kind)
+        for k, value, error in found
+        if isinstance(term := fit.problem.terms[k], GroupTerm)
+    ]
+    return Groups(columns.names, tuple(differences), None if unknown else fit.covariance)
 
 
 def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:
@@ -104,7 +125,7 @@ def _terms(fit: Fit) -> list[tuple[str, ModelTerm]]:
     out = []
     for k, term in enumerate(fit.problem.terms):
         is_known = bool(fit.problem.is_known[k])
-        if is_known or k in errors:
+        if (is_known or k in errors) and not isinstance(term, GroupTerm):
             value = float(fit.coefficients[k])
             template = "" if term.template is None else term.template.term.text
             out.append((term.kind, ModelTerm(term.text, value, errors.get(k, 0.0), is_known, template)))

@@ -70,8 +70,10 @@ def _excluded(chosen: Structure, rival: Structure, outside: int) -> float:
 def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
     """The state, up to three times as far out as recorded, at which the accelerations differ most.
 
-    Empty if they differ nowhere.
+    Empty if they differ nowhere, or are laws of groups of trials.
     """
+    if fit.problem.candidates.grouped:
+        return {}
     spline = fit.grid.spline
     some = slice(None, None, max(1, spline.n_intervals // _STATES))
     q, qdot, qddot = (s[:, 0] for s in spline.at_quadrature(fit.control_points, some))

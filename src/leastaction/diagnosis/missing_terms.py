@@ -13,6 +13,7 @@ from math import comb
 import numpy as np
 
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.groups import GroupTerm
 from leastaction.findings import Finding, find
 from leastaction.library import Library, Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -94,7 +95,7 @@ def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | 
 
 def common_terms(columns: EulerLagrange, size: str) -> list[Term]:
     """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
-    given = [term for term in columns.terms if term.kind == "lagrangian"]
+    given = [t for t in columns.terms if t.kind == "lagrangian" and not isinstance(t, GroupTerm)]
     together = [columns.coordinates]
     if len(columns.coordinates) > _MOST_TOGETHER:
         together = [(name,) for name in columns.coordinates]

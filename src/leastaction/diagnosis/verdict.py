@@ -20,6 +20,7 @@ from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.time_dependence import time_dependence
 from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
@@ -95,13 +96,14 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += rival_warnings(effects, alternatives)
     found += _open_scales(fit) + _mass_matrix(fit)
     found += _friction(search)
-    found += _whiteness(fit) + _zero_offsets(fit)
+    found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
     to_its_end = look_for_causes and not search.stopped
     if to_its_end and inexact(found):
         found += _form(search, exact=not doubtful(found))
-    if to_its_end and not doubtful(f for f in found if f.code not in _OPEN):
+    grouped = fit.problem.candidates.grouped
+    if to_its_end and not grouped and not doubtful(f for f in found if f.code not in _OPEN):
         found += free_scales(fit)
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
@@ -117,7 +119,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     known = wrong_known(fit) if usable else []
     found: list[Finding] = []
     short = fit.problem.trajectories.n_samples <= MOST_SAMPLES
-    if off and short and not any(cause.holds for cause in known):
+    again = short and not fit.problem.candidates.grouped  # a new search has one law for all trials
+    if off and again and not any(cause.holds for cause in known):
         # what needs no further term comes first
         found = exchanged_forces(search) or search_afresh(search)
         found = found or lacking_family(search) or time_dependence(search)
@@ -143,7 +146,9 @@ def _form(search: Search, exact: bool) -> list[Finding]:
     """
     relevance = search.relevance if exact else max(search.relevance, DIAGNOSIS.part_of_error)
     doubts = doubts_about_the_form(search.found, relevance)
-    imitated = [named_family(d, search) for d in doubts if d.code == "form-imitated"]
+    imitated = [d for d in doubts if d.code == "form-imitated"]
+    if not search.found.problem.candidates.grouped:  # a search for a family has one law for all trials
+        imitated = [named_family(d, search) for d in imitated]
     return imitated or (doubts if exact else [])
 
 
@@ -282,11 +287,41 @@ def _friction(search: Search) -> list[Finding]:
     return [find("negative-dissipation", search.problem.terms[m].text) for m in search.feeding]
 
 
+def _between_groups(fit: Fit) -> list[Finding]:
+    """What differs between groups of trials, and what it is relative to where no force is known."""
+    problem, columns = fit.problem, fit.problem.candidates
+    if not isinstance(columns, GroupedColumns):
+        return []
+    own = [
+        (problem.terms[k], *n)
+        for k, *n in zip(fit.structure, fit.estimates, fit.standard_errors, strict=True)
+    ]
+    differing = [(term, *numbers) for term, *numbers in own if isinstance(term, GroupTerm)]
+    subject = list(dict.fromkeys(term.whole.text for term, *_ in differing))
+    figures = {
+        "groups": list(columns.names),
+        "terms": [term.text for term, *_ in differing],
+        "differences": [value for _, value, _ in differing],
+        "standard_errors": [error for *_, error in differing],
+        "alike": [
+            term.text for term, *_ in own if not isinstance(term, GroupTerm) and term.text not in subject
+        ],
+    }
+    out = [find("groups-differ", subject, **figures) if differing else find("groups-alike", **figures)]
+    known = [
+        term.text for term, value in zip(problem.terms, np.nan_to_num(problem.known), strict=True) if value
+    ]
+    parts = [problem.trajectories.select(trials) for trials, *_ in laws(fit)]
+    passive = [name for name, part in zip(columns.names, parts, strict=True) if not part.driven]
+    return [*out, find("groups-known", known, groups=passive)] if known and passive else out
+
+
 def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes: list[Finding] = []
     present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
-    terms = {fit.problem.terms[k].expr: float(fit.coefficients[k]) for k in present}
+    found = ((fit.problem.terms[k], float(fit.coefficients[k])) for k in present)
+    terms = {term.expr: coefficient for term, coefficient in found if not isinstance(term, GroupTerm)}
     for expression, coefficient in terms.items():
         for cosine in expression.atoms(sp.cos):
             if time_symbol in cosine.free_symbols:  # a phase, not the zero of an angle

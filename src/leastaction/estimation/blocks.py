@@ -148,7 +148,7 @@ class BlockedLinearisation(Costs):
                 block,
                 weights,
                 (curve[0][points], curve[1]),
-                columns,
+                columns.within(intervals),
                 candidates.within(intervals),
             )
             for block, points, intervals in zip(self.blocks, seen.points, seen.intervals, strict=True)

@@ -139,36 +139,37 @@ class WithPushes(EulerLagrange):
 
     def __init__(self, columns: EulerLagrange, pushes: Pushes) -> None:
         super().__init__(columns.terms, columns.coordinates, columns.prescribed)
-        self.pushes = pushes
+        self.own, self.pushes = columns, pushes
 
     def __len__(self) -> int:
         return len(self.terms) + len(self.pushes)
 
     def within(self, intervals: slice) -> EulerLagrange:
-        return WithPushes(self, self.pushes.within(intervals))
+        return WithPushes(self.own.within(intervals), self.pushes.within(intervals))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        columns = EulerLagrange(self.terms, self.coordinates, self.prescribed)
-        return type(self), (columns, self.pushes)
+        return type(self), (self.own, self.pushes)
 
     def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
-        own = EulerLagrange.strong(self, points, range(len(self.terms)))
+        own = self.own.strong(points)
         if points.intervals is None:
             raise ValueError("forces are known at the quadrature points only")
         return np.concatenate([own, self.pushes.on(points.intervals, self.n_dof)])
 
     def jacobian(self, points: Points, coefficients: np.ndarray):
-        return super().jacobian(points, coefficients[: len(self.terms)])
+        return self.own.jacobian(points, coefficients[: len(self.terms)])
 
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
-        return super().mass_matrix(points, coefficients[: len(self.terms)])
+        return self.own.mass_matrix(points, coefficients[: len(self.terms)])
 
     def mass_of(self, k: int, points: Points) -> np.ndarray:
         if k < len(self.terms):
-            return super().mass_of(k, points)
+            return self.own.mass_of(k, points)
         return np.zeros((points.n_points, self.n_dof, self.n_dof))
+
+    def masses(self, points: Points) -> tuple[list[int], np.ndarray]:
+        return self.own.masses(points)
 
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Terms only are left out: pushes are always free."""
-        terms = [k for k in select if k < len(self.terms)]
-        return WithPushes(super().subset(terms), self.pushes)
+        return WithPushes(self.own.subset([k for k in select if k < len(self.terms)]), self.pushes)

@@ -27,7 +27,7 @@ def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Poi
 def first_points(grid: SplineGrid, control_points: np.ndarray, chunk: slice = slice(None)) -> Points:
     """States at the first quadrature point of each of some knot intervals."""
     q, qdot, qddot = (s[:, 0] for s in grid.at_quadrature(control_points, chunk))
-    return Points(q, qdot, qddot, lambda: grid.points[chunk, 0])
+    return Points(q, qdot, qddot, lambda: grid.points[chunk, 0], intervals=chunk)
 
 
 def by_interval(values: np.ndarray, out: np.ndarray) -> None:

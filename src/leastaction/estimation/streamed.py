@@ -209,9 +209,9 @@ class StreamedLinearisation(Costs):
         weights, _, columns, candidates = given
         seen = self.observations
         own = [candidates.within(intervals) for intervals in seen.intervals]
-        parts = seen.each(
-            _score, [(point, score, weights, columns, c) for point, c in zip(self.at, own, strict=True)]
-        )
+        chosen = [columns.within(intervals) for intervals in seen.intervals]
+        given_each = zip(self.at, chosen, own, strict=True)
+        parts = seen.each(_score, [(point, score, weights, *both) for point, *both in given_each])
 
         def border(step: np.ndarray) -> np.ndarray:
             asked = [(point, weights, c, step) for point, c in zip(self.at, own, strict=True)]

@@ -15,11 +15,14 @@ from leastaction.findings.templates import (
     Message,
     another_structure,
     converted_units,
+    correlated,
     equations_off,
     fill,
     friction,
+    groups_differ,
     late_forces,
     rate_scaled,
+    smoothed,
     time_unit,
     wrong_known,
     wrong_known_remedy,
@@ -79,16 +82,6 @@ def _competing_remedy(f: dict[str, Any]) -> str:
     at = [f"{name} = {value:.2g}" for name, value in zip(f["at_names"], f["at_values"], strict=True)]
     where = f", e.g. through {', '.join(at)}" if at else ""
     return f"record motions in which they differ{where}, or leave one of them out"
-
-
-def _smoothed(f: dict[str, Any]) -> str:
-    below = [f"{name} below {width:g}" for name, width in zip(f["subject"], f["widths"], strict=True)]
-    return f"abs() of velocities is smoothed ({', '.join(below)})"
-
-
-def _correlated(f: dict[str, Any]) -> str:
-    what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
-    return fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
 
 
 def _slow_force(f: dict[str, Any]) -> str:
@@ -297,7 +290,7 @@ CODES: dict[str, Message] = {
         "{count} samples of {subject} ({share:.2g%}) are outliers, more than {far:g} standard deviations off "
         "the motion and alone there; they are left out",
     ),
-    "friction-smoothed": Message("note", _smoothed),
+    "friction-smoothed": Message("note", smoothed),
     "undefined-candidates": Message(
         "note", "candidates that are undefined somewhere along the data were left out: {subject}"
     ),
@@ -315,7 +308,7 @@ CODES: dict[str, Message] = {
     ),
     "correlated-residuals": Message(
         "note",
-        _correlated,
+        correlated,
         "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
     "mode-scale": Message(
@@ -324,6 +317,13 @@ CODES: dict[str, Message] = {
         "be any number, with the same accelerations",
         "natural frequencies, damping ratios and mode shapes do not depend on it (linearise); a known "
         "coefficient or force for each mode fixes it",
+    ),
+    "groups-differ": Message("note", groups_differ),
+    "groups-alike": Message("note", "no coefficient differs between the groups {groups}, within its error"),
+    "groups-known": Message(
+        "note",
+        "in {groups} no force is known, and {subject} was taken to have one coefficient in all groups: "
+        "differences are relative to it, and what multiplies every coefficient of a group does not show",
     ),
     "zero-offset": Message("note", zero_offset),
     "stopped-early": Message(

@@ -19,11 +19,14 @@ __all__ = [
     "another_structure",
     "because",
     "converted_units",
+    "correlated",
     "equations_off",
     "fill",
     "friction",
+    "groups_differ",
     "late_forces",
     "rate_scaled",
+    "smoothed",
     "statements",
     "time_unit",
     "wrong_known",
@@ -255,3 +258,30 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
         forecast = fill("free runs over {horizon:.2g} s are off by {error:.2g%} of the spread", followed)
     equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
     return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
+
+
+def smoothed(f: dict[str, Any]) -> str:
+    """Where the absolute values of velocities have no kink."""
+    below = [f"{name} below {width:g}" for name, width in zip(f["subject"], f["widths"], strict=True)]
+    return f"abs() of velocities is smoothed ({', '.join(below)})"
+
+
+def correlated(f: dict[str, Any]) -> str:
+    """Words for residuals that are no white noise."""
+    what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
+    return fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
+
+
+def groups_differ(f: dict[str, Any]) -> str:
+    """By how much each differs, and how many do not."""
+    numbers = zip(f["terms"], f["differences"], f["standard_errors"], strict=True)
+    changes = ", ".join(f"{term} by {value:+.3g} ± {error:.2g}" for term, value, error in numbers)
+    same = f"; {len(f['alike'])} others do not" if f["alike"] else ""
+    what = (
+        "the coefficient of {subject} differs"
+        if len(f["subject"]) == 1
+        else "the coefficients of {subject} differ"
+    )
+    return fill(
+        what + " between the groups {groups} ({changes}){same}", {**f, "changes": changes, "same": same}
+    )

@@ -21,7 +21,8 @@ class Points:
     times : (n_points,) array or function that makes it, optional
         In seconds; only candidates that hold the time ask for them.
     intervals : slice, optional
-        Knot intervals whose quadrature points these are: first point of each, then second point of each, …
+        Knot intervals whose quadrature points these are: first point of each, then second point of each, …;
+        or of each the first point alone.
     """
 
     def __init__(

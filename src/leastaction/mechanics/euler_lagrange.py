@@ -206,6 +206,9 @@ class EulerLagrange:
         others, with a one for each of them.
     """
 
+    grouped = False
+    """Whether some columns act in some of the trials alone."""
+
     def __init__(
         self, terms: Sequence[Term], coordinates: Sequence[str], prescribed: Sequence[int] = ()
     ) -> None:

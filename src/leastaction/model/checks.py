@@ -16,6 +16,7 @@ from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, names_in_terms, quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import make_term, parse_expression
+from leastaction.model.groups import Groups
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
             f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
         )
     _check_provenance(model.provenance)
+    _check_groups(model.groups, n_free)
     return {
         "coordinates": coordinates,
         "terms": terms,
@@ -74,6 +76,19 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
 def _check_fit(fit: object) -> None:
     if not isinstance(fit, FitSummary):
         raise InputError(f"fit is of type {type(fit).__name__}; expected a FitSummary")
+
+
+def _check_groups(groups: object, n_free: int) -> None:
+    if groups is None:
+        return
+    if not isinstance(groups, Groups):
+        raise InputError(f"groups is {quoted(groups)}; expected Groups or None")
+    size = n_free + len(groups.differences)
+    if groups.covariance is not None and len(groups.covariance) != size:
+        raise InputError(
+            f"groups has a covariance of {len(groups.covariance)} rows; expected {size}, one for each free "
+            "coefficient and each difference"
+        )
 
 
 def _check_provenance(provenance: object) -> None:

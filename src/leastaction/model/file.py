@@ -17,10 +17,14 @@ Schema 2, where ``null`` stands for "not available"::
      "provenance": {anything that is JSON: version, options, hash of the data},
      "shapes": [{"name": text, "value": number, "standard_error": number or null,
                  "profile": [[number, rise of −2 log likelihood], ...]}, ...],     profile: optional
+     "groups": {"names": [text, ...],   of groups of trials; the terms above are those of the first
+                "differences": [{"expression": text, "kind": "lagrangian" or "dissipation", "group": text,
+                                 "difference": number, "standard_error": number or null}, ...],
+                "covariance": [[...], ...]},       of the free coefficients, then of the differences; optional
      "covariance": [[...], ...]}        of the free coefficients, terms before dissipation, then shapes
 
-``shapes`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression with shape
-parameters in braces.
+``shapes``, ``groups`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression
+with shape parameters in braces.
 
 ``fit.warnings`` repeats the findings of that severity in sentences, and ``fit.statements`` says what they
 leave of structure, equations and forecast, for scripts that want no more; neither is read.  In schema 1 the
@@ -44,6 +48,7 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_array, is_collection, is_list, is_mapping, is_scalar
+from leastaction.model.groups import Groups
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, as_float
 
 if TYPE_CHECKING:
@@ -79,6 +84,8 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
     }
     if model.shapes:
         document["shapes"] = [_encode_shape(shape) for shape in model.shapes]
+    if model.groups is not None:
+        document["groups"] = model.groups.to_dict()
     if model.covariance is not None:
         document["covariance"] = model.covariance.tolist()
     return document
@@ -234,7 +241,7 @@ def fields(document: Any) -> dict[str, Any]:
     if not is_mapping(document) or "schema" not in document:
         raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
-    _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes"))
+    _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes", "groups"))
     coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)
     for i, name in enumerate(coordinates):
         _text(name, f"coordinates[{i}]")
@@ -250,6 +257,9 @@ def fields(document: Any) -> dict[str, Any]:
         "fit": _fit(document["fit"], document["schema"]),
         "provenance": plain_json(provenance, "provenance"),
         "shapes": _shapes(document.get("shapes", [])),
+        "groups": None
+        if document.get("groups") is None
+        else Groups.from_dict(document["groups"], 2 * MAX_TERMS),
     }
 
 

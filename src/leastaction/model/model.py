@@ -20,6 +20,7 @@ from leastaction.model import checks
 from leastaction.model import file as model_file
 from leastaction.model import text as model_text
 from leastaction.model.constants import SimpleConstants, find_simple_constants
+from leastaction.model.groups import Grouped, Groups
 from leastaction.model.linear import Resting
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
@@ -34,7 +35,7 @@ __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LagrangianModel(model_text.Written, Resting):
+class LagrangianModel(model_text.Written, Resting, Grouped):
     r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t) with numbers and their errors.
 
     The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
@@ -56,6 +57,8 @@ class LagrangianModel(model_text.Written, Resting):
         What the discovery left behind; it is not saved.
     shapes : sequence of ShapeParameter
         Unknown numbers inside terms, as found; the expressions hold them already.
+    groups : Groups, optional
+        What differs between groups of trials; the terms are those of the first, see `of_group`.
 
     Raises
     ------
@@ -83,6 +86,7 @@ class LagrangianModel(model_text.Written, Resting):
     provenance: Mapping[str, Any] = field(default_factory=dict[str, Any])
     diagnostics: Diagnostics | None = None
     shapes: tuple[ShapeParameter, ...] = ()
+    groups: Groups | None = None
 
     def __post_init__(self) -> None:
         for name, value in checks.checked_fields(self).items():

@@ -60,12 +60,14 @@ class Written:
         return cast("LagrangianModel", self)
 
     def table(self) -> pd.DataFrame:
-        """Coefficients with their errors; shape parameters come last, under their names in braces.
+        """Coefficients with their errors; then shape parameters, under their names in braces, and differences
+        between groups of trials, such as ``x_dot**2 in payload``.
 
         Returns
         -------
         pandas.DataFrame
-            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation" or "shape"), ``coefficient``,
+            Index ``expression``; columns ``kind`` ("lagrangian", "dissipation", "shape" or "difference"),
+            ``coefficient``,
             ``standard_error``, ``lower`` and ``upper`` (95 % interval), ``z`` (NaN if known), ``known``.
 
         Raises
@@ -130,6 +132,7 @@ def _estimates(model: LagrangianModel) -> Iterator[tuple[str, ModelTerm]]:
     yield from (("lagrangian", term) for term in model.terms)
     yield from (("dissipation", term) for term in model.dissipation)
     yield from (("shape", shape.as_term()) for shape in model.shapes)
+    yield from (("difference", d.as_term()) for d in (model.groups.differences if model.groups else ()))
 
 
 def table(model: LagrangianModel) -> str:

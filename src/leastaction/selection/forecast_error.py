@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import sympy as sp
 
 from leastaction.curve.knots import excerpt
+from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.groups import laws
 from leastaction.mechanics.equations import Mechanics
 from leastaction.selection.settings import SELECTION
 from leastaction.simulation.forecast import forecast
@@ -20,26 +25,34 @@ _JUDGED = 12_000  # samples along which is simulated
 
 def forecast_error(fit: Fit, horizon: float) -> float:
     """Root mean square simulation error over standard deviation, runs that are lost counted as one."""
-    problem = fit.problem
-    data = excerpt(problem.trajectories, _JUDGED)
-    values = [sp.Float(float(value)) for value in fit.coefficients]
-    mechanics = Mechanics.of_terms(problem.terms, values, data.coordinates, prescribed=problem.prescribed)
+    apart = laws(fit)
+    most = _JUDGED // len(apart)
+    try:
+        parts = [
+            _errors(fit, horizon, excerpt(fit.problem.trajectories.select(t), most), law) for t, *law in apart
+        ]
+    except InputError:  # too short for a simulation
+        return np.inf
+    errors = np.concatenate(parts)
+    return float(np.sqrt(np.mean(np.minimum(errors, 1.0) ** 2)))
+
+
+def _errors(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) -> np.ndarray:
+    """Those of every simulation along data that obey one law."""
+    (terms, coefficients), problem = law, fit.problem
+    values = [sp.Float(float(value)) for value in coefficients]
+    mechanics = Mechanics.of_terms(terms, values, data.coordinates, prescribed=problem.prescribed)
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
-    noise = fit.weights.position_std
-    try:
-        result = forecast(
-            mechanics.acceleration,
-            data,
-            noise,
-            horizon,
-            window,
-            prescribed=problem.prescribed,
-            timed=mechanics.timed,
-        )
-    except InputError:  # too short for a simulation
-        return np.inf
+    result = forecast(
+        mechanics.acceleration,
+        data,
+        fit.weights.position_std,
+        horizon,
+        window,
+        prescribed=problem.prescribed,
+        timed=mechanics.timed,
+    )
     errors = np.array([trace.rms / result.std for trace in result.traces])
-    errors = errors[~np.isnan(errors)]
-    return float(np.sqrt(np.mean(np.minimum(errors, 1.0) ** 2)))
+    return errors[~np.isnan(errors)]

@@ -33,7 +33,7 @@ from leastaction.selection.strategies import (
     weak_start,
 )
 
-__all__ = ["ON_ONE_GRID", "find_structure", "run_search"]
+__all__ = ["ON_ONE_GRID", "find_on_data", "find_structure", "run_search"]
 
 ON_ONE_GRID = (
     shape_start,
@@ -59,10 +59,10 @@ def find_structure(search: Search) -> Search:
 
 def run_search(search: Search) -> Search:
     """Run every strategy."""
-    return _attempt(simulation_error.run, force_bias.run(search, _on_data))
+    return _attempt(simulation_error.run, force_bias.run(search, find_on_data))
 
 
-def _on_data(search: Search) -> Search:
+def find_on_data(search: Search) -> Search:
     """Find a structure on pieces of long recordings, then on all data."""
     search.report("search", {})
     search = find_structure(search)

@@ -28,7 +28,7 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "propose_structures", "weak_form", "weak_grams", "weak_replicates"]
+__all__ = ["Proposal", "propose_structures", "settled", "weak_form", "weak_grams", "weak_replicates"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _REPLICATES = 8  # of the noise: their mean and covariance
@@ -60,7 +60,7 @@ def propose_structures(
     for from_bases in (False, True):
         bases = kinetic_bases(grid, curve) if from_bases else None
         for gram in grams:
-            proposal = _settle(grid, curve, *_best_support(grid, curve, gram, bases))
+            proposal = settled(grid, curve, *_best_support(grid, curve, gram, bases))
             report("search", law_so_far(problem, proposal.start.coefficients, proposal.evidence))
             if any(proposal.structure == p.structure for p in found):
                 break
@@ -153,7 +153,7 @@ def _ranked(
     return sorted((s for level in levels for s in level), key=score)
 
 
-def _settle(grid: Grid, curve: Smooth, structure: Structure, coefficients: np.ndarray) -> Proposal:
+def settled(grid: Grid, curve: Smooth, structure: Structure, coefficients: np.ndarray) -> Proposal:
     """Curve and weights for the proposed coefficients, held.
 
     At small weights the scale of L is hardly determined; in a joint fit it would drift away.

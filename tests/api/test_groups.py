@@ -1,0 +1,274 @@
+"""Groups of trials: which coefficients differ between them, and by how much."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from block_helpers import SMALL
+from helpers import euler_lagrange
+from leastaction import systems
+from leastaction.curve.bspline import uniform_grid
+from leastaction.errors import InputError
+from leastaction.estimation.groups import GroupedColumns, GroupTerm
+from leastaction.estimation.intervals import first_points, points_at
+
+PAYLOAD = {"theta_dot**2": 1.0, "cos(theta)": 19.62}
+HEAVY = {"theta_dot**2 in loaded": 0.5, "cos(theta) in loaded": 9.81}
+
+
+def pendulums(*changed, trials=2, noise=0.02, seed=0):
+    """Recordings of a pendulum, and of the same with other coefficients, one group after another."""
+    system = systems.get("single_pendulum")
+    runs = []
+    for n, change in enumerate(changed):
+        other = replace(system, lagrangian={**system.lagrangian, **change})
+        data = systems.generate(other, noise, trials=trials, duration=8.0, seed=seed + 10 * n)
+        runs += [run.changed(name=f"{n}{k}") for k, run in enumerate(data)]
+    return la.Trajectories(runs)
+
+
+def found(data, groups, **options):
+    return la.discover(data, systems.get("single_pendulum").library, groups=groups, **options)
+
+
+@pytest.fixture(scope="module")
+def payload():
+    return pendulums({}, PAYLOAD)
+
+
+@pytest.fixture(scope="module")
+def model(payload):
+    return found(payload, ["empty", "empty", "loaded", "loaded"])
+
+
+def differences(model):
+    return {d.written: (d.difference, d.standard_error) for d in model.groups.differences}
+
+
+def test_a_payload_is_named_and_weighed(model):
+    assert model.groups.names == ("empty", "loaded")
+    assert set(model.groups.terms) == {"theta_dot**2", "cos(theta)"}
+    for written, truth in HEAVY.items():
+        value, error = differences(model)[written]
+        assert abs(value - truth) < 4.0 * error < 0.2 * truth
+    assert model.fit.status == "ok"
+    (finding,) = (f for f in model.fit.findings if f.code == "groups-differ")
+    assert finding.subject == ("theta_dot**2", "cos(theta)")
+    assert finding.values["alike"] == ()
+
+
+def test_a_group_has_the_law_that_it_has_alone(model, payload):
+    for name, trials in (("empty", [0, 1]), ("loaded", [2, 3])):
+        own = la.discover(payload.select(trials), systems.get("single_pendulum").library)
+        law = model.of_group(name)
+        assert [t.expression for t in law.terms] == [t.expression for t in own.terms]
+        for a, b in zip(law.terms, own.terms, strict=True):
+            assert abs(a.coefficient - b.coefficient) < 0.5 * b.standard_error
+            assert a.standard_error == pytest.approx(b.standard_error, rel=0.25)
+        np.testing.assert_allclose(np.sqrt(np.diag(law.covariance)), [t.standard_error for t in law.terms])
+        assert law.groups is None
+        assert law.validate(payload.select(trials), 1.0).n_diverged == 0
+
+
+def test_where_nothing_differs_none_is_named():
+    """At most one false alarm in a thousand for each question: none in a dozen."""
+    named = 0
+    for seed in range(12):
+        model = found(pendulums({}, {}, seed=100 * seed), ["a", "a", "b", "b"])
+        named += len(model.groups.terms)
+        assert {f.code for f in model.fit.findings} >= {"groups-alike"} or named
+    assert named == 0
+
+
+def test_names_and_sequence_of_groups_do_not_matter(model, payload):
+    turned = found(payload.select([3, 2, 1, 0]), ["B", "B", "A", "A"])
+    assert turned.groups.names == ("B", "A")
+    for name, (value, error) in differences(model).items():
+        other, its_error = differences(turned)[name.replace("loaded", "A")]
+        assert other == pytest.approx(-value, abs=0.05 * error)
+        assert its_error == pytest.approx(error, rel=0.02)
+    for a, b in zip(model.of_group("loaded").terms, turned.of_group("B").terms, strict=True):
+        assert a.coefficient == pytest.approx(b.coefficient, abs=0.05 * a.standard_error)
+
+
+def test_groups_may_be_given_by_the_names_of_trajectories(model, payload):
+    names = dict(zip(payload.names, ["empty", "empty", "loaded", "loaded"], strict=True))
+    same = found(payload, dict(reversed(names.items())))
+    assert differences(same) == differences(model)
+
+
+def test_a_group_of_one_trial():
+    data = pendulums({}, PAYLOAD)[:3]
+    model = found(data, ["empty", "empty", "loaded"])
+    assert set(differences(model)) == set(HEAVY)
+    for written, truth in HEAVY.items():
+        value, error = differences(model)[written]
+        assert abs(value - truth) < 4.0 * error
+
+
+def test_a_term_of_one_group_alone():
+    """A spring that only one group has: none in the first, and there in the other."""
+    data = pendulums({}, {"theta**2": -4.0}, noise=0.01)
+    library = [*systems.get("single_pendulum").lagrangian, "theta**2", "sin(theta)", "theta_dot*theta**2"]
+    model = la.discover(data, library, groups=["free", "free", "sprung", "sprung"])
+    assert model.groups.terms == ("theta**2",)
+    assert "theta**2" not in {t.expression for t in model.terms}
+    spring = next(t for t in model.of_group("sprung").terms if t.expression == "theta**2")
+    assert abs(spring.coefficient + 4.0) < 4.0 * spring.standard_error < 0.4
+
+
+def test_more_than_two_groups_and_friction():
+    system = systems.get("single_pendulum")
+    runs = [
+        run
+        for n, friction in enumerate((0.2, 0.5, 0.9))
+        for run in systems.generate(
+            system.with_dissipation({"theta_dot**2/2": friction}), 0.01, trials=2, duration=8.0, seed=n
+        )
+    ]
+    runs = [run.changed(name=f"{n}") for n, run in enumerate(runs)]
+    groups = [20, 20, 40, 40, 60, 60]
+    model = la.discover(runs, system.library, dissipation=["theta_dot**2/2"], groups=groups)
+    assert model.groups.terms == ("theta_dot**2/2",)
+    assert {d.kind for d in model.groups.differences} == {"dissipation"}
+    for name, truth in (("20", 0.2), ("40", 0.5), ("60", 0.9)):
+        (psi,) = model.of_group(name).dissipation
+        assert abs(psi.coefficient - truth) < 4.0 * psi.standard_error < 0.1
+
+
+def test_known_coefficients_and_no_force_are_said_to_set_the_scale():
+    system = systems.get("cart_spring_pendulum")
+    other = replace(system, lagrangian={**system.lagrangian, "x**2": -7.0, "x": 7.0})
+    pairs = [(system, 3), (other, 4)]
+    runs = [r for s, seed in pairs for r in systems.generate(s, 0.01, trials=2, duration=8.0, seed=seed)]
+    runs = [run.changed(name=f"{n}") for n, run in enumerate(runs)]
+    model = la.discover(runs, system.library, system.known, groups=["soft", "soft", "stiff", "stiff"])
+    assert set(model.groups.terms) == {"x**2", "x"}
+    (finding,) = (f for f in model.fit.findings if f.code == "groups-known")
+    assert finding.subject == ("cos(theta)",)
+    assert finding.values["groups"] == ("soft", "stiff")
+
+
+def test_a_model_with_groups_is_saved_shown_and_tabulated(model, tmp_path):
+    model.save(tmp_path / "model.json")
+    again = la.load(tmp_path / "model.json")
+    assert again.to_dict() == model.to_dict()
+    assert again.groups.differences == model.groups.differences
+    for a, b in zip(again.of_group("loaded").terms, model.of_group("loaded").terms, strict=True):
+        assert a == b
+    table = model.table()
+    rows = table[table["kind"] == "difference"]
+    assert set(rows.index) == set(HEAVY)
+    assert "theta_dot**2 in loaded" in str(model)
+    document = json.loads((tmp_path / "model.json").read_text())
+    del document["groups"]
+    assert la.LagrangianModel.from_dict(document).groups is None
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"names": ["empty"]}, "names"),
+        ({"differences": [{"expression": "x"}]}, "expected an object"),
+        ({"covariance": [[1.0]]}, "covariance"),
+        ({"more": 1}, "groups"),
+        ({"names": 3}, "lists"),
+    ],
+)
+def test_groups_in_a_file_are_checked(model, change, says):
+    document = model.to_dict()
+    with pytest.raises(InputError, match=says):
+        la.LagrangianModel.from_dict({**document, "groups": {**document["groups"], **change}})
+
+
+@pytest.mark.parametrize(
+    ("groups", "says"),
+    [
+        (["a", "b"], "2 entries, but there are 4 trajectories"),
+        (["a"] * 4, "two groups to compare"),
+        (["a", "a", "b", None], "empty"),
+        ("aabb", "one for each trajectory"),
+        (4, "one for each trajectory"),
+        ({"00": "a", "01": "a", "10": "b"}, "no entry for the trajectory '11'"),
+        ({"nobody": "a"}, "'nobody', which is no trajectory"),
+    ],
+)
+def test_wrong_groups_are_refused(payload, groups, says):
+    with pytest.raises(InputError, match=says):
+        found(payload, groups)
+
+
+@pytest.mark.parametrize(
+    "options", [{"method": "adam"}, {"force_offset": {"theta": 5.0}}], ids=["adam", "slow force"]
+)
+def test_what_cannot_be_compared_is_refused(payload, options):
+    with pytest.raises(InputError, match="groups cannot be compared with"):
+        found(payload, ["a", "a", "b", "b"], **options)
+
+
+def test_shape_parameters_are_refused(payload):
+    with pytest.raises(InputError, match="shape parameters"):
+        la.discover(payload, ["theta_dot**2", "cos({k}*theta)"], groups=["a", "a", "b", "b"])
+
+
+def test_a_model_without_groups_has_no_law_of_one(model):
+    with pytest.raises(InputError, match="no group 'full'"):
+        model.of_group("full")
+    with pytest.raises(InputError, match="groups of trials"):
+        model.of_group("empty").of_group("empty")
+
+
+def test_trials_in_blocks_say_the_same(model, payload, monkeypatch):
+    monkeypatch.setattr("leastaction.estimation.observations._NUMBERS", SMALL)
+    other = found(payload, ["empty", "empty", "loaded", "loaded"])
+    for name, (value, error) in differences(model).items():
+        assert differences(other)[name][0] == pytest.approx(value, abs=1e-3 * error)
+        assert differences(other)[name][1] == pytest.approx(error, rel=1e-3)
+
+
+def test_streamed_recordings_say_the_same(model, payload, monkeypatch):
+    monkeypatch.setattr("leastaction.estimation.streamed._LONG", 1000)
+    other = found(payload, ["empty", "empty", "loaded", "loaded"])
+    assert set(differences(other)) == set(HEAVY)
+    for name, (value, error) in differences(model).items():
+        assert differences(other)[name][0] == pytest.approx(value, abs=0.1 * error)
+
+
+def test_columns_of_groups_are_those_of_each_law(rng):
+    """In every group the equations, their Jacobian and the mass matrix are those of that group's law."""
+    names, texts = ["x", "y"], ["x_dot**2", "y_dot**2", "x_dot*y_dot*cos(y)", "cos(y)", "x**2"]
+    plain = euler_lagrange(texts, names)
+    labels = np.repeat([0, 1, 2], [4, 7, 5])
+    more = [GroupTerm.of(plain.terms[k], g, f"g{g}") for k in (1, 2, 3) for g in (1, 2)]
+    columns = GroupedColumns([*plain.terms, *more], names, (), ("g0", "g1", "g2"), labels)
+    sizes = rng.normal(size=len(columns))
+    grid = uniform_grid([np.linspace(0.0, d, 9) for d in (0.8, 1.4, 1.0)], 5.0, 5, 2)
+    grid_labels = np.repeat([0, 1, 2], [space.n_intervals for space in grid.spaces])
+    columns = GroupedColumns(columns.terms, names, (), columns.names, grid_labels)
+    control = rng.normal(size=(grid.n_ctrl, 2))
+    for points, each in (
+        (points_at(grid, control, slice(2, None)), np.tile(grid_labels[2:], 2)),
+        (first_points(grid, control, slice(None, None, 3)), grid_labels[::3]),
+    ):
+        strong = np.tensordot(sizes, columns.strong(points), 1)
+        mass = columns.mass_matrix(points, sizes)
+        of_each = sum(c * columns.mass_of(k, points) for k, c in enumerate(sizes))
+        jacobian = columns.jacobian(points, sizes)
+        for group in range(3):
+            own = sizes[:5].copy()
+            own[1:4] += [sizes[5 + 2 * k + group - 1] if group else 0.0 for k in range(3)]
+            here = each == group
+            expected = np.tensordot(own, plain.strong(points), 1)
+            np.testing.assert_allclose(strong[:, here], expected[:, here], atol=1e-12)
+            np.testing.assert_allclose(mass[here], plain.mass_matrix(points, own)[here], atol=1e-12)
+            np.testing.assert_allclose(of_each[here], mass[here], atol=1e-12)
+            for key, value in plain.jacobian(points, own).items():
+                both = [np.broadcast_to(v, points.n_points)[here] for v in (jacobian[key], value)]
+                np.testing.assert_allclose(*both, atol=1e-12)
+        moving, masses = columns.masses(points)
+        np.testing.assert_allclose(np.tensordot(sizes[moving], masses, (0, 1)), mass, atol=1e-12)
