@@ -7,8 +7,10 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
 import tracemalloc
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -296,6 +298,36 @@ def test_a_program_needs_no_guard_for_its_children(tmp_path):
     )
     done = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, timeout=60)
     assert (done.stdout.split(), done.stderr) == (["begun", "2.0", "3.0"], "")
+
+
+def test_children_end_with_a_program_that_is_killed(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import os, time\n"
+        "from leastaction.estimation.crew import employ\n"
+        "with employ(2) as crew:\n"
+        "    first = crew.results([crew.task(os.getpid)])[0]\n"
+        "    print(first, flush=True)\n"
+        "    time.sleep(600)\n"
+    )
+    running = subprocess.Popen([sys.executable, program], stdout=subprocess.PIPE, text=True)
+    assert running.stdout is not None
+    child = int(running.stdout.readline())
+    os.kill(child, 0)  # it is there
+    running.kill()
+    running.communicate()
+    deadline = time.monotonic() + 60.0
+    while _is_running(child) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _is_running(child)
+
+
+def _is_running(pid: int) -> bool:
+    """Whether the process is there; one that has ended may still wait for whoever asks how."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def counted_looks(monkeypatch) -> list[int]:

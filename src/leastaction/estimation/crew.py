@@ -13,6 +13,7 @@ import gc
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
@@ -33,11 +34,11 @@ if TYPE_CHECKING:
 __all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
 
 _PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
-_IDLE = 300.0  # seconds, after which a child ends, and so one whose parent was killed
+_IDLE = 300.0  # seconds, after which a child ends
 _MEMORY_STAYS = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """For glibc in a child: memory is not given back to the system after each block, which took 15 % of time."""
 _MOST_STARTS = 3  # of the children of one discovery, before everything is computed here
-_LOOK = 1.0  # seconds between two looks at the cluster
+_LOOK = 1.0  # seconds between two looks at the cluster, or for the parent
 
 
 @dataclass(eq=False)
@@ -168,7 +169,11 @@ class ProcessCrew:
 
             self._starts_left -= 1
             self._pool = ProcessPoolExecutor(
-                self._workers, timeout=_IDLE, initializer=_begin_child, env=_MEMORY_STAYS
+                self._workers,
+                timeout=_IDLE,
+                initializer=_begin_child,
+                initargs=(os.getpid(),),
+                env=_MEMORY_STAYS,
             )
         return self._pool
 
@@ -278,12 +283,20 @@ def _to_file(path: Path, function: Callable[..., Any], *given: Any) -> None:
     write(_quietly(function, *given), path)
 
 
-def _begin_child() -> None:
+def _begin_child(parent: int) -> None:
     """In a child, before its first task."""
     import_module("leastaction.estimation.streamed")  # before what there is is frozen
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was asked
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     _always.enter_context(single_threaded())
     gc.freeze()  # loky collects garbage every second, which took a tenth of the time
+
+
+def _end_with(parent: int) -> None:
+    """In a child: end when the parent is gone; in the middle of a message it would wait for ever."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK)
+    os._exit(1)
 
 
 _always = ExitStack()  # what a child never leaves
