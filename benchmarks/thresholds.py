@@ -245,6 +245,32 @@ def _prescribed_judged() -> str:
     return f"{exact} of {len(found)} exact, {ok} ok, {_scatter(z)}"
 
 
+def _biased(seed: int, size: float) -> tuple[la.Trajectories, np.ndarray]:
+    """A driven pendulum whose torque was recorded without a bias that drifts, and that bias."""
+    data = systems.generate("single_pendulum", noise=0.01, trials=3, duration=15.0, seed=seed)
+    rng, runs, all_of_it = np.random.default_rng(seed), [], []
+    for run in data:
+        bias = size * (rng.normal() + np.sin(2.0 * np.pi * run.t / rng.uniform(10, 20) + rng.uniform(0, 6)))
+        runs.append(run.changed(forces=run.forces - bias[:, None]))
+        all_of_it.append(bias)
+    return la.Trajectories(runs), np.concatenate(all_of_it)
+
+
+def _bias_judged() -> str:
+    """Slow forces: structures, how far off they are, and whether it is said where there is hardly any."""
+    library, exact, told, errors = systems.compact_library("single_pendulum"), 0, 0, []
+    begun = process_time()
+    for seed, size in product((11, 12, 13), (0.0, 0.3, 1.5)):
+        data, bias = _biased(seed, size)
+        model = la.discover(data, library, force_offset={"theta": 2.5})
+        exact += {t.expression for t in model.terms} == {"theta_dot**2", "cos(theta)"}
+        errors.append(np.std(np.concatenate(model.diagnostics.force_offset["theta"]) - bias))
+        slow = [f for f in model.fit.findings if f.code == "slow-force"]
+        told += bool(slow) and slow[0].values["hardly_any"] == (size == 0.0)
+    off, seconds = np.sqrt(np.mean(np.square(errors))), process_time() - begun
+    return f"{exact} of 9 exact, forces off by {off:.4f} N m, {told} told rightly, {seconds:.0f} s"
+
+
 def _shapes_judged() -> str:
     """Laws with numbers inside terms: structures, and errors of the numbers."""
     cases = [Case("shapes", name, noise, **_SHAPE) for name in shapes.SHAPED for noise in (0.01, 0.1)]
@@ -264,7 +290,8 @@ _OF_DATA = {
     **dict.fromkeys(("outlier", "outlier_alone", "most_outliers"), _outliers_judged),
     **dict.fromkeys(("simulated", "horizon", "clearly", "window"), _machines_judged),
     **dict.fromkeys(("small_error", "no_error"), _prescribed_judged),
-    **dict.fromkeys(("not_followed",), _shapes_judged),
+    **dict.fromkeys(("bias_settled", "bias_stalled", "no_bias"), _bias_judged),
+    **dict.fromkeys(("not_followed", "shape_compared", "shape_apart"), _shapes_judged),
     **dict.fromkeys((f.name for f in fields(ESTIMATION) if f.name.startswith("shape_")), _shapes_judged),
 }
 

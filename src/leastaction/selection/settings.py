@@ -48,6 +48,13 @@ class SelectionSettings:
     profile of shape parameters has to end somewhere. Half: one of three laws with numbers inside is lost;
     twice: no effect."""
 
+    shape_compared: int = 3
+    """Starts of shape parameters that are compared by fits, at most. Half, twice: to be measured."""
+
+    shape_apart: float = 0.03
+    """Share of the ranges of shape parameters within which two starts lead to the same fit. Half, twice: to
+    be measured."""
+
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
     with 16 to 31 candidates. Half, twice: no effect."""

@@ -29,8 +29,6 @@ _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
 _MOST_STARTS = 512  # of a candidate with more
 _REFINED = 4  # of the starts, beside each number of plain candidates
 _PASSES = 2  # over the candidates
-_COMPARED = 3  # numbers that are compared by fits
-_NEAR = 0.03  # of a range: numbers that lead to the same fit
 
 
 def run(search: Search) -> Search:
@@ -39,7 +37,7 @@ def run(search: Search) -> Search:
     if not problem.ranges:
         return search
     search.report("shapes", {})
-    begun = [search.at(point.values) for point in places(search)[:_COMPARED]]
+    begun = [search.at(point.values) for point in places(search)[: SELECTION.shape_compared]]
     if len(begun) < 2:
         return begun[0] if begun else search
     return max(begun, key=lambda at: value(shape_fit.run(weak_start.run(at)).found))
@@ -130,6 +128,6 @@ def _distinct(points: Sequence[ProfilePoint], ranges: Mapping[str, ShapeRange]) 
 
 def _near(one: ProfilePoint, other: ProfilePoint, ranges: Mapping[str, ShapeRange]) -> bool:
     return all(
-        abs(where.share(one.values[name]) - where.share(other.values[name])) < _NEAR
+        abs(where.share(one.values[name]) - where.share(other.values[name])) < SELECTION.shape_apart
         for name, where in ranges.items()
     )
