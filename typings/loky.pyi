@@ -9,7 +9,8 @@ class ProcessPoolExecutor(Executor):
         max_workers: int | None = None,
         *,
         timeout: float | None = None,
-        initializer: Callable[[], None] | None = None,
+        initializer: Callable[..., None] | None = None,
+        initargs: tuple[object, ...] = (),
         env: Mapping[str, str] | None = None,
     ) -> None: ...
     def shutdown(self, wait: bool = True, kill_workers: bool = False) -> None: ...  # type: ignore[override]
