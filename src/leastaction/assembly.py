@@ -10,7 +10,7 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.groups import GroupedColumns, GroupTerm
+from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import find, status_of
 from leastaction.model.diagnostics import Diagnostics, PathPoint, pareto
 from leastaction.model.groups import GroupDifference, Groups
@@ -101,7 +101,9 @@ def _groups(fit: Fit, unknown: bool) -> Groups | None:
         for k, value, error in found
         if isinstance(term := fit.problem.terms[k], GroupTerm)
     ]
-    return Groups(columns.names, tuple(differences), None if unknown else fit.covariance)
+    names = {k: name for name, (own, *_) in zip(columns.names, laws(fit), strict=True) for k in own}
+    trials = tuple(names[k] for k in sorted(names))
+    return Groups(columns.names, tuple(differences), None if unknown else fit.covariance, trials)
 
 
 def _shapes(fit: Fit) -> tuple[ShapeParameter, ...]:

@@ -22,7 +22,7 @@ from leastaction.data.formats.arrays import read_mat_table, read_npz_table
 from leastaction.data.formats.atomic import StrPath, write_bytes, write_text
 from leastaction.data.formats.bags import read_mcap
 from leastaction.data.formats.csv import read_csv_table, write_csv
-from leastaction.data.formats.dispatch import combined_trajectories, to_trajectories
+from leastaction.data.formats.dispatch import combined_trajectories, group_names, to_trajectories
 from leastaction.data.formats.frames import frame_table, read_parquet_table
 from leastaction.data.formats.layout import Coordinates, Forces, Layout, Units
 from leastaction.data.formats.streams import stream
@@ -32,6 +32,7 @@ __all__ = [
     "from_frame",
     "read",
     "read_csv",
+    "read_groups",
     "read_many",
     "read_mat",
     "read_mcap",
@@ -341,6 +342,39 @@ def read(
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     layout = layout.measured_in(time_unit, units)
     return combined_trajectories(path, layout)
+
+
+def read_groups(
+    path: StrPath | Iterable[StrPath],
+    column: str,
+    coordinates: Coordinates,
+    time: str = "t",
+    trial: str | None = None,
+) -> tuple[str, ...]:
+    r"""Read which group each trial belongs to, for the ``groups`` of `leastaction.discover`.
+
+    Parameters
+    ----------
+    path, coordinates, time, trial
+        As for `read`; the groups have the sequence of its trajectories.
+    column : str
+        Column with the name of the group, the same on every row of a trial.
+
+    Raises
+    ------
+    InputError
+        As for `read`; if the column changes within a trial, or is empty.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     rows = [f"\n{t},{t / 8},{trial},{load}" for trial, load in ("a0", "b1") for t in range(6)]
+    ...     path = write_text(f"{folder}/runs.csv", "t,x,trial,payload" + "".join(rows))
+    ...     read_groups(path, "payload", ["x"])
+    ('0', '1')
+    """
+    return group_names(path, Layout.of(coordinates, time, None, trial, ()), column)
 
 
 def read_many(

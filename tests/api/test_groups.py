@@ -16,6 +16,7 @@ from leastaction.curve.bspline import uniform_grid
 from leastaction.errors import InputError
 from leastaction.estimation.groups import GroupedColumns, GroupTerm
 from leastaction.estimation.intervals import first_points, points_at
+from leastaction.report.series import Energy, Series
 
 PAYLOAD = {"theta_dot**2": 1.0, "cos(theta)": 19.62}
 HEAVY = {"theta_dot**2 in loaded": 0.5, "cos(theta) in loaded": 9.81}
@@ -214,6 +215,38 @@ def test_what_cannot_be_compared_is_refused(payload, options):
 def test_shape_parameters_are_refused(payload):
     with pytest.raises(InputError, match="shape parameters"):
         la.discover(payload, ["theta_dot**2", "cos({k}*theta)"], groups=["a", "a", "b", "b"])
+
+
+def test_forecasts_of_groups_are_those_of_their_laws(model, payload):
+    """Forecasts of all trials at once, of each by the law of its group."""
+    together = model.validate(payload, 1.0, groups=["empty", "empty", "loaded", "loaded"])
+    parts = [
+        model.of_group(name).validate(payload.select(trials), 1.0, window=together.window)
+        for name, trials in (("empty", [0, 1]), ("loaded", [2, 3]))
+    ]
+    assert [t.trial for t in together.traces] == [t.trial for part in parts for t in part.traces]
+    for a, b in zip(together.traces, (t for part in parts for t in part.traces), strict=True):
+        np.testing.assert_array_equal(a.rms, b.rms)
+    assert np.all(together.rms < 1.5 * together.expected_rms)
+    wrong = model.validate(payload.select([2, 3]), 1.0)  # taken for trials of the first group
+    assert np.all(wrong.rms > 2.0 * wrong.expected_rms)
+    with pytest.raises(InputError, match="no group 'full'"):
+        model.validate(payload, 1.0, groups=["full"] * 4)
+
+
+def test_the_energy_of_each_trial_is_that_of_its_law(model, payload):
+    assert [model.of_trial(k).provenance.get("group") for k in range(4)] == ["empty"] * 2 + ["loaded"] * 2
+    assert model.of_trial(3) is model.of_trial(2)
+    assert model.own_trials(4) == [0, 1]
+    energies = [Energy.of(Series(model), k) for k in range(4)]
+    assert max(e.imbalance for e in energies) < 0.01
+
+
+def test_the_report_shows_what_differs(model, tmp_path):
+    la.write_report(model, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "differences of loaded from empty" in page
+    assert "differ between the groups empty, loaded" in page
 
 
 def test_a_model_without_groups_has_no_law_of_one(model):

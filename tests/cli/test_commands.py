@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -159,6 +160,58 @@ def test_discover_shows_a_doubtful_model(work, tmp_path):
     assert result.stderr.startswith("warning: the fit is doubtful: ")
 
 
+@pytest.fixture(scope="module")
+def payload(tmp_path_factory):
+    """Six recordings in one table, every other one with twice the mass, and what discover makes of them."""
+    folder, empty = tmp_path_factory.mktemp("groups"), systems.get("single_pendulum")
+    loaded = replace(empty, lagrangian={k: 2.0 * value for k, value in empty.lagrangian.items()})
+    parts = [systems.generate(s, 0.01, trials=3, duration=6.0, seed=k) for k, s in enumerate((empty, loaded))]
+    frames = [
+        pd.DataFrame(
+            {"t": r.t, "theta": r.q[:, 0], "tau": r.forces[:, 0], "trial": f"{k}{name}", "load": f"{name} kg"}
+        )
+        for k in range(3)
+        for name, r in enumerate(part[k] for part in parts)
+    ]
+    pd.concat(frames).assign(day="monday").to_csv(folder / "runs.csv", index=False)
+    (folder / "library.txt").write_text(LIBRARY, encoding="utf-8")
+    return folder
+
+
+def grouped(folder, *more, code=0):
+    return run(
+        "discover", folder / "runs.csv", "--coordinates", "theta", "--forces", "tau", "--library",
+        folder / "library.txt", "--output", folder / "out", *more, code=code,
+    )  # fmt: skip
+
+
+def test_groups_of_trials_are_told_apart_by_a_column(payload):
+    result = grouped(payload, "--group", "load", "--hold-out", 2)
+    assert "differences of 1 kg from 0 kg:" in result.output
+    assert "differ between the groups 0 kg, 1 kg" in result.output
+    model = la.load(payload / "out" / "model.json")
+    assert set(model.groups.terms) == {"theta_dot**2", "cos(theta)"}
+    assert model.groups.trials == ("0 kg", "1 kg") * 2
+    # what was held out is forecast by the law of its group
+    errors = re.search(r"^theta +(\S+) +(\S+)", result.output[result.output.index("forecasts over") :], re.M)
+    assert float(errors[1]) < 2.0 * float(errors[2])
+    page = (payload / "out" / "report.html").read_text(encoding="utf-8")
+    assert "differences of 1 kg from 0 kg" in page
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--group", "weight"], "no column 'weight'"),
+        (["--group", "tau"], "the group changes from"),
+        (["--group", "load", "--hold-out", "01,11,21"], "no trial of the group '1 kg' is left to fit"),
+        (["--group", "day"], "every trial is in the group 'monday'"),
+    ],
+)
+def test_wrong_groups_are_named(payload, options, says):
+    assert says in grouped(payload, *options, code=2).output
+
+
 def test_hold_out_takes_the_last_trials_or_names(work):
     from leastaction.cli.discover import _split
 
@@ -177,7 +230,7 @@ def test_hold_out_takes_the_last_trials_or_names(work):
 
 
 def test_a_forecast_that_fails_does_not_cost_the_model(work, tmp_path, monkeypatch):
-    def refuse(self, trajectories):
+    def refuse(self, trajectories, **options):
         raise la.InputError("too short")
 
     monkeypatch.setattr(la.LagrangianModel, "validate", refuse)
@@ -550,8 +603,8 @@ def test_the_first_interrupt_keeps_the_best_law_and_the_second_gives_up(capsys):
 MORSE = ["--term", "exp(-{a}*x)", "--term", "exp(-2*{a}*x)"]
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
+@pytest.fixture
+def morse(tmp_path, monkeypatch):
     """Work in a directory with two short recordings in a Morse potential, D = 2, a = 0.8."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("LEASTACTION_DEBUG", raising=False)
@@ -570,6 +623,7 @@ def discover(*more: str):
     return CliRunner().invoke(program, ["discover", "run.csv", *options, "--output", "out", *more])
 
 
+@pytest.mark.usefixtures("morse")
 def test_a_number_is_found_and_shown():
     result = discover(*MORSE, "--shape", "a=0.1..10")
     assert result.exit_code == 0, result.output
@@ -597,6 +651,7 @@ def test_a_number_is_found_and_shown():
         (["--term", "exp(-{b*x)"], "braces hold the name of a shape parameter"),
     ],
 )
+@pytest.mark.usefixtures("morse")
 def test_wrong_options_end_with_one_line(more, says):
     result = discover(*MORSE, *more)
     assert result.exit_code == 2, result.output

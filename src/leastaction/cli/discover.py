@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -92,6 +92,12 @@ Example:
     "drive: their equations are not used.",
 )
 @click.option(
+    "--group",
+    metavar="COLUMN",
+    help="Column that tells groups of trials apart, with and without a payload for example: which "
+    "coefficients differ between them is found.",
+)
+@click.option(
     "--keep-outliers",
     is_flag=True,
     help="Fit samples that are far off the motion, too; otherwise they are left out and counted.",
@@ -144,6 +150,7 @@ def discover(
     dissipation: str | None,
     force_offset: str | None,
     prescribed: str | None,
+    group: str | None,
     keep_outliers: bool,
     method: str,
     settings: tuple[str, ...],
@@ -167,7 +174,10 @@ def discover(
         offsets = force_offsets(force_offset) if force_offset else ()
     with blame("--known"):
         given = known_coefficients(known)
-    fitted, held_out = _split(options.read(), hold_out)
+    everything = options.read()
+    fitted, held_out = _split(everything, hold_out)
+    groups = {} if group is None else _groups(options, group, everything.names)
+    _check_groups(groups, fitted, held_out)
     ranges = shape_ranges(shapes)
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
     with blame("--known"):
@@ -188,11 +198,12 @@ def discover(
             options=chosen,
             relevance=share,
             shapes=ranges,
+            groups={name: groups[name] for name in fitted.names} if groups else None,
             progress=progress,
             workers=workers,
         )
         progress("forecast", {})
-        forecast = _forecast(model, held_out)
+        forecast = _forecast(model, held_out, groups)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
     _show(folder, model, forecast)
@@ -283,11 +294,36 @@ def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectori
         return trajectories.select(rest), held
 
 
-def _forecast(model: LagrangianModel, held_out: Trajectories | None) -> ForecastResult | None:
+def _groups(options: DataOptions, column: str, names: Sequence[str]) -> dict[str, str]:
+    """The group of each trial, by name."""
+    from leastaction.io import read_groups
+
+    with blame("--group"):
+        found = read_groups(options.paths, column, options.coordinates, options.time, options.trial)
+    return dict(zip(names, found, strict=True))
+
+
+def _check_groups(groups: Mapping[str, str], fitted: Trajectories, held_out: Trajectories | None) -> None:
+    """Refuse a single group, and trials held out from a group of which none is fitted."""
+    if not groups:
+        return
+    there = {groups[name] for name in fitted.names}
+    for name in held_out.names if held_out else ():
+        if groups[name] not in there:
+            raise InputError(f"--hold-out: no trial of the group {quoted(groups[name])} is left to fit")
+    if len(there) < 2:
+        raise InputError(
+            f"--group: every trial is in the group {quoted(next(iter(there)))}; leave the option out"
+        )
+
+
+def _forecast(
+    model: LagrangianModel, held_out: Trajectories | None, groups: Mapping[str, str]
+) -> ForecastResult | None:
     if held_out is None:
         return None
     try:
-        return model.validate(held_out)
+        return model.validate(held_out, groups={n: groups[n] for n in held_out.names} if groups else None)
     except InputError as error:
         # The model is found by now: no reason to lose it.
         warn(f"no forecast of the trials held out: {error}")

@@ -168,6 +168,9 @@ def show_model(model: LagrangianModel) -> None:
         headings[len(rows)] = "shape parameters:"
     numbers = (shape.as_term() for shape in model.shapes)
     rows += [(number.written, with_error(number), interval_text(number), "") for number in numbers]
+    for heading, differences in _differences(model):
+        headings[len(rows)] = heading
+        rows += [(d.expression, with_error(d), interval_text(d), z_text(d.z)) for d in differences]
     show_table(rows, headings)
     say()
     for line in simple_lines(model):
@@ -177,6 +180,15 @@ def show_model(model: LagrangianModel) -> None:
     for line in resting_lines(model):
         say(f"equilibrium: {line}")
     show_fit(model)
+
+
+def _differences(model: LagrangianModel) -> Iterator[tuple[str, list[ModelTerm]]]:
+    """What differs in each further group of trials, below a heading."""
+    groups = model.groups
+    for name in groups.names[1:] if groups else ():
+        differences = [d.as_term() for d in groups.of(name)] if groups else []
+        if groups and differences:
+            yield f"differences of {name} from {groups.names[0]}:", differences
 
 
 def show_fit(model: LagrangianModel) -> None:

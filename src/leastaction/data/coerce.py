@@ -1,19 +1,20 @@
-"""What the estimator is given, arrays or trajectories, one or many, as `Trajectories`."""
+"""What is given in many forms: arrays or trajectories, as `Trajectories`, and groups of these."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 from scipy.sparse import issparse
 
 from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.data.validation import listed
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
-from leastaction.kinds import is_array, is_list
+from leastaction.kinds import is_array, is_list, is_mapping
 
-__all__ = ["gather", "one_each"]
+__all__ = ["gather", "group_labels", "one_each"]
 
 
 def gather(
@@ -91,3 +92,53 @@ def _times(t: Any, q: Any) -> Any:
     if not 0.0 < step < np.inf:
         raise InputError(f"t is {quoted(t)}; expected a positive sampling interval in seconds, or the times")
     return step * np.arange(len(np.atleast_1d(q)))
+
+
+_ONE_EACH = "give one for each trajectory, e.g. groups=['empty', 'empty', 'payload']"
+
+
+def group_labels(
+    given: Mapping[str, object] | Iterable[object], trajectories: Trajectories
+) -> tuple[str, ...]:
+    """The name of the group of each trajectory, given in a row or by the trajectories' names.
+
+    Raises
+    ------
+    InputError
+        If a trajectory has none, or a name is not that of a trajectory.
+
+    Examples
+    --------
+    >>> runs = Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2], name=name) for name in "ab"])
+    >>> group_labels({"b": "payload", "a": "empty"}, runs)
+    ('empty', 'payload')
+    """
+    labels = _by_name(given, trajectories.names) if is_mapping(given) else _in_a_row(given)
+    if len(labels) != len(trajectories):
+        raise InputError(
+            f"groups has {len(labels)} entries, but there are {len(trajectories)} trajectories; {_ONE_EACH}"
+        )
+    return tuple(labels)
+
+
+def _in_a_row(given: object) -> list[str]:
+    if isinstance(given, (str, bytes)) or not isinstance(given, Iterable):
+        raise InputError(f"groups is {quoted(given)}; {_ONE_EACH}")
+    return [_label(item) for item in cast("Iterable[object]", given)]
+
+
+def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
+    for name in given:
+        if name not in names:
+            raise InputError(f"groups names {quoted(name)}, which is no trajectory; they are {listed(names)}")
+    lacking = [name for name in names if name not in given]
+    if lacking:
+        raise InputError(f"groups has no entry for the trajectory {quoted(lacking[0])}; give it one")
+    return [_label(given[name]) for name in names]
+
+
+def _label(value: object) -> str:
+    text = str(value).strip()
+    if value is None or not text:
+        raise InputError("the name of a group is empty; give every trajectory one")
+    return text

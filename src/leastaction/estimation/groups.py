@@ -11,17 +11,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
+from leastaction.data.coerce import group_labels
 from leastaction.data.trajectories import Trajectories
-from leastaction.data.validation import listed
 from leastaction.errors import InputError
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
 from leastaction.identifiers import quoted
-from leastaction.kinds import is_mapping
 from leastaction.library import Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
@@ -59,15 +58,7 @@ class Grouping:
         InputError
             If a trajectory has none, a name is not that of a trajectory, or there is only one group.
         """
-        cure = "give one for each trajectory, e.g. groups=['empty', 'empty', 'payload']"
-        if is_mapping(given):
-            labels = _by_name(given, trajectories.names)
-        else:
-            labels = [_label(item) for item in _listed(given, cure)]
-        if len(labels) != len(trajectories):
-            raise InputError(
-                f"groups has {len(labels)} entries, but there are {len(trajectories)} trajectories; {cure}"
-            )
+        labels = group_labels(given, trajectories)
         names = tuple(dict.fromkeys(labels))
         if len({*names}) < 2:
             raise InputError(
@@ -79,29 +70,6 @@ class Grouping:
     def members(self, group: int) -> list[int]:
         """The trajectories of a group."""
         return [n for n, place in enumerate(self.places) if place == group]
-
-
-def _listed(given: object, cure: str) -> list[object]:
-    if isinstance(given, (str, bytes)) or not isinstance(given, Iterable):
-        raise InputError(f"groups is {quoted(given)}; {cure}")
-    return list(cast("Iterable[object]", given))
-
-
-def _by_name(given: Mapping[object, object], names: Sequence[str]) -> list[str]:
-    for name in given:
-        if name not in names:
-            raise InputError(f"groups names {quoted(name)}, which is no trajectory; they are {listed(names)}")
-    lacking = [name for name in names if name not in given]
-    if lacking:
-        raise InputError(f"groups has no entry for the trajectory {quoted(lacking[0])}; give it one")
-    return [_label(given[name]) for name in names]
-
-
-def _label(value: object) -> str:
-    text = str(value).strip()
-    if value is None or not text:
-        raise InputError("the name of a group is empty; give every trajectory one")
-    return text
 
 
 @dataclass(frozen=True)

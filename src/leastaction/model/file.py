@@ -20,6 +20,7 @@ Schema 2, where ``null`` stands for "not available"::
      "groups": {"names": [text, ...],   of groups of trials; the terms above are those of the first
                 "differences": [{"expression": text, "kind": "lagrangian" or "dissipation", "group": text,
                                  "difference": number, "standard_error": number or null}, ...],
+                "trials": [text, ...],      the group of each; optional
                 "covariance": [[...], ...]},       of the free coefficients, then of the differences; optional
      "covariance": [[...], ...]}        of the free coefficients, terms before dissipation, then shapes
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
+from leastaction.data.coerce import group_labels
+from leastaction.data.trajectories import Trajectories
 from leastaction.data.validation import listed
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import Kind
 from leastaction.model.term import ModelTerm, as_float
+from leastaction.simulation.forecast import ForecastResult, lengths_of
 
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
@@ -109,6 +113,8 @@ class Groups:
         coefficient in all groups.
     covariance : array_like, shape (n_free + n_differences,) * 2, optional
         Of the model's coefficients that are not known, then of the differences.
+    trials : sequence of str
+        The group of each trial that the model was found from; empty: not available.
 
     Raises
     ------
@@ -125,6 +131,7 @@ class Groups:
     names: tuple[str, ...]
     differences: tuple[GroupDifference, ...] = ()
     covariance: np.ndarray | None = None
+    trials: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = _names(self.names)
@@ -133,6 +140,10 @@ class Groups:
             raise InputError("groups has two differences of one term in one group; give each once")
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "differences", differences)
+        object.__setattr__(self, "trials", tuple(self.trials))
+        for trial in self.trials:
+            if trial not in names:
+                raise InputError(f"groups has a trial of {quoted(trial)}; expected one of {listed(names)}")
         if self.covariance is not None:
             matrix = np.array(self.covariance, dtype=float)
             if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or len(matrix) < len(differences):
@@ -170,6 +181,8 @@ class Groups:
             for d in self.differences
         ]
         out: dict[str, Any] = {"names": list(self.names), "differences": differences}
+        if self.trials:
+            out["trials"] = list(self.trials)
         return out if self.covariance is None else {**out, "covariance": self.covariance.tolist()}
 
     @classmethod
@@ -181,16 +194,18 @@ class Groups:
         InputError
             If an entry is missing, unknown, of the wrong type, or there are more than `most` differences.
         """
-        _check_entries(document, "groups", {"names", "differences"}, {"covariance"})
-        if not is_list(document["names"]) or not is_list(document["differences"]):
-            raise InputError("groups: expected lists of names and of differences")
+        _check_entries(document, "groups", {"names", "differences"}, {"covariance", "trials"})
+        trials = document.get("trials", [])
+        if not all(map(is_list, (document["names"], document["differences"], trials))):
+            raise InputError("groups: expected lists of names, of differences, and of trials")
         if max(len(document["names"]), len(document["differences"])) > most:
             raise InputError(f"groups has more than {most} entries")
         fields = {"expression", "kind", "group", "difference", "standard_error"}
         for item in document["differences"]:
             _check_entries(item, "groups: a difference", fields, set())
         differences = tuple(GroupDifference(**item) for item in document["differences"])
-        return cls(tuple(document["names"]), differences, _matrix(document.get("covariance"), most))
+        matrix = _matrix(document.get("covariance"), most)
+        return cls(tuple(document["names"]), differences, matrix, tuple(trials))
 
 
 def _names(given: Iterable[object]) -> tuple[str, ...]:
@@ -257,6 +272,46 @@ class Grouped:
         if model.groups is None:
             raise InputError("the model was not found from groups of trials; give discover groups=...")
         return _of_group(model, model.groups, model.groups.of(name), name)
+
+    @cached_property
+    def _laws(self) -> dict[str, LagrangianModel]:
+        return {}
+
+    def of_trial(self, number: int) -> LagrangianModel:
+        """The model with the coefficients that hold in one of the trials that it was found from.
+
+        The model itself where there are no groups.
+        """
+        groups = cast("LagrangianModel", self).groups
+        if groups is None or not groups.trials:
+            return cast("LagrangianModel", self)
+        name = groups.trials[number]
+        if name not in self._laws:
+            self._laws[name] = self.of_group(name)
+        return self._laws[name]
+
+    def forecast_groups(
+        self,
+        data: Trajectories,
+        given: Mapping[str, object] | Iterable[object],
+        lengths: tuple[float | None, float | None, float],
+    ) -> ForecastResult:
+        """Forecasts of several groups of trials, with the horizon, window and tolerance of `validate`."""
+        model, labels = cast("LagrangianModel", self), group_labels(given, data)
+        horizon, window = lengths_of(data, *lengths[:2])
+        parts: list[ForecastResult] = []
+        for name in dict.fromkeys(labels):
+            law = model.of_group(name)
+            own = data.select([k for k, label in enumerate(labels) if label == name])
+            parts.append(law.validate(own, horizon, window=window, tolerance=lengths[2]))
+        return parts[0].with_(parts[1:], data)
+
+    def own_trials(self, count: int) -> list[int]:
+        """Of so many trials that the model was found from those that obey it: all, or the first group."""
+        groups = cast("LagrangianModel", self).groups
+        if groups is None or not groups.trials:
+            return list(range(count))
+        return [k for k, name in enumerate(groups.trials[:count]) if name == groups.names[0]]
 
 
 def _of_group(

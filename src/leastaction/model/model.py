@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -292,6 +292,7 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
         *,
         window: float | None = None,
         tolerance: float = 0.4,
+        groups: Mapping[str, object] | Iterable[object] | None = None,
     ) -> ForecastResult:
         """Forecast held-out measurements and compare.
 
@@ -313,6 +314,8 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
         tolerance : float
             A forecast holds until a coordinate is off by `tolerance` of its standard deviation plus three
             times the noise.
+        groups : iterable, or mapping of str, optional
+            Of each trajectory its group, as for `discover`; by default all are of the first one.
 
         Returns
         -------
@@ -323,9 +326,11 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
         Raises
         ------
         InputError
-            If the coordinates differ, or no trial is long enough for one forecast.
+            If the coordinates differ, no trial is long enough for one forecast, or there is no such group.
         """
         data = checks.held_out(self, trajectories)
+        if groups is not None:
+            return self.forecast_groups(data, groups, (horizon, window, tolerance))
         law, lengths = self.mechanics, (horizon, window, tolerance)
         return forecast(law.acceleration, data, self.noise_std, *lengths, law.prescribed, law.timed)
 

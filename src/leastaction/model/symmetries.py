@@ -380,7 +380,8 @@ def _drift(model: LagrangianModel, quantity: sp.Expr) -> float:
     points = diagnostics.grid.split(diagnostics.control_points)
     departures: list[float] = []
     sizes: list[float] = []
-    for k, trial in enumerate(list(diagnostics.trajectories)[:_MOST_TRIALS]):
+    for k in model.own_trials(len(diagnostics.trajectories))[:_MOST_TRIALS]:
+        trial = diagnostics.trajectories[k]
         t = np.linspace(float(trial.t[0]), float(trial.t[-1]), min(_MOST_TIMES, 4 * trial.n_times))
         q, qdot = (diagnostics.grid.spaces[k].evaluate(points[k], t, nu) for nu in (0, 1))
         with np.errstate(all="ignore"):

@@ -118,7 +118,7 @@ class Energy:
     @classmethod
     def of(cls, series: Series, trial: int, n_times: int = 3000) -> Energy:
         """Compute it on equal steps, at least as fine as the samples up to `n_times`."""
-        model, data = series.model, series.trajectories[trial]
+        model, data = series.model.of_trial(trial), series.trajectories[trial]
         n_times = max(min(n_times, 4 * data.n_times), 2)
         t = np.linspace(data.t[0], data.t[-1], n_times)
         q, qdot = series.curve_of(trial, t), series.curve_of(trial, t, 1)

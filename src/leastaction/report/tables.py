@@ -58,7 +58,7 @@ def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[
         }
         for symbol, name, terms in kinds
         if terms
-    ] + _shape_group(model, notation)
+    ] + [*_shape_group(model, notation), *_differences(model, notation)]
 
 
 def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
@@ -66,6 +66,20 @@ def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, A
     numbers = [shape.as_term() for shape in model.shapes]
     rows = [{**_coefficient_row(t, notation, f"shape{k}"), "z": ""} for k, t in enumerate(numbers)]
     return [{"symbol": "", "name": "shape parameters", "rows": rows}] if rows else []
+
+
+def _differences(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
+    """Rows of what differs in each further group of trials."""
+    if model.groups is None:
+        return []
+    first, *others = model.groups.names
+    out: list[dict[str, Any]] = []
+    for n, name in enumerate(others):
+        terms = [ModelTerm(d.expression, d.difference, d.standard_error) for d in model.groups.of(name)]
+        rows = [_coefficient_row(term, notation, f"group{n}-{k}") for k, term in enumerate(terms)]
+        if rows:
+            out.append({"symbol": "", "name": f"differences of {name} from {first}", "rows": rows})
+    return out
 
 
 def _coefficient_row(term: ModelTerm, notation: Notation, key: str) -> dict[str, Any]:

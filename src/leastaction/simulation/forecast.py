@@ -17,7 +17,7 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
 from leastaction.simulation.batch import Acceleration, Start, StartResult, run_starts
 
-__all__ = ["ForecastResult", "ForecastTrace", "forecast"]
+__all__ = ["ForecastResult", "ForecastTrace", "forecast", "lengths_of"]
 
 Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
 
@@ -145,6 +145,17 @@ class ForecastResult:
             name: ForecastResult(*common, tuple(t for t in self.traces if t.trial == name)) for name in names
         }
 
+    def with_(self, others: Sequence[ForecastResult], data: Trajectories) -> ForecastResult:
+        """These forecasts and those of other laws, in the sequence of the trials of ``data``."""
+        place = {name: k for k, name in enumerate(data.names)}
+        every = [self, *others]
+        traces = sorted((t for part in every for t in part.traces), key=lambda t: place[t.trial])
+        skipped = sorted((s for part in every for s in part.skipped), key=lambda s: place[s[0]])
+        std = np.sqrt(np.nanvar(np.concatenate([trial.q for trial in data]), axis=0))
+        return replace(
+            self, std=np.fmax(std, np.finfo(float).tiny), traces=tuple(traces), skipped=tuple(skipped)
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers as JSON types, without the traces; null stands for inf and NaN."""
         return {
@@ -227,7 +238,7 @@ def forecast(
     accelerations of their smoothed measurements.  Where it is `timed`, the acceleration takes the time as its
     last argument.
     """
-    horizon, window = _lengths(data, horizon, window)
+    horizon, window = lengths_of(data, horizon, window)
     if not _positive(tolerance):
         raise InputError(f"tolerance is {tolerance!r}; expected a positive number, e.g. 0.4")
     starts, skipped = _plan(data, horizon, window)
@@ -263,7 +274,8 @@ def _positive(value: Any) -> bool:
     return number and bool(0 < value < math.inf)
 
 
-def _lengths(data: Trajectories, horizon: float | None, window: float | None) -> tuple[float, float]:
+def lengths_of(data: Trajectories, horizon: float | None, window: float | None) -> tuple[float, float]:
+    """Horizon and window, where they are not given those of `LagrangianModel.validate`."""
     steps = np.concatenate([np.diff(trial.t) for trial in data])
     if not steps.size:
         raise InputError("no trial has more than one time; a forecast needs a motion")

@@ -23,6 +23,7 @@ from leastaction.identifiers import quoted
 __all__ = [
     "MIN_SAMPLES",
     "combined_trajectories",
+    "group_names",
     "listed_paths",
     "peek",
     "reader_for",
@@ -120,6 +121,33 @@ def combined_trajectories(
             items.append(item.changed(name=trial_name(file, table, item, taken)))
     together = Trajectories(items)
     return together.unwrap(layout.angles) if layout.angles else together
+
+
+def group_names(path: StrPath | Iterable[StrPath], layout: Layout, column: str) -> tuple[str, ...]:
+    """The text of one more column for each trial, in the sequence of `combined_trajectories`.
+
+    Raises
+    ------
+    InputError
+        If there is no such column, or it changes within a trial or is empty there.
+    """
+    out: list[str] = []
+    for file in listed_paths(path):
+        read = reader_for(file)
+        found, table = read(file, layout)
+        named, again = read(file, replace(layout, trial=column))
+        for label, rows in _trial_rows(found, table, stem(file)):
+            texts = [*dict.fromkeys((again.trials or [])[rows])]
+            place = f"{file}, column {quoted(named.trial)}, trial {quoted(label)}"
+            if len(texts) > 1:
+                raise InputError(
+                    f"{place}: the group changes from {quoted(texts[0])} to {quoted(texts[1])}; each trial "
+                    "belongs to one group"
+                )
+            if not texts or not texts[0]:
+                raise InputError(f"{place}: the name of the group is missing; fill it in on every row")
+            out.append(texts[0])
+    return tuple(out)
 
 
 def trial_name(file: Path, table: Table, item: Trajectory, taken: set[str]) -> str:
