@@ -50,14 +50,15 @@ class Case:
     def data(self, number: int, noise: float) -> tuple[la.Trajectories, list[str]]:
         """Recordings of all groups with one noise, and the group of each."""
         count = 1 + len(self.changed)
-        motions = [
-            simulate_truth(self.group(n), TRIALS, DURATION, seed=count * number + n) for n in range(count)
-        ]
+        seeds = [
+            count * number + n + round(1e6 * noise) for n in range(count)
+        ]  # of each level its own motions
+        motions = [simulate_truth(self.group(n), TRIALS, DURATION, seed=seed) for n, seed in enumerate(seeds)]
         sigma = noise_std(self.system, [motion for part in motions for motion in part], noise)
         runs = [
             run.changed(name=f"{n}-{k}")
             for n, part in enumerate(motions)
-            for k, run in enumerate(measure(self.group(n), part, sigma, seed=count * number + n))
+            for k, run in enumerate(measure(self.group(n), part, sigma, seed=seeds[n]))
         ]
         return la.Trajectories(runs), [f"group {n}" for n in range(count) for _ in range(TRIALS)]
 

@@ -199,6 +199,23 @@ def test_groups_of_trials_are_told_apart_by_a_column(payload):
     assert "differences of 1 kg from 0 kg" in page
 
 
+def test_the_law_of_one_group_is_simulated_exported_and_validated(payload):
+    grouped(payload, "--group", "load")
+    file = payload / "out" / "model.json"
+    law = la.load(file).of_group("1 kg")
+    run("export", file, "--format", "python", "-o", payload / "law.py", "--group", "1 kg")
+    assert repr(law.terms[0].coefficient)[:8] in (payload / "law.py").read_text(encoding="utf-8")
+    start = ["--initial", "theta=1", "--duration", 2, "--rate", 50, "-o", payload / "law.csv"]
+    run("simulate", file, *start, "--group", "1 kg")
+    expected = law.simulate([1.0], [0.0], np.arange(101) / 50).q[:, 0]
+    np.testing.assert_array_equal(pd.read_csv(payload / "law.csv")["theta"], expected)
+    data = ["validate", file, payload / "runs.csv", "--forces", "tau", "--json", payload / "errors.json"]
+    run(*data, "--group", "load")
+    errors = json.loads((payload / "errors.json").read_text(encoding="utf-8"))
+    assert errors["rms"][0] < 1.5 * errors["expected_rms"][0]
+    assert "no group '2 kg'" in run("simulate", file, *start, "--group", "2 kg", code=2).output
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [

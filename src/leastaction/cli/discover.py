@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from leastaction import LagrangianModel, Library, Trajectories
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["OUTPUTS", "command_line", "discover", "write_outputs"]
+__all__ = ["OUTPUTS", "command_line", "discover", "groups_of_trials", "write_outputs"]
 
 OUTPUTS = ("model.json", "report.html")
 
@@ -176,7 +176,7 @@ def discover(
         given = known_coefficients(known)
     everything = options.read()
     fitted, held_out = _split(everything, hold_out)
-    groups = {} if group is None else _groups(options, group, everything.names)
+    groups = {} if group is None else groups_of_trials(options, group, everything.names)
     _check_groups(groups, fitted, held_out)
     ranges = shape_ranges(shapes)
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
@@ -294,7 +294,7 @@ def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectori
         return trajectories.select(rest), held
 
 
-def _groups(options: DataOptions, column: str, names: Sequence[str]) -> dict[str, str]:
+def groups_of_trials(options: DataOptions, column: str, names: Sequence[str]) -> dict[str, str]:
     """The group of each trial, by name."""
     from leastaction.io import read_groups
 

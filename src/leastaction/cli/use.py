@@ -5,9 +5,11 @@ from __future__ import annotations
 import gzip
 import json
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import click
 
+from leastaction.cli.discover import groups_of_trials
 from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli.output import check_file
 from leastaction.cli.show import live_progress, say, show_forecast, warn, warn_of_doubts
@@ -16,9 +18,28 @@ from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
 from leastaction.identifiers import quoted
 
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel
+
 __all__ = ["export", "simulate", "validate"]
 
 _MAX_SAMPLES = 5_000_000
+_GROUP = click.option(
+    "--group",
+    metavar="NAME",
+    help="Of a model that was found from groups of trials: the law of that one, by default of the first.",
+)
+
+
+def _loaded(path: str, group: str | None) -> LagrangianModel:
+    """The model of a file, or the law of one of its groups."""
+    import leastaction
+
+    found = leastaction.load(path)
+    if group is None:
+        return found
+    with blame("--group"):
+        return found.of_group(group)
 
 
 @click.command(
@@ -37,18 +58,18 @@ Example:
 @click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
 @click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
 @click.option("-o", "--output", required=True, metavar="FILE", help="CSV file: t, coordinates, velocities.")
-def simulate(model: str, initial: str, duration: str, rate: str, output: str) -> None:
+@_GROUP
+def simulate(model: str, initial: str, duration: str, rate: str, output: str, group: str | None) -> None:
     """Simulate a model without external forces.
 
     MODEL is a model.json of discover. If the motion cannot be followed to the end (it blows up, or the mass
     matrix becomes singular), nothing is written; the message says when and why, and the exit code is 1.
     """
-    import leastaction
     from leastaction.io import write_bytes
 
     file = check_file(output)
     times = _sample_times(duration, rate)
-    found = leastaction.load(model)
+    found = _loaded(model, group)
     with blame("--initial"):
         q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
     if found.fit.status != "ok":
@@ -118,11 +139,18 @@ Example:
 @click.argument("model", metavar="MODEL")
 @data_options(coordinates_required=False)
 @click.option("--horizon", metavar="SECONDS", help="Length of the forecasts; by default about 1 s.")
+@click.option(
+    "--group",
+    metavar="COLUMN",
+    help="Column with the group of each trial: each is forecast by the law of its group, by default of the "
+    "first.",
+)
 @click.option("--json", "json_file", metavar="FILE", help="Write the errors to a JSON file too.")
 def validate(
     model: str,
     data: Callable[..., DataOptions],
     horizon: str | None,
+    group: str | None,
     json_file: str | None,
 ) -> None:
     """Forecast measured trials with a model, and print how far off it is.
@@ -142,12 +170,14 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    trajectories = data(default=found.coordinates).in_order_of(found.coordinates).read()
+    options = data(default=found.coordinates).in_order_of(found.coordinates)
+    trajectories = options.read()
+    groups = None if group is None else groups_of_trials(options, group, trajectories.names)
     if not trajectories.driven and not any(term.known for term in found.terms):
         # the scale of the model came from forces
         warn("the model was found with known forces; without --forces, none act in the forecast")
     with live_progress("forecast"):
-        result = found.validate(trajectories, length)
+        result = found.validate(trajectories, length, groups=groups)
     if found.fit.status != "ok":
         warn_of_doubts("the model", found)
     if file is not None:
@@ -178,12 +208,13 @@ Example:
 @click.argument("model", metavar="MODEL")
 @click.option("--format", "kind", required=True, metavar="FORMAT", help="One of the formats above.")
 @click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
-def export(model: str, kind: str, output: str) -> None:
+@_GROUP
+def export(model: str, kind: str, output: str, group: str | None) -> None:
     """Write a model for other programs."""
     import leastaction
 
     with blame("--format"):
         check_format(kind)
     file = check_file(output)
-    leastaction.export(leastaction.load(model), kind, file)
+    leastaction.export(_loaded(model, group), kind, file)
     say(f"{kind}: {shown(output)}")
