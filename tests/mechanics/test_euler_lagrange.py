@@ -439,6 +439,17 @@ def test_numbered_columns_travel_between_processes(rng):
     assert_close(pickle.loads(pickle.dumps(columns)).strong(here), columns.strong(here))
 
 
+def test_numbers_given_apart_are_numbers_in_place(rng):
+    plain, one, two = terms(["x*y", "exp(-{a}*x)", "x_dot**2*{a}*y*cos({b}*y)"], PLANE)
+    numbers = [{}, {"a": 0.5}, {"b": 2.0, "a": -1.25}]
+    apart = EulerLagrange([plain], PLANE).of([plain, one, two.at({"a": 7.0, "b": 1.0})], numbers)
+    put = EulerLagrange([plain, one.at(numbers[1]), two.at(numbers[2])], PLANE)
+    here = points(rng)
+    for columns in (apart, pickle.loads(pickle.dumps(apart))):
+        np.testing.assert_array_equal(columns.strong(here), put.strong(here))
+        np.testing.assert_array_equal(columns.weak(here), put.weak(here))
+
+
 def test_the_public_operator_needs_numbers():
     library = la.Library(["x_dot**2/2", "exp(-{a}*x)"], ["x"])
     with pytest.raises(la.InputError, match="no number for the shape parameter 'a'"):

@@ -252,7 +252,7 @@ def test_only_even_distances_confuse_a_force_with_one_of_another_frequency(uneve
     grid = uniform_grid([20.0], 40.0, 5)
     control = interpolate(grid, [lambda t: np.sin(t)[:, None]])
     form = WeakForm(grid, columns, np.full(4, np.nan), None, [1.5], np.ones(1), uneven)
-    ((_, rows),) = form.rows(control)
+    ((_, rows),) = form.rows(form.states(control))
     low, high = rows[:, :2], rows[:, 2:4]
     left = high - low @ np.linalg.lstsq(low, high)[0]
     assert (np.linalg.norm(left) < 0.02 * np.linalg.norm(high)) == alike

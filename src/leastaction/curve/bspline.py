@@ -248,10 +248,12 @@ class SplineGrid:
         """(n_intervals in chunk, degree + 1, n_dof) control points that matter in each interval."""
         return control_points[self.first[chunk, None] + np.arange(self.degree + 1)]
 
-    def at_quadrature(self, control_points: np.ndarray, chunk: slice = slice(None)) -> list[np.ndarray]:
-        """q, q̇, q̈ at the quadrature points, each (n_intervals, n_quadrature, n_dof)."""
+    def at_quadrature(
+        self, control_points: np.ndarray, chunk: slice = slice(None), most: int = 2
+    ) -> list[np.ndarray]:
+        """q, q̇, q̈ at the quadrature points, each (n_intervals, n_quadrature, n_dof), up to one derivative."""
         local = self.local_control_points(control_points, chunk)
-        return [self.quadrature_basis(chunk, nu) @ local for nu in range(3)]
+        return [self.quadrature_basis(chunk, nu) @ local for nu in range(most + 1)]
 
     def chunks(self, size: int) -> list[slice]:
         """Runs of at most ``size`` knot intervals; one may hold several short trajectories."""

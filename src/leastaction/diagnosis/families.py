@@ -117,9 +117,14 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str]] | None:
 
 def _offer(fit: Fit, terms: list[Term], ranges: Mapping[str, ShapeRange]) -> Offer:
     """The numbers with which −2 log likelihood falls the most, and by how much, less what they cost."""
-    starts = [[t.at(numbers) for t in terms] for numbers in shape_starts(ranges, _STARTS)]
+    starts = list(shape_starts(ranges, _STARTS))
     base = [fit.problem.terms[m] for m in fit.structure]
-    flat = [term for start in starts for term in start]
-    gains = gains_beside(fit, fit.problem.candidates.of([*base, *flat]), len(terms))
+    plain: Mapping[str, float] = {}
+    numbers = [*[plain] * len(base), *(start for start in starts for _ in terms)]
+    gains = gains_beside(fit, fit.problem.candidates.of([*base, *terms * len(starts)], numbers), len(terms))
     best = int(np.argmax(gains))
-    return Offer(starts[best], ranges, gains[best] - penalty(fit.grid) * (len(terms) + len(ranges)))
+    return Offer(
+        [term.at(starts[best]) for term in terms],
+        ranges,
+        gains[best] - penalty(fit.grid) * (len(terms) + len(ranges)),
+    )

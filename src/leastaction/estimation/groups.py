@@ -205,7 +205,9 @@ class GroupedColumns(EulerLagrange):
     def within(self, intervals: slice) -> EulerLagrange:
         return self._with(self.terms, self.labels[intervals])
 
-    def of(self, terms: Sequence[Term]) -> EulerLagrange:
+    def of(self, terms: Sequence[Term], values: Sequence[Mapping[str, float]] | None = None) -> EulerLagrange:
+        if values is not None:  # equal terms are evaluated once: their numbers have to tell them apart
+            terms = [term.at(given) if given else term for term, given in zip(terms, values, strict=True)]
         return self._with(terms, self.labels)
 
     def __reduce__(self) -> tuple[Any, ...]:

@@ -68,6 +68,12 @@ class Term:
         expr = self.expr if self.template is None else self.template.term.expr
         return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
 
+    def numbered(self, values: Mapping[str, float]) -> Template:
+        """The term with shape parameters and their numbers, of twelve digits; see `at`."""
+        whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)
+        values = {**dict(had), **values}
+        return Template(whole, tuple((name, float(f"{values[name]:.12g}")) for name in self.shapes))
+
     def at(self, values: Mapping[str, float]) -> Term:
         """The term with numbers for its shape parameters, of twelve digits; itself if it has none.
 
@@ -81,16 +87,14 @@ class Term:
         KeyError
             If a number is lacking.
         """
-        names = self.shapes
-        if not names:
+        if not self.shapes:
             return self
-        whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)
-        values = {**dict(had), **values}
-        numbers = {name: float(f"{values[name]:.12g}") for name in names}
+        template = self.numbered(values)
+        whole, numbers = template.term, dict(template.values)
         # one that cancels out of the expression has no number, and none matters
         text = _BRACES.sub(lambda found: _literal(found, numbers.get(found["name"], 1.0)), whole.text)
         expr = whole.expr.xreplace({shape_symbol(name): sympy.Float(x) for name, x in numbers.items()})
-        return Term(text, expr, self.kind, Template(whole, tuple(numbers.items())))
+        return Term(text, expr, self.kind, template)
 
 
 @dataclass(frozen=True)

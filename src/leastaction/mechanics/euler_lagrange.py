@@ -14,7 +14,7 @@ Both are linear in the coefficients.  A *column* below is one candidate, of eith
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -187,12 +187,6 @@ class _Numbered:
         return partial(self._column.get(what), numbers=self._numbers)
 
 
-def _functions(term: Term, coordinates: tuple[str, ...]) -> _Column | _Numbered:
-    if term.template is None:
-        return _column(term, coordinates)
-    return _Numbered(term, term.template, coordinates)
-
-
 class EulerLagrange:
     """The columns of a library as numpy functions.
 
@@ -204,19 +198,36 @@ class EulerLagrange:
     prescribed : sequence of int
         Coordinates that unknown forces move: their equations are empty, and the mass matrix is that of the
         others, with a one for each of them.
+    values : sequence of mapping, optional
+        Numbers for the shape parameters of each term, empty where it has none or has its numbers. To put them
+        into the terms themselves (`Term.at`) takes more time than to evaluate these.
     """
 
     grouped = False
     """Whether some columns act in some of the trials alone."""
 
     def __init__(
-        self, terms: Sequence[Term], coordinates: Sequence[str], prescribed: Sequence[int] = ()
+        self,
+        terms: Sequence[Term],
+        coordinates: Sequence[str],
+        prescribed: Sequence[int] = (),
+        values: Sequence[Mapping[str, float]] | None = None,
     ) -> None:
         self.terms = tuple(terms)
         self.coordinates = tuple(coordinates)
         self.prescribed = tuple(prescribed)
         self.n_dof = len(self.coordinates)
-        self._columns = [_functions(term, self.coordinates) for term in self.terms]
+        self._values = values
+        templates = [term.template for term in self.terms]
+        if values is not None:
+            pairs = zip(self.terms, values, strict=True)
+            templates = [term.numbered(given) if given else term.template for term, given in pairs]
+        self._columns = [
+            _column(term, self.coordinates)
+            if template is None
+            else _Numbered(term, template, self.coordinates)
+            for term, template in zip(self.terms, templates, strict=True)
+        ]
 
     def __len__(self) -> int:
         return len(self.terms)
@@ -302,11 +313,11 @@ class EulerLagrange:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # functions do not travel between processes: they are compiled once more where they arrive
-        return type(self), (self.terms, self.coordinates, self.prescribed)
+        return type(self), (self.terms, self.coordinates, self.prescribed, self._values)
 
-    def of(self, terms: Sequence[Term]) -> EulerLagrange:
+    def of(self, terms: Sequence[Term], values: Sequence[Mapping[str, float]] | None = None) -> EulerLagrange:
         """Other terms for the same coordinates."""
-        return EulerLagrange(terms, self.coordinates, self.prescribed)
+        return EulerLagrange(terms, self.coordinates, self.prescribed, values)
 
 
 def euler_lagrange(

@@ -120,9 +120,10 @@ class Profile:
         fixed = [k for k in range(len(terms)) if self.problem.is_known[k] and not terms[k].shapes]
         index = [*self.plain, *fixed]
         known = np.append(np.full(len(self.plain), np.nan), self.problem.known[fixed])
-        self._curves = [curve.control_points, *weak_replicates(grid, curve, seed)]
         waves = any(where.spacing == "frequency" for where in self.problem.ranges.values())
         self._form = weak_form(grid, curve, self.problem.candidates.subset(index), known, (1.0,), waves)
+        curves = (curve.control_points, *weak_replicates(grid, curve, seed))
+        self._states = [list(self._form.states(each)) for each in curves]
         self._rows = self._made(self._form)
         self._levels = _levels([terms[k] for k in self.plain])
 
@@ -213,14 +214,16 @@ class Profile:
         most: int | None = None,
     ) -> WeakGram | None:
         """Quadratic forms over the plain candidates, the bearers and the tangents; None if undefined."""
-        terms = [*(self.problem.terms[k].at(values) for k in bearers), *tangents]
+        terms = [*(self.problem.terms[k] for k in bearers), *tangents]
+        plain: Mapping[str, float] = {}
+        numbers = [*[values] * len(bearers), *[plain] * len(tangents)]
         known = np.append(self.problem.known[list(bearers)], np.full(len(tangents), np.nan))
-        rows = self._made(self._form.of(self.problem.candidates.of(terms), known), most)
+        rows = self._made(self._form.of(self.problem.candidates.of(terms, numbers), known), most)
         return self._rows.beside(rows).gram() if np.isfinite(rows.inertial + rows.potential).all() else None
 
     def _made(self, form: WeakForm, most: int | None = None) -> _Rows:
         """Rows along the curve and its replicates, or the first few of them."""
-        first, *others = self._curves
+        first, *others = self._states
         inertial, potential = form.rows(first)[0]
-        again = (form.rows(curve)[0] for curve in others[:most])
+        again = (form.rows(states)[0] for states in others[:most])
         return _Rows(inertial, potential, [i + v for i, v in again])

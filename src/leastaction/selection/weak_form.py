@@ -14,9 +14,10 @@ errors, as a quadratic form in the coefficients, and their bias, which is taken 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -110,12 +111,11 @@ class WeakForm:
         self.widths = tuple(widths)
         owners = [np.flatnonzero(grid.owner == k) for k in range(len(grid.spaces))]
         self._chunks = [slice(index[0], index[-1] + 1) for index in owners]
-        self._tests = [
-            [
-                _TestFunctions(grid.points[c].ravel(), grid.weights[c].ravel(), width, uneven)
-                for width in self.widths
-            ]
-            for c in self._chunks
+        self._blocks = [
+            _in_blocks(
+                [_Windows.lay(points, width, uneven) for width in self.widths], grid.weights[c].ravel()
+            )
+            for c, points in ((c, grid.points[c].ravel()) for c in self._chunks)
         ]
 
     def _take(self, columns: EulerLagrange, known: np.ndarray) -> None:
@@ -132,11 +132,13 @@ class WeakForm:
 
     def grams(self, control_points: np.ndarray, replicates: Sequence[np.ndarray]) -> list[WeakGram]:
         """Quadratic forms of each width along a curve, with replicates of it for the noise."""
-        here = self.rows(control_points)
+        here = self.rows(self.states(control_points))
         totals = [np.zeros_like(inertial) for inertial, _ in here]
         squares = [np.zeros((t.shape[1], t.shape[1])) for t in totals]
         for curve in replicates:
-            for total, square, (inertial, potential) in zip(totals, squares, self.rows(curve), strict=True):
+            for total, square, (inertial, potential) in zip(
+                totals, squares, self.rows(self.states(curve)), strict=True
+            ):
                 again = inertial + potential
                 total += again
                 square += again.T @ again
@@ -145,20 +147,31 @@ class WeakForm:
             for parts, total, square in zip(here, totals, squares, strict=True)
         ]
 
-    def rows(self, control_points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def states(self, control_points: np.ndarray) -> Iterator[Points]:
+        """Points of a curve, block by block; a list of them serves for several calls of `rows`."""
+        for chunk, blocks in zip(self._chunks, self._blocks, strict=True):
+            q, qdot = (
+                s.reshape(-1, s.shape[2]) for s in self.grid.at_quadrature(control_points, chunk, most=1)
+            )
+            times = self.grid.points[chunk].ravel()
+            for block in blocks:
+                yield Points(q[block.here], qdot[block.here], times=times[block.here])
+
+    def rows(self, states: Iterable[Points]) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each width the two parts of the rows, inertial and potential, (n_rows, n_columns) each."""
         rows: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.widths]
-        for chunk, tests in zip(self._chunks, self._tests, strict=True):
-            q, qdot, _ = (s.reshape(-1, s.shape[2]) for s in self.grid.at_quadrature(control_points, chunk))
-            times = self.grid.points[chunk].ravel()
-            forces = None if self.forces is None else self.forces[chunk].reshape(-1, q.shape[1])
-            overlap = max(test.overlap for test in tests)
-            for start in range(0, max(1, len(q) - overlap), _BLOCK):
-                here = slice(start, min(start + _BLOCK + overlap, len(q)))
-                values = self.columns.weak(Points(q[here], qdot[here], times=times[here]))
-                force = None if forces is None else forces[here]
-                for w, test in enumerate(tests):
-                    rows[w].append(test.apply(values, force, here, _BLOCK, self))
+        blocks = (
+            (c, block) for c, blocks in zip(self._chunks, self._blocks, strict=True) for block in blocks
+        )
+        for (chunk, block), points in zip(blocks, states, strict=True):
+            values = self.columns.weak(points)
+            forces = None
+            if self.forces is not None:
+                forces = self.forces[chunk].reshape(-1, self.columns.n_dof)[block.here]
+            for w, (chi, chi_dot) in enumerate(block.tests):
+                push = None if forces is None else np.asarray(chi @ forces)
+                parts = _integrals(chi_dot, values[0]), _integrals(chi, values[1])
+                rows[w].append(self.join_known(*parts, push))
         return [(np.concatenate([i for i, _ in r]), np.concatenate([v for _, v in r])) for r in rows]
 
     def join_known(
@@ -175,43 +188,66 @@ class WeakForm:
         return (joined * self.scale[None, :, None]).reshape(-1, joined.shape[2])
 
 
-class _TestFunctions:
-    """χ = (1 − x²)⁴ and χ̇ times quadrature weights on one trajectory, one window a row."""
+@dataclass(frozen=True, eq=False)
+class _Windows:
+    """Where the test functions of one width are on one trajectory.
 
-    def __init__(self, points: np.ndarray, weights: np.ndarray, width: float, uneven: bool) -> None:
+    Attributes
+    ----------
+    points : (n_points,) array
+    centres : (n_windows,) array
+    width : float
+    low, high : (n_windows,) arrays
+        The quadrature points of each window.
+    """
+
+    points: np.ndarray
+    centres: np.ndarray
+    width: float
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def lay(cls, points: np.ndarray, width: float, uneven: bool) -> _Windows:
+        """Windows along a trajectory, of a width that leaves room for one."""
         span = float(points[-1] - points[0])
         width = min(width, 0.9 * span)
         hop = width / _HOPS
-        n_windows = max(1, int((span - width) / hop) + 1)
-        places: np.ndarray = np.arange(n_windows, dtype=float)
+        places: np.ndarray = np.arange(max(1, int((span - width) / hop) + 1), dtype=float)
         if uneven:  # each up to half a distance earlier, the first where it is
             places = places - 0.5 * np.mod(_GOLDEN * places, 1.0)
         centres: np.ndarray = points[0] + 0.5 * width + hop * places
-        self.low = np.searchsorted(points, centres - 0.5 * width)
-        self.high = np.searchsorted(points, centres + 0.5 * width)
-        lengths = self.high - self.low
-        self.overlap = int(lengths.max())
-        rows = np.repeat(np.arange(n_windows), lengths)
-        columns = (
-            np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths) + self.low[rows]
-        )
-        x = (points[columns] - centres[rows]) / (0.5 * width)
-        inside = np.clip(1.0 - x**2, 0.0, None)
-        shape = (n_windows, points.size)
-        self.chi = sp.csr_array((inside**4 * weights[columns], (rows, columns)), shape=shape)
-        slope = -8.0 * x * inside**3 / (0.5 * width) * weights[columns]
-        self.chi_dot = sp.csr_array((slope, (rows, columns)), shape=shape)
+        low = np.searchsorted(points, centres - 0.5 * width)
+        return cls(points, centres, width, low, np.searchsorted(points, centres + 0.5 * width))
 
-    def apply(
-        self, values: np.ndarray, forces: np.ndarray | None, here: slice, block: int, form: WeakForm
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Both parts of the rows of the windows that begin in the block."""
-        mine = np.flatnonzero(
-            (self.low >= here.start) & (self.low < here.start + block) & (self.high <= here.stop)
-        )
-        chi, chi_dot = self.chi[mine][:, here], self.chi_dot[mine][:, here]
-        push = None if forces is None else np.asarray(chi @ forces)
-        return form.join_known(_integrals(chi_dot, values[0]), _integrals(chi, values[1]), push)
+    def within(self, here: slice, begin: int, weights: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
+        """χ = (1 − x²)⁴ and χ̇ times quadrature weights, one window a row, of those that begin in a block."""
+        mine = (self.low >= here.start) & (self.low < begin) & (self.high <= here.stop)
+        low, lengths = self.low[mine], (self.high - self.low)[mine]
+        rows = np.repeat(np.arange(lengths.size), lengths)
+        columns = np.arange(int(lengths.sum())) - np.repeat(np.cumsum(lengths) - lengths, lengths) + low[rows]
+        x = (self.points[columns] - self.centres[mine][rows]) / (0.5 * self.width)
+        inside = np.clip(1.0 - x**2, 0.0, None)
+        index, shape = (rows, columns - here.start), (lengths.size, here.stop - here.start)
+        slope = -8.0 * x * inside**3 / (0.5 * self.width) * weights[columns]
+        return sp.csr_array((inside**4 * weights[columns], index), shape), sp.csr_array((slope, index), shape)
+
+
+class _Block(NamedTuple):
+    """Quadrature points that are handled at once; of each width χ and χ̇ of the windows that begin there."""
+
+    here: slice
+    tests: list[tuple[sp.csr_array, sp.csr_array]]
+
+
+def _in_blocks(windows: Sequence[_Windows], weights: np.ndarray) -> list[_Block]:
+    """The test functions of a trajectory, in blocks that bound memory."""
+    overlap = max(int((w.high - w.low).max()) for w in windows)
+    out: list[_Block] = []
+    for start in range(0, max(1, weights.size - overlap), _BLOCK):
+        here = slice(start, min(start + _BLOCK + overlap, weights.size))
+        out.append(_Block(here, [w.within(here, start + _BLOCK, weights) for w in windows]))
+    return out
 
 
 def _integrals(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:
