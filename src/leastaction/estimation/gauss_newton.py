@@ -43,6 +43,7 @@ __all__ = [
 ]
 
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
+_SAMPLES = 1e5  # more of them share the tolerance: to 0.01 for 10⁷ samples took more than 15 steps
 _MOST_IDLE = 3  # steps in turn that gain less than the tolerance
 _RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of equations that a curve does not find to at once
 
@@ -137,7 +138,8 @@ def fit_joint(
         At the start, where it is at hand.
     tolerance : float
         Stop when the step is predicted to lower the cost by less than this (a χ² of 0.01 is a
-        tenth of a standard error).
+        tenth of a standard error), of more than 100,000 samples by this for so many.  What the coefficients'
+        own step promises counts by itself.
 
     Returns
     -------
@@ -151,6 +153,7 @@ def fit_joint(
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
         return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
+    in_all = tolerance * max(1.0, float(observations.counts.sum()) / _SAMPLES)
     moved = partial(_moved, observations, physics, weights)
     normal, here = here.normal(weights), here.lean()
     while step < max_steps:
@@ -175,12 +178,12 @@ def fit_joint(
                 new_points, new_coefficients, there = moved((new_points, new_coefficients), *correction)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
-            idle = idle + 1 if cost - new_cost < tolerance else 0
+            idle = idle + 1 if cost - new_cost < in_all else 0
             control_points, coefficients, cost = new_points, new_coefficients, new_cost
             normal, here = there.normal(weights), there.lean()
             del there
             damping = damping / 10.0 if damping > 1e-6 else 0.0
-            if predicted < tolerance and damping < 1e-3:
+            if own < tolerance and predicted < in_all and damping < 1e-3:
                 status = "converged"
                 break
             if idle == _MOST_IDLE:  # what the step promises is rounding
@@ -190,7 +193,7 @@ def fit_joint(
             del there
             damping = max(10.0 * damping, 1e-4)
             # below the tolerance no measurable progress is left: rounding decides
-            if predicted < tolerance or damping > _LARGEST_DAMPING:
+            if (own < tolerance and predicted < in_all) or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
     covariance, factor = _uncertainty(here, normal, weights)

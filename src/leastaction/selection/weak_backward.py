@@ -88,6 +88,7 @@ def _without_many(scaled: ScaledGram, support: Support, price: float) -> Support
     return sequence[0]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # at a pole a term is infinite, and decides
 def _reductions(scaled: ScaledGram, supports: list[Support], width: int) -> list[Support]:
     """The best distinct supports that have one member less than those given."""
     index = np.array([(*s.members, scaled.known) for s in supports])
