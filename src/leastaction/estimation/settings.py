@@ -66,7 +66,8 @@ class EstimationSettings:
 
     shape_step: float = 0.5
     """Share of a shape parameter, or of a quarter of its range, that one step may change. Half: one right
-    result of three is no longer ok, rms z 1.51 instead of 1.31; twice: one of four right structures is lost."""
+    result of four is no longer ok, rms z 1.51 instead of 1.31; twice: one of four right structures is
+    lost."""
 
     shape_scales: float = 10.0
     """Ratio to the scale of the data, up and down, of rates and lengths that a search begins with. Half: one
