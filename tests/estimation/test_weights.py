@@ -17,7 +17,7 @@ from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.weights import (
     Start,
-    _reversal,
+    _secant,
     evidence,
     fit_weights,
     start_weights,
@@ -239,21 +239,22 @@ def test_an_equation_without_terms_has_a_weight_of_the_size_of_the_others():
     assert np.all(np.diag(quadratic.matrix)[2:] > 0.0)
 
 
-@pytest.mark.parametrize("factor", [-1.0, -0.8])
-def test_a_weight_that_swings_about_its_fixed_point_is_met_half_way(factor: float):
-    """x → factor · x: without the shorter stride the rounds of −1 never end."""
-    x, stride, last = np.array([1.0, -0.5]), 1.0, np.zeros(0)
-    for _ in range(3):
-        change = (factor - 1.0) * x
-        stride, last = stride / (1.0 + _reversal(last, change)), change
-        x = x + stride * change
-    assert np.abs(x).max() < 0.05
+@pytest.mark.parametrize("factor", [-0.8, -1.0, -5.0])
+@pytest.mark.parametrize("first", [1.0, 0.5, 2.0])
+def test_a_weight_that_swings_about_its_fixed_point_is_met(factor: float, first: float):
+    """x → factor · x: without the shorter stride the rounds of −1 never end, and those of −5 run away."""
+    x = np.array([1.0, -0.5])
+    before = (factor - 1.0) * x
+    taken = first * before  # a part of it, or accelerated
+    x = x + taken
+    stride = _secant(taken, before, (factor - 1.0) * x)
+    assert np.abs(x + stride * (factor - 1.0) * x).max() < 1e-12
 
 
-def test_weights_that_go_on_keep_their_stride():
-    assert _reversal(np.zeros(0), np.array([1.0])) == 0.0
-    assert _reversal(np.array([2.0, -1.0]), np.array([1.0, -0.5])) == 0.0
-    assert _reversal(np.array([1e-9]), np.array([-1.0])) == 1.0
+def test_a_stride_stays_between_a_tenth_and_all():
+    one = np.array([1.0])
+    assert _secant(1e-9 * one, one, -one) == 0.1
+    assert _secant(one, one, -1e-12 * one) == pytest.approx(1.0)
 
 
 # -------------------------------- steps of the joint fit where the weights of the equations are large

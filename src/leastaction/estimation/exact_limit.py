@@ -50,7 +50,8 @@ def towards_exact(fit: Fit) -> Fit:
     ratio, too, is chance on the plateau. The fit itself comes back where every equation shows an error, or
     where no larger weight is as likely.
     """
-    hardly = fit.weights.slack < ESTIMATION.slack_left
+    cost = fit.linearisation.equation * fit.weights.physics
+    hardly = np.maximum(fit.weights.slack, cost) < ESTIMATION.slack_left
     hardly[list(fit.problem.prescribed)] = False
     if not fit.converged or not hardly.any() or not np.isfinite(fit.evidence):
         return fit

@@ -39,11 +39,12 @@ __all__ = [
     "fit_joint",
     "nearer",
     "score_candidates",
+    "shared",
     "symmetric_inverse",
 ]
 
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
-_SAMPLES = 1e5  # more of them share the tolerance: to 0.01 for 10⁷ samples took more than 15 steps
+_SAMPLES = 1e5  # more of them share a tolerance: to 0.01 for 10⁷ samples took more than 15 steps
 _MOST_IDLE = 3  # steps in turn that gain less than the tolerance
 _RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of equations that a curve does not find to at once
 
@@ -153,7 +154,7 @@ def fit_joint(
         unknown = np.full((physics.n_free, physics.n_free), np.nan)
         return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
     step = idle = 0
-    in_all = tolerance * max(1.0, float(observations.counts.sum()) / _SAMPLES)
+    in_all = tolerance * shared(observations)
     moved = partial(_moved, observations, physics, weights)
     normal, here = here.normal(weights), here.lean()
     while step < max_steps:
@@ -200,6 +201,11 @@ def fit_joint(
     status = "not finite" if factor is None else status
     log_h = np.nan if factor is None else factor.logdet
     return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
+
+
+def shared(observations: Measurements) -> float:
+    """By how much what ends a fit, a change of χ² or of the evidence, may be larger for many samples."""
+    return max(1.0, float(observations.counts.sum()) / _SAMPLES)
 
 
 def _step(normal: System, damping: float) -> tuple[np.ndarray, np.ndarray, float, float]:

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.gauss_newton import JointFit, fit_joint
+from leastaction.estimation.gauss_newton import JointFit, fit_joint, shared
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Measurements, linearise
 from leastaction.estimation.settings import ESTIMATION
@@ -30,6 +30,8 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 # below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
 _NOTHING = 1e-150
+_SHORTEST = 0.1  # of the changes of the weights, taken at once
+_FARTHEST = np.log(30.0)  # that a weight goes where it turns back
 _HALVINGS = 4  # of a step of the weights
 _MOST_STEPS = 100  # a structure that needs more is not worth it
 
@@ -118,14 +120,14 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
             slack[i], new_physics[i] = rank, weights.physics[i]
             continue
         slack[i] = max(rank - used[i], 1e-3)
-        ratio = slack[i] / max(at.equation[i] * weights.physics[i], 1e-300)
+        cost = max(at.equation[i] * weights.physics[i], 1e-300)
         # where hardly any equation error is left, its size is mostly rounding: do not fall for it
-        lowest = 1 / 30 if slack[i] > ESTIMATION.slack_left else 1 / 3
-        new_physics[i] = weights.physics[i] * np.clip(ratio, lowest, 30)
+        left = max(slack[i], cost) > ESTIMATION.slack_left  # many samples may see an error without slack
+        new_physics[i] = weights.physics[i] * np.clip(slack[i] / cost, 1 / 30 if left else 1 / 3, 30)
         if at.terms[i] > 0.0:
             # an error that small makes no difference, and steps towards none at all would end on the way
             # not while coefficients are held
-            hardly = slack[i] < ESTIMATION.slack_left and fit.covariance.size > 0
+            hardly = not left and fit.covariance.size > 0
             least = rank / (ESTIMATION.small_error**2 * at.terms[i]) if hardly else 0.0
             new_physics[i] = np.clip(new_physics[i], least, rank / (ESTIMATION.no_error**2 * at.terms[i]))
     for c in range(new_noise.size):
@@ -148,20 +150,28 @@ def fit_weights(
     """Fit curve, coefficients and weights together.
 
     Stops when the coefficients move by less than a twentieth of a standard error, and the evidence by
-    less than a half, from one round to the next.
+    less than a half, from one round to the next; of more than 100,000 samples by a half for so many.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, stride, last = best.n_steps, 1.0, np.zeros(0)
+    steps, stride = best.n_steps, 1.0
+    taken = before = np.zeros(0)
+    tolerance = ESTIMATION.evidence_settled * shared(observations)
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
             break
         try:
-            update = _accelerate(best.weights, update_weights(observations, best))
+            update = update_weights(observations, best)
         except np.linalg.LinAlgError:  # at the limit of rounding H is not positive definite for other weights
             break
         change = _change(best.weights, update)
-        stride, last = stride / (1.0 + _reversal(last, change)), change
+        if taken.size and float(taken @ change) < 0.0:
+            update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
+            change = _change(best.weights, update)
+            stride = _secant(taken, before, change)
+        else:  # what turns back has gone far enough
+            update = _accelerate(best.weights, update)
+        before = change
         for _ in range(_HALVINGS):
             weights = _part_of_the_way(best.weights, update, stride)
             fit = fit_joint(
@@ -174,7 +184,7 @@ def fit_weights(
             )
             steps += fit.n_steps
             value = evidence(observations, fit)
-            if np.isfinite(value) and value >= best_evidence - ESTIMATION.evidence_settled:
+            if np.isfinite(value) and value >= best_evidence - tolerance:
                 break
             # equations compete for the same error and take it from each other in turn
             stride *= 0.5
@@ -182,9 +192,8 @@ def fit_weights(
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
-        settled = (
-            np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < ESTIMATION.evidence_settled
-        )
+        settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
+        taken = _change(best.weights, fit.weights)
         best, best_evidence = fit, value
         if settled:
             break
@@ -197,14 +206,14 @@ def _change(old: Weights, new: Weights) -> np.ndarray:
     return np.concatenate([np.log(b / a) for a, b in pairs])
 
 
-def _reversal(last: np.ndarray, change: np.ndarray) -> float:
-    """The share ρ of the last change that the next one takes back, at most all; 0 if it goes on.
+def _secant(taken: np.ndarray, before: np.ndarray, change: np.ndarray) -> float:
+    """The share of the changes that meets the fixed point, where a step turned them round.
 
-    Equations that compete for one error take it from each other in turn, round after round.  Where a step of
-    a fixed-point iteration is followed by −ρ of it, 1 / (1 + ρ) of a step meets the fixed point (the secant
-    rule).
+    Equations that compete for one error take it from each other in turn, round after round.  Along the step,
+    changes fall in proportion to it: from ``before`` to ``change``, and to none at the fixed point.
     """
-    return min(max(0.0, -float(last @ change) / float(last @ last)), 1.0) if last.any() else 0.0
+    along = float(taken @ taken) / float(taken @ (before - change))
+    return float(np.clip(along, _SHORTEST, 1.0))
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
