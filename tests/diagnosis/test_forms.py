@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,13 @@ from helpers import free_motions
 from leastaction.diagnosis import families, smooth_changes
 from leastaction.estimation.fit import Fit
 from leastaction.findings import find
+
+POWERS = ["x_dot**2", "x", "x**2", "x**3", "x**4"]
+STARTS = (0.5, 0.9, 1.6)
+
+
+def morse(x):
+    return 6.0 * (np.exp(-2.4 * x) - np.exp(-1.2 * x))
 
 
 # ------------------------------ families: they are named, and lead to the law when they are added
@@ -26,14 +35,14 @@ def _named(model: la.LagrangianModel) -> tuple[str, ...]:
     ("force", "starts", "texts", "numbers"),
     [
         (
-            lambda x: 6.0 * (np.exp(-2.4 * x) - np.exp(-1.2 * x)),
-            (0.5, 0.9, 1.6),
+            morse,
+            STARTS,
             ("exp(-{a}*x)", "exp(-2*{a}*x)"),
             {"a": 1.2},
         ),
         (
             lambda x: -2.0 * x / (x**2 + 0.04) ** 1.5,
-            (0.5, 0.9, 1.6),
+            STARTS,
             ("1/sqrt((x-{p})**2+{h}**2)",),
             {"p": 0.0, "h": 0.2},
         ),
@@ -41,8 +50,8 @@ def _named(model: la.LagrangianModel) -> tuple[str, ...]:
     ids=["Morse", "soft Coulomb"],
 )
 def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers):
-    runs, powers = free_motions(force, starts), ["x_dot**2", "x", "x**2", "x**3", "x**4"]
-    doubtful = la.discover(runs, powers, known={"x_dot**2": 0.5})
+    runs = free_motions(force, starts)
+    doubtful = la.discover(runs, POWERS, known={"x_dot**2": 0.5})
     assert doubtful.fit.status == "doubtful"
     assert _named(doubtful) == texts
     assert all(text in " ".join(doubtful.fit.warnings) for text in texts)
@@ -55,22 +64,53 @@ def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers)
     assert {term.written for term in model.terms} == {"x_dot**2", *texts}
 
 
+@pytest.fixture(scope="module")
+def helped():
+    """What a search of powers for a Morse oscillator was asked for, and what it tried."""
+    asked: list[tuple[Any, ...]] = []
+    tried: dict[str, list[Any]] = {"places": [], "searched_with": []}
+    real = families._helpful
+    with pytest.MonkeyPatch.context() as patch:
+
+        def helpful(search, kinetic):
+            asked.append((search, kinetic))
+            return real(search, kinetic)
+
+        patch.setattr(families, "_helpful", helpful)
+        for name, kept in tried.items():
+            patch.setattr(families, name, recorded(getattr(families, name), kept))
+        model = la.discover(free_motions(morse, STARTS), POWERS, known={"x_dot**2": 0.5})
+    assert _named(model)
+    return asked[-1], tried
+
+
+def recorded(function, kept: list[Any]):
+    def run(*args):
+        kept.append(function(*args))
+        return kept[-1]
+
+    return run
+
+
 @pytest.mark.parametrize(
     ("condition", "answer"),
     [
+        (None, None),
         ("equations_hold", lambda fit: False),
         ("doubts_about_the_form", lambda fit, relevance: [find("form-open", kind="potential", open=0.2)]),
         ("value", lambda fit: 0.0),
     ],
-    ids=["equations do not hold", "form still open", "no likelier"],
+    ids=["all are met", "equations do not hold", "form still open", "no likelier"],
 )
-def test_nothing_is_named_where_no_family_helps(condition, answer, monkeypatch):
-    """Each condition by itself keeps a family from being named that is named otherwise: see above."""
-    runs = free_motions(lambda x: 6.0 * (np.exp(-2.4 * x) - np.exp(-1.2 * x)), (0.5, 0.9, 1.6))
-    monkeypatch.setattr(families, condition, answer)
-    model = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
-    assert model.fit.status == "doubtful"
-    assert not _named(model)
+def test_nothing_is_named_where_no_family_helps(condition, answer, helped, monkeypatch):
+    """Each condition by itself keeps a family from being named that is named otherwise."""
+    asked, tried = helped
+    for name, kept in tried.items():  # the same again, in the same sequence
+        again, real = iter(kept), getattr(families, name)
+        monkeypatch.setattr(families, name, lambda *args, _a=again, _r=real: next(_a, None) or _r(*args))
+    if condition is not None:
+        monkeypatch.setattr(families, condition, answer)
+    assert (families._helpful(*asked) is None) == (condition is not None)
 
 
 # ---------------------------- time: a law that depends on it is named as such, and only such a law
@@ -89,8 +129,8 @@ def test_nothing_is_named_where_no_family_helps(condition, answer, monkeypatch):
     ids=["forced", "parametric", "softening", "two frequencies"],
 )
 def test_a_law_that_depends_on_time_is_named(force, texts, numbers):
-    runs = free_motions(force, (0.5, 0.9, 1.6), timed=True)
-    doubtful = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
+    runs = free_motions(force, STARTS, timed=True)
+    doubtful = la.discover(runs, POWERS, known={"x_dot**2": 0.5})
     (finding,) = [f for f in doubtful.fit.findings if f.code == "time-dependent"]
     found = dict(pair.split(" = ") for pair in finding.values["numbers"])
     # the frequencies are named in the sequence in which they are found
@@ -103,7 +143,7 @@ def test_a_law_that_depends_on_time_is_named(force, texts, numbers):
 def test_a_law_that_lacks_a_term_is_not_said_to_depend_on_time():
     """What is missing repeats with the motion, and so does a wave; it leaves a doubt about the form."""
     runs = free_motions(lambda x: -9.0 * x**3 * np.exp(-x * x) - 2.0 * np.sin(3.0 * x), (0.6, 1.0, 1.6))
-    model = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4"], known={"x_dot**2": 0.5})
+    model = la.discover(runs, POWERS, known={"x_dot**2": 0.5})
     assert model.fit.status == "doubtful"
     assert "time-dependent" not in {f.code for f in model.fit.findings}
 

@@ -293,6 +293,21 @@ def test_a_number_as_large_as_its_error_is_undetermined(error, together, codes, 
         assert partner in found[0].remedy
 
 
+@pytest.mark.parametrize("settled", [True, False])
+def test_a_number_far_from_the_data_is_named_as_such(settled):
+    """exp(−a x) of a vanishing a is 1 − a x: only the product of a and its coefficient is known."""
+    fit = plain_fit(RATE)
+    value = 1e-4 * fit.problem.ranges["a"].low
+    fit = replace(fit, grid=fit.grid.posed(fit.problem.at({"a": value})))
+    covariance = np.diag([1.0, 1.0, value**2])
+    estimate = ShapeEstimate(("a",), np.array([value]), covariance, settled)
+    (finding,) = doubts_about_shapes(replace(fit, shapes=estimate))
+    assert finding.code == "shape-undetermined"
+    assert finding.values["low"] == fit.problem.ranges["a"].low
+    assert "powers" in finding.message
+    assert "powers" in finding.remedy
+
+
 def test_nothing_to_fit_gives_the_fit_back():
     put = ["x_dot**2", "exp(-0.8*x)", "exp(-1.6*x)"]
     fit = plain_fit(RATE, texts=put)

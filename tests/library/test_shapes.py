@@ -9,7 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from leastaction.errors import InputError
-from leastaction.library import Library, Term, make_term, parse_expression, shape_names, shape_symbol, tangent
+from leastaction.library import (
+    Library,
+    Term,
+    alike,
+    exchanges,
+    make_term,
+    parse_expression,
+    shape_names,
+    shape_symbol,
+    tangent,
+)
 
 NAMES = ["x", "y", "x_dot", "y_dot"]
 X, Y = (np.linspace(0.4, 1.9, 7), np.linspace(-1.2, 0.7, 7))
@@ -223,3 +233,39 @@ def test_terms_with_shapes_may_be_kept():
     kept = library.reduced(keep=["(x-{p})**2"])
     assert "(x-{p})**2" in [t.text for t in kept]
     assert isinstance(kept[0], Term)
+
+
+# --------------------------------------------------------------- terms that differ in names alone
+CENTRE = "1/sqrt((x-{{{}}})**2+(y-{{{}}})**2+{{h}}**2)"
+
+
+def test_three_centres_are_one_kind():
+    texts = [CENTRE.format("p", "q"), "exp(-{a}*x)", CENTRE.format("r", "s"), CENTRE.format("u", "v")]
+    kinds = alike([make_term(text, NAMES) for text in texts])
+    assert kinds == [
+        {0: {"p": "p", "q": "q"}, 2: {"p": "r", "q": "s"}, 3: {"p": "u", "q": "v"}},
+        {1: {}},
+    ]
+
+
+@pytest.mark.parametrize(
+    "texts",
+    [
+        ["x**{m}", "y**{n}"],  # other coordinates
+        ["x**{m}", "x_dot**2*x**{m}", "x**{n}"],  # m stands elsewhere, too
+        ["sin({a}*x)", "cos({b}*x)"],
+    ],
+)
+def test_other_terms_are_kinds_of_their_own(texts):
+    terms = [make_term(text, NAMES) for text in texts]
+    assert alike(terms) == [{k: {}} for k in range(len(terms))]
+    assert exchanges(terms) == []
+
+
+def test_terms_of_energy_and_of_dissipation_are_no_exchange():
+    pair = [
+        make_term("x_dot**2*exp(-{a}*x)", NAMES),
+        make_term("x_dot**2*exp(-{b}*x)", NAMES, kind="dissipation"),
+    ]
+    assert alike(pair) == [{0: {}}, {1: {}}]
+    assert exchanges(pair) == []

@@ -72,6 +72,53 @@ def test_a_problem_without_shapes_is_left_alone():
     assert plain.problem.ranges == {}
 
 
+# ------------------------------------------- shape_start: candidates that differ in names alone
+CENTRES, WIDTH = (-0.6, 0.9), 0.35
+CENTRE = "1/sqrt((x-{{{}}})**2+{{h}}**2)"
+
+
+def between_centres(q, v, f):
+    """A mass in a bowl, and two centres that attract it."""
+    return -q - sum((q - c) / ((q - c) ** 2 + WIDTH**2) ** 1.5 for c in CENTRES)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.02])
+def test_two_centres_are_found_together(noise):
+    """One by itself goes between them, or to a sample whose noise explains all that is left."""
+    starts = [([2.0], [0.0]), ([-1.9], [0.5]), ([0.1], [2.2]), ([0.6], [0.1]), ([-0.7], [1.2])]
+    data = record(between_centres, starts, ["x"], duration=10.0, rate=60.0, noise=noise, seed=2)
+    texts = ["x_dot**2", "x", "x**2", CENTRE.format("p"), CENTRE.format("q")]
+    begun = begin_search(build_problem(data, Request(texts, {"x_dot**2": 0.5})))
+    found = shape_start.places(begun)[0].values
+    assert sorted((found["p"], found["q"])) == pytest.approx(CENTRES, abs=0.01 + noise)
+    assert abs(found["h"]) == pytest.approx(WIDTH, abs=0.01 + noise)
+
+
+def test_what_the_user_bounds_apart_keeps_its_bounds():
+    """Ranges that differ say which is which."""
+    data = record(between_centres, [([2.0], [0.0])], ["x"], duration=6.0, rate=40.0, noise=0.01)
+    texts = ["x_dot**2", "x**2", CENTRE.format("p"), CENTRE.format("q")]
+    request = Request(texts, {"x_dot**2": 0.5}, shapes={"p": (0.5, 1.5), "q": (-1.5, -0.2)})
+    for point in shape_start.places(begin_search(build_problem(data, request))):
+        assert 0.5 <= point.values["p"] <= 1.5
+        assert -1.5 <= point.values["q"] <= -0.2
+
+
+@pytest.mark.parametrize("size", [0.4, 1.2])
+def test_candidates_of_two_kinds_are_found_together(size):
+    """A centre by itself takes up what a wave does, and lies elsewhere."""
+    starts = [([2.0], [0.0]), ([-1.9], [0.5]), ([0.1], [2.2])]
+
+    def force(q, v, f):
+        return -q - (q - 0.9) / ((q - 0.9) ** 2 + WIDTH**2) ** 1.5 - size * np.sin(4.0 * q)
+
+    data = record(force, starts, ["x"], duration=8.0, rate=60.0, noise=0.005, seed=2)
+    texts = ["x_dot**2", "x**2", CENTRE.format("p"), "cos({w}*x)"]
+    found = shape_start.places(begin_search(build_problem(data, Request(texts, {"x_dot**2": 0.5}))))[0].values
+    assert found["p"] == pytest.approx(0.9, abs=0.03)
+    assert abs(found["w"]) == pytest.approx(4.0, abs=0.1)
+
+
 # ------------------------------------------------- shortest_form: the fewest terms, then the shortest
 SPHERICAL = systems.get("spherical_pendulum")
 LAW = {"theta_dot**2", "cos(theta)", "phi_dot**2*sin(theta)**2"}

@@ -17,7 +17,13 @@ from leastaction.selection.likelihood_search import (
     trade_off,
 )
 from leastaction.selection.weak_form import WeakGram
-from leastaction.selection.weak_search import beam_search, solve_support, support_score
+from leastaction.selection.weak_search import (
+    ScaledGram,
+    beam_search,
+    choose,
+    solve_support,
+    support_score,
+)
 
 N = 8
 
@@ -102,6 +108,15 @@ def test_default_width_finds_the_planted_support(seed):
     falls = -np.diff(np.log([level[0].ratio for level in levels]))
     assert np.argmax(falls) == 3
     assert falls[3] > 5.0 * falls[4:].max()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_choice_among_the_last_columns_equals_brute_force(seed):
+    gram, _ = weak_problem(seed, correlation=0.2)
+    chosen = choose(ScaledGram(gram, 1.0), (0, 1), [(range(3, N), 2)], width=N)[0]
+    best = min((ratio_oracle(gram, (0, 1, *s)), (0, 1, *s)) for s in combinations(range(3, N), 2))
+    assert chosen.members == best[1]
+    assert chosen.ratio == pytest.approx(best[0], rel=1e-6)
 
 
 def with_noise_level(gram: WeakGram, members, truth) -> WeakGram:

@@ -11,10 +11,15 @@ from leastaction.findings import Finding, find
 __all__ = ["doubts_about_shapes"]
 
 _AT_END = 1e-6  # of the range
+# ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
+_FAR = {"log": 0.6, "linear": 1.5, "exponent": 1.5, "frequency": 1.5}
 
 
 def doubts_about_shapes(fit: Fit) -> list[Finding]:
-    """Parameters that are open, at the end of what the user allowed, or still moving."""
+    """Parameters that are open, at the end of what the user allowed, or still moving.
+
+    One that still moves far from where the data could tell it is open.
+    """
     found = fit.shapes
     if found is None:
         return []
@@ -26,11 +31,16 @@ def doubts_about_shapes(fit: Fit) -> list[Finding]:
         size = 0.5 * (where.high - where.low) if where.spacing == "linear" else abs(value)
         if where.bounded and min(value - where.low, where.high - value) <= _AT_END * (where.high - where.low):
             out.append(find("shape-at-bound", name, value=value, low=where.low, high=where.high))
-        elif not found.settled:
+            continue
+        far = abs(where.share(value) - 0.5) > _FAR[where.spacing]
+        if not found.settled and not far:
             out.append(find("shape-not-settled", name, value=value))
-        elif not error < DIAGNOSIS.indistinct * size:
+        elif not found.settled or not error < DIAGNOSIS.indistinct * size:
+            ends = {"low": where.low, "high": where.high} if far else {}
             other = _partner(fit, found, k)
-            out.append(find("shape-undetermined", name, value=value, standard_error=error, with_it=other))
+            out.append(
+                find("shape-undetermined", name, value=value, standard_error=error, with_it=other, **ends)
+            )
     return out
 
 

@@ -24,6 +24,8 @@ from leastaction.findings.templates import (
     rate_scaled,
     smoothed,
     time_unit,
+    undetermined,
+    undetermined_remedy,
     wrong_known,
     wrong_known_remedy,
     zero_offset,
@@ -92,11 +94,6 @@ def _slow_force(f: dict[str, Any]) -> str:
     )
 
 
-def _undetermined_remedy(f: dict[str, Any]) -> str:
-    other = fill("; it cannot be told apart from {with_it}", f) if f["with_it"] else ""
-    return "record motions of another size, write a simpler term, or give a number" + other
-
-
 def _imitated_remedy(f: dict[str, Any]) -> str:
     if not f.get("family"):
         return "offer other candidates; unknown numbers in them stand in braces, as in exp(-{a}*x)"
@@ -162,8 +159,8 @@ CODES: dict[str, Message] = {
     # shape parameters
     "shape-undetermined": Message(
         "warning",
-        "these data hardly determine the shape parameter {subject} ({value:.3g} ± {standard_error:.2g})",
-        _undetermined_remedy,
+        undetermined,
+        undetermined_remedy,
     ),
     "shape-at-bound": Message(
         "warning",

@@ -211,6 +211,22 @@ def wrong_known_remedy(f: dict[str, Any]) -> str:
     return f"correct it, or leave it free{units}"
 
 
+def undetermined(f: dict[str, Any]) -> str:
+    """Words for a shape parameter that is open, or went to where its terms lose their shape."""
+    if "low" in f:
+        where = "the shape parameter {subject} went to {value:.3g}, far from where the data could tell it "
+        return fill(where + "({low:.3g} to {high:.3g}): there its terms are no more than powers", f)
+    text = "these data hardly determine the shape parameter {subject} ({value:.3g} ± {standard_error:.2g})"
+    return fill(text, f)
+
+
+def undetermined_remedy(f: dict[str, Any]) -> str:
+    """What to do about it."""
+    other = fill("; it cannot be told apart from {with_it}", f) if f["with_it"] else ""
+    simpler = "powers of the coordinate in place of its terms" if "low" in f else "a simpler term"
+    return f"record motions of another size, write {simpler}, or give a number{other}"
+
+
 def zero_offset(f: dict[str, Any]) -> str:
     """Words for an angle whose zero is off."""
     size = "large" if f["offset"] > 0 else "small"

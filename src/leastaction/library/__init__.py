@@ -29,7 +29,7 @@ from leastaction.library.parser import (
     shape_symbol,
     time_symbol,
 )
-from leastaction.library.shapes import exchanges, shape_names, tangent
+from leastaction.library.shapes import alike, exchanges, shape_names, tangent
 from leastaction.library.term import Dropped, Kind, Template, Term, make_term, smooth_abs
 
 __all__ = [
@@ -38,6 +38,7 @@ __all__ = [
     "Library",
     "Template",
     "Term",
+    "alike",
     "exchanges",
     "format_expression",
     "is_constant",

@@ -19,7 +19,7 @@ from leastaction.errors import InputError
 from leastaction.library.parser import is_constant, shape_symbol
 from leastaction.library.term import Template, Term
 
-__all__ = ["check_numbers", "check_shapes", "exchanges", "shape_names", "tangent", "term_somewhere"]
+__all__ = ["alike", "check_numbers", "check_shapes", "exchanges", "shape_names", "tangent", "term_somewhere"]
 
 _NAME = re.compile(r"\{(\w+)\}")
 _PROPORTIONAL = 1e-9
@@ -37,7 +37,7 @@ def exchanges(terms: Sequence[Term]) -> list[dict[str, str]]:
     Parameters
     ----------
     terms : sequence of Term
-        Of one kind, all that hold some of the names.
+        All that hold some of the names.
 
     Examples
     --------
@@ -45,19 +45,59 @@ def exchanges(terms: Sequence[Term]) -> list[dict[str, str]]:
     >>> exchanges([make_term(text, ["x"]) for text in ("x**{m}", "x**{n}", "exp(-{a}*x)")])
     [{'m': 'n', 'n': 'm'}]
     """
-    templates = [term if term.template is None else term.template.term for term in terms]
-    whole = {template.expr for template in templates}
     found: list[dict[str, str]] = []
-    for one, other in combinations([t for t in templates if t.shapes], 2):
-        names, others = (list(dict.fromkeys(_NAME.findall(t.text))) for t in (one, other))
-        if len(names) != len(others) or _NAME.sub("{}", one.text) != _NAME.sub("{}", other.text):
-            continue
-        pairs = [(a, b) for a, b in zip(names, others, strict=True) if a != b]
-        exchange = {**dict(pairs), **{b: a for a, b in pairs}}
-        symbols = {shape_symbol(a): shape_symbol(b) for a, b in exchange.items()}
-        if pairs and {expr.xreplace(symbols) for expr in whole} == whole and exchange not in found:
+    for one, other in combinations([k for k, term in enumerate(terms) if term.shapes], 2):
+        exchange = _exchange(terms, one, other)
+        if exchange and exchange not in found:
             found.append(exchange)
     return found
+
+
+def alike(terms: Sequence[Term]) -> list[dict[int, dict[str, str]]]:
+    """Candidates that can be exchanged with one another: those of xᵐ, xⁿ and e^(−ax) are the first two.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        As for `exchanges`.
+
+    Returns
+    -------
+    list of dict
+        For each kind the places of its terms, and how each calls what the first of them has a name for.
+
+    Examples
+    --------
+    >>> from leastaction.library.term import make_term
+    >>> alike([make_term(text, ["x"]) for text in ("x**{m}", "x**{n}", "exp(-{a}*x)")])
+    [{0: {'m': 'm'}, 1: {'m': 'n'}}, {2: {}}]
+    """
+    out: list[dict[int, dict[str, str]]] = []
+    left = [k for k, term in enumerate(terms) if term.shapes]
+    while left:
+        first, *left = left
+        found = {
+            k: {a: b for a, b in _exchange(terms, first, k).items() if a in terms[first].shapes} for k in left
+        }
+        others = {k: names for k, names in found.items() if names}
+        own = {name: name for names in list(others.values())[:1] for name in names}
+        out.append({first: own, **others})
+        left = [k for k in left if k not in others]
+    return out
+
+
+def _exchange(terms: Sequence[Term], one: int, other: int) -> dict[str, str]:
+    """The exchange of names that turns a term into another and leaves all as they are; empty if none does."""
+    templates = [term if term.template is None else term.template.term for term in terms]
+    a, b = templates[one], templates[other]
+    names, others = (list(dict.fromkeys(_NAME.findall(t.text))) for t in (a, b))
+    if a.kind != b.kind or len(names) != len(others) or _NAME.sub("{}", a.text) != _NAME.sub("{}", b.text):
+        return {}
+    pairs = [pair for pair in zip(names, others, strict=True) if pair[0] != pair[1]]
+    exchange = {**dict(pairs), **{b: a for a, b in pairs}}
+    symbols = {shape_symbol(a): shape_symbol(b) for a, b in exchange.items()}
+    whole = {(template.expr, template.kind) for template in templates}
+    return exchange if {(expr.xreplace(symbols), kind) for expr, kind in whole} == whole else {}
 
 
 def _somewhere(names: Sequence[str]) -> dict[str, float]:

@@ -18,6 +18,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import Quadratic
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
+from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -178,7 +179,8 @@ def best_structure(proposals: Iterable[Proposal], best: Fit | None, report: Prog
         if best is not None and not np.isfinite(proposal.evidence):
             continue
         try:
-            fit = refine(proposal.grid.fit(proposal.structure, proposal.start), report)
+            # numbers first: beside wrong ones, terms that make up for them are worth their price
+            fit = refine(fit_shapes(proposal.grid.fit(proposal.structure, proposal.start)), report)
         except StopSearch as stop:
             stop.fit = best or stop.fit
             raise

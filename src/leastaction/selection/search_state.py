@@ -88,8 +88,9 @@ class Search:
         return self.fit
 
     def now(self, fit: Fit, **changes: Any) -> Search:
-        """The search with another fit, and its grid."""
-        return replace(self, fit=fit, grid=fit.grid, **changes)
+        """The search with another fit, its grid, and its numbers of the shape parameters."""
+        new = replace(self, fit=fit, grid=fit.grid, **changes)
+        return new.at(fit.problem.shape_values) if fit.problem.ranges else new
 
     def posed(self, change: Callable[[Problem], Problem]) -> Search:
         """The same search for a problem that is changed, on all of its data."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -21,9 +22,9 @@ from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakForm, WeakGram, weak_gram
 from leastaction.selection.weak_proposals import weak_form, weak_replicates
-from leastaction.selection.weak_search import ScaledGram, solve_support, support_score
+from leastaction.selection.weak_search import ScaledGram, choose, solve_support, support_score
 
-__all__ = ["Profile", "ProfilePoint"]
+__all__ = ["Kind", "Profile", "ProfilePoint"]
 
 _BEAM = 1  # supports kept of each size
 _FEW = 3  # replicates, for a first look
@@ -31,6 +32,30 @@ _GROWTH = 1.5  # of the number of plain candidates from one level to the next, a
 _STEPS = 12  # Gauss–Newton, at most
 _SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
 _GAIN = 1e-3  # of log ρ: less is no progress
+_COLUMNS = 128  # made at once: bounds memory
+_UNEXPLAINED = 1.0  # equation error: with it, and without noise, ρ is the unexplained share of the rows
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Candidates that differ in the names of their own numbers alone, and where these may be.
+
+    Attributes
+    ----------
+    alike : mapping of int to mapping
+        Candidates → how each calls what the first has a name for, see `leastaction.library.alike`.
+    starts : sequence of mapping
+        Numbers, by the names of the first.
+    """
+
+    alike: Mapping[int, Mapping[str, str]]
+    starts: Sequence[Mapping[str, float]]
+
+    def called(self, chosen: Sequence[int]) -> dict[str, float]:
+        """Some of the starts by the names of the candidates, ordered by their numbers."""
+        places = sorted((self.starts[k] for k in chosen), key=lambda place: [*place.values()])
+        pairs = zip(self.alike.values(), places, strict=True)
+        return {names[name]: x for names, place in pairs for name, x in place.items()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,12 +99,38 @@ class _Rows:
             [_joined(a, b) for a, b in pairs],
         )
 
+    def defined(self) -> np.ndarray:
+        """Whether each column is finite everywhere."""
+        finite = np.isfinite(self.inertial + self.potential).all(axis=0)
+        return np.logical_and.reduce([finite, *(np.isfinite(r).all(axis=0) for r in self.replicates)])
+
+    def of(self, columns: np.ndarray) -> _Rows:
+        """Some of the columns."""
+        replicates = [r[:, columns] for r in self.replicates]
+        return _Rows(self.inertial[:, columns], self.potential[:, columns], replicates)
+
     def gram(self) -> WeakGram:
-        """Quadratic forms over all rows."""
+        """Quadratic forms over all rows; without replicates there is no noise."""
         count = len(self.replicates)
+        if not count:
+            row = self.inertial + self.potential
+            size = 0.5 * (self.inertial.T @ self.inertial + self.potential.T @ self.potential)
+            return WeakGram(row.T @ row, np.zeros_like(size), size, row.shape[0])
         mean = sum(self.replicates) / count
         square = sum(r.T @ r for r in self.replicates)
         return weak_gram(self.inertial, self.potential, mean, square, count)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _Look:
+    """What ρ allows for: the squared error of the equations, and how many replicates tell of the noise."""
+
+    error: float
+    replicates: int | None
+
+    def ratio(self, gram: WeakGram, members: tuple[int, ...]) -> float:
+        """ρ of some columns."""
+        return ScaledGram(gram, self.error).ratio(members)
 
 
 def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -140,23 +191,96 @@ class Profile:
         supports = [(*level, *own) for level in self._levels]
         return [ProfilePoint(dict(values), gram, m, scaled.ratio(m)) for m in supports if m]
 
+    def chosen(
+        self, kinds: Sequence[Kind], values: Mapping[str, float], bearers: Sequence[int]
+    ) -> list[list[ProfilePoint]]:
+        """Numbers for candidates of some kinds, found all at once.
+
+        Placed one after the other, the first would go where it does best without the others.  Columns are
+        made at all of the starts, and of each kind as many chosen as there are candidates.
+
+        Parameters
+        ----------
+        kinds : sequence of Kind
+        values : mapping of str to float
+            Of all other shape parameters.
+        bearers : sequence of int
+            All candidates with numbers, these and those of ``values``.
+
+        Returns
+        -------
+        list of list of ProfilePoint
+            Beside ever more plain candidates, as from `point`; their ratios allow for what a grid misses.
+        """
+        beside = [k for k in bearers if not any(k in kind.alike for kind in kinds)]
+        rows = self._rows.beside(self._columns(beside, values, [], [], 0)) if beside else self._rows
+        if not rows.defined().all():
+            return []
+        edge = rows.inertial.shape[1] - 1
+        own = range(len(self.plain), edge)
+        defined: list[tuple[Kind, range]] = []
+        for kind in kinds:
+            made, starts = self._at_starts(kind, values)
+            if len(starts) < len(kind.alike):
+                return []
+            rows = rows.beside(made)
+            defined.append((replace(kind, starts=starts), range(edge, edge + len(starts))))
+            edge += len(starts)
+        scaled = ScaledGram(rows.gram(), _UNEXPLAINED)
+        free = range(len(self.plain), len(self.plain) + len(self._free(bearers)))
+        counts = [(columns, len(kind.alike)) for kind, columns in defined]
+        out: list[list[ProfilePoint]] = []
+        for level in self._levels:
+            out.append([])
+            for support in choose(scaled, (*level, *own), counts):
+                called: dict[str, float] = {}
+                for kind, columns in defined:
+                    called |= kind.called([m - columns.start for m in support.members if m in columns])
+                gram = self._gram({**values, **called}, bearers, (), 0)
+                if gram is not None:
+                    out[-1].append(ProfilePoint({**values, **called}, gram, (*level, *free), support.ratio))
+        return out
+
+    def _at_starts(
+        self, kind: Kind, values: Mapping[str, float]
+    ) -> tuple[_Rows, Sequence[Mapping[str, float]]]:
+        """Rows of the first candidate of a kind at all starts where it is defined, and these."""
+        first = self.problem.terms[next(iter(kind.alike))]
+        parts = [kind.starts[at : at + _COLUMNS] for at in range(0, len(kind.starts), _COLUMNS)]
+        made = [self._columns([], values, [first] * len(part), part, 0) for part in parts]
+        rows = reduce(_Rows.beside, made)
+        defined = rows.defined()
+        starts = [start for start, is_defined in zip(kind.starts, defined[:-1], strict=True) if is_defined]
+        return rows.of(defined), starts
+
     def searched(self, point: ProfilePoint) -> ProfilePoint:
-        """The point with the best support of all candidates."""
+        """The point with the best support of all candidates.
+
+        Other numbers make the noise of the rows another, so that its size is part of their likelihood.
+        """
         n_rows, price = self._counts(point.gram)
         levels = backward_search(point.gram, SELECTION.not_followed, price, n_rows, _BEAM)
         best = min((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
-        score = support_score(best, price, n_rows)
+        vector = np.append(solve_support(point.gram, SELECTION.not_followed, best.members), 1.0)
+        share = float(vector @ point.gram.residual @ vector / (vector @ point.gram.size @ vector))
+        if not share > 0.0:  # rounding is all that is left of columns that cancel
+            return replace(point, members=best.members, ratio=best.ratio)
+        score = support_score(best, price, n_rows) + n_rows * np.log(share / best.ratio)
         return replace(point, members=best.members, ratio=best.ratio, score=score)
 
-    def refined(self, point: ProfilePoint, bearers: Sequence[int]) -> ProfilePoint:
-        """The point moved by Gauss–Newton steps, its columns held, with all noise accounted for."""
-        gram = self._gram(point.values, bearers, ())
+    def refined(self, point: ProfilePoint, bearers: Sequence[int], roughly: bool = False) -> ProfilePoint:
+        """The point moved by Gauss–Newton steps, its columns held, with all noise accounted for.
+
+        Roughly, only the unexplained share of the rows counts: far from the law, numbers that catch much
+        noise seem to explain more.
+        """
+        look = _Look(_UNEXPLAINED, 0) if roughly else _Look(SELECTION.not_followed, None)
+        gram = self._gram(point.values, bearers, (), look.replicates)
         if gram is None:
             return point
-        ratio = ScaledGram(gram, SELECTION.not_followed).ratio(point.members)
-        point = replace(point, gram=gram, ratio=ratio)
+        point = replace(point, gram=gram, ratio=look.ratio(gram, point.members))
         for _ in range(_STEPS):
-            nearer = self._nearer(point, bearers, self._steps(point, bearers))
+            nearer = self._nearer(point, bearers, self._steps(point, bearers, look), look)
             if nearer is None:
                 break
             gain, point = np.log(point.ratio / nearer.ratio), nearer
@@ -167,36 +291,34 @@ class Profile:
     def _free(self, bearers: Sequence[int]) -> list[int]:
         return [k for k in bearers if not self.problem.is_known[k]]
 
-    def _steps(self, point: ProfilePoint, bearers: Sequence[int]) -> dict[str, float]:
+    def _steps(self, point: ProfilePoint, bearers: Sequence[int], look: _Look) -> dict[str, float]:
         """Steps of the shape parameters, from their tangents."""
         coefficients = self.problem.completed(np.zeros(len(self.problem.candidates)))
-        found = solve_support(point.gram, SELECTION.not_followed, point.members)
+        found = solve_support(point.gram, look.error, point.members)
         coefficients[[*self.plain, *self._free(bearers)]] = found
         held = [k for k in bearers if coefficients[k] != 0.0]
         terms = [self.problem.terms[k].at(point.values) for k in held]
         names = shape_names(terms)
         tangents = [tangent(terms, coefficients[held].tolist(), name) for name in names]
-        wide = self._gram(point.values, bearers, tangents)
+        wide = self._gram(point.values, bearers, tangents, look.replicates)
         if wide is None or not names:
             return {}
         first = point.gram.residual.shape[0] - 1
         members = (*point.members, *range(first, first + len(names)))
-        return dict(
-            zip(names, solve_support(wide, SELECTION.not_followed, members)[first:].tolist(), strict=True)
-        )
+        return dict(zip(names, solve_support(wide, look.error, members)[first:].tolist(), strict=True))
 
     def _nearer(
-        self, point: ProfilePoint, bearers: Sequence[int], steps: Mapping[str, float]
+        self, point: ProfilePoint, bearers: Sequence[int], steps: Mapping[str, float], look: _Look
     ) -> ProfilePoint | None:
         """The first point along the steps, shortened where needed, with a smaller ratio."""
         ranges = self.problem.ranges
         for share in _SHARES if steps else ():
             moved = {n: ranges[n].stepped(point.values[n], share * d) for n, d in steps.items()}
             values = {**point.values, **moved}
-            gram = self._gram(values, bearers, ())
+            gram = self._gram(values, bearers, (), look.replicates)
             if gram is None:
                 continue
-            ratio = ScaledGram(gram, SELECTION.not_followed).ratio(point.members)
+            ratio = look.ratio(gram, point.members)
             if ratio < point.ratio:
                 return ProfilePoint(values, gram, point.members, ratio)
         return None
@@ -214,12 +336,23 @@ class Profile:
         most: int | None = None,
     ) -> WeakGram | None:
         """Quadratic forms over the plain candidates, the bearers and the tangents; None if undefined."""
-        terms = [*(self.problem.terms[k] for k in bearers), *tangents]
-        plain: Mapping[str, float] = {}
-        numbers = [*[values] * len(bearers), *[plain] * len(tangents)]
-        known = np.append(self.problem.known[list(bearers)], np.full(len(tangents), np.nan))
-        rows = self._made(self._form.of(self.problem.candidates.of(terms, numbers), known), most)
+        numbers: list[Mapping[str, float]] = [{} for _ in tangents]  # they have theirs
+        rows = self._columns(bearers, values, tangents, numbers, most)
         return self._rows.beside(rows).gram() if np.isfinite(rows.inertial + rows.potential).all() else None
+
+    def _columns(
+        self,
+        bearers: Sequence[int],
+        values: Mapping[str, float],
+        more: Sequence[Term],
+        numbers: Sequence[Mapping[str, float]],
+        most: int | None,
+    ) -> _Rows:
+        """Rows of the bearers, and of more terms with numbers of their own."""
+        terms = [*(self.problem.terms[k] for k in bearers), *more]
+        known = np.append(self.problem.known[list(bearers)], np.full(len(more), np.nan))
+        each = [*[values] * len(bearers), *({**values, **own} if own else {} for own in numbers)]
+        return self._made(self._form.of(self.problem.candidates.of(terms, each), known), most)
 
     def _made(self, form: WeakForm, most: int | None = None) -> _Rows:
         """Rows along the curve and its replicates, or the first few of them."""

@@ -13,6 +13,7 @@ by letting candidates cancel a known term: their noise remains.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,6 +26,7 @@ __all__ = [
     "Support",
     "beam_search",
     "best_extensions",
+    "choose",
     "grow_bases",
     "inverse_root",
     "noise_ratio",
@@ -39,6 +41,7 @@ _BISECTIONS = 45  # to rounding
 _STEPS = 7  # of the root finder; six settle nearly all
 _SETTLED = 1e-9  # relative step of the root finder
 _SWAP_ROUNDS = 6  # through all members, at most
+_WIDE = 64  # supports kept of those that are not complete
 _PATIENCE = 4  # sizes in turn without a better score
 
 
@@ -166,20 +169,43 @@ def beam_search(
     for size in range(1, min(max_size, scaled.known) + 1):
         # two terms often make sense together only: all pairs are tried
         kept = best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
-        for _ in range(_SWAP_ROUNDS if size > 2 else 0):
-            smaller = {s.members[:m] + s.members[m + 1 :] for s in kept[: width // 2] for m in range(size)}
-            swapped = best_extensions(scaled, smaller, width)
-            merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
-            improved = merged[0].ratio < kept[0].ratio * (1 - 1e-6)
-            kept = merged
-            if not improved:
-                break
+        kept = _swapped(scaled, kept, width) if size > 2 else kept
         levels.append(kept)
         value = support_score(kept[0], penalty, n_rows)
         best, since = (value, 0) if value < best else (best, since + 1)
         if since == _PATIENCE:
             break
     return levels
+
+
+def choose(
+    scaled: ScaledGram, base: tuple[int, ...], kinds: Sequence[tuple[range, int]], width: int = 8
+) -> list[Support]:
+    """The best supports of some columns and, of each kind of others, as many as it says; best first."""
+    kept = [Support(base, np.inf)]
+    *others, last = [columns for columns, count in kinds for _ in range(count)]
+    for columns in others:  # often they make sense together only
+        kept = best_extensions(scaled, {s.members for s in kept}, _WIDE, columns)
+    kept = best_extensions(scaled, {s.members for s in kept}, width, last)
+    return _swapped(scaled, kept, width, [columns for columns, _ in kinds]) if others else kept
+
+
+def _swapped(
+    scaled: ScaledGram, kept: list[Support], width: int, kinds: Sequence[range] | None = None
+) -> list[Support]:
+    """Supports in which single members were swapped for others of their kind while that helps."""
+    for _ in range(_SWAP_ROUNDS):
+        best = kept[: width // 2]
+        swapped = list[Support]()
+        for kind in kinds or [range(scaled.known)]:
+            smaller = {tuple(k for k in s.members if k != m) for s in best for m in s.members if m in kind}
+            swapped += best_extensions(scaled, smaller, width, kind)
+        merged = sorted({s.members: s for s in [*swapped, *kept]}.values(), key=lambda s: s.ratio)[:width]
+        improved = merged[0].ratio < kept[0].ratio * (1 - 1e-6)
+        kept = merged
+        if not improved:
+            break
+    return kept
 
 
 def grow_bases(
@@ -238,10 +264,14 @@ def noise_ratio(full: float, n_candidates: int, n_rows: float) -> float:
     return min(1.0, full / left) if left > 0.5 else 1.0
 
 
-def best_extensions(scaled: ScaledGram, supports: set[tuple[int, ...]], width: int) -> list[Support]:
-    """The best distinct supports that have one candidate more than those given."""
+def best_extensions(
+    scaled: ScaledGram, supports: set[tuple[int, ...]], width: int, columns: range | None = None
+) -> list[Support]:
+    """The best distinct supports that have one candidate more than those given, of some columns."""
     base = np.array(sorted(supports), dtype=int).reshape(len(supports), -1)
     ratios = scaled.extended(base)
+    if columns is not None:
+        ratios[:, : columns.start] = ratios[:, columns.stop :] = np.inf
     size = base.shape[1] + 1
     found: dict[tuple[int, ...], Support] = {}
     # the same support is reached from each of its parts

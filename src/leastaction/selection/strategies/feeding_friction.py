@@ -28,7 +28,11 @@ def run(search: Search) -> Search:
         certain = normal_cutoff(len(negative))
         feeding += tuple(m for m, z in negative.items() if -z > certain)
         grid = fit.grid.posed(fit.problem.excluding(list(negative)))
-        fit = refine(grid.fit(fit.structure.without(negative), fit.start), search.report, _ROUNDS)
+        structure = fit.structure.without(negative)
+        # what held to rounding with it may not without: at those weights a fit ends anywhere
+        noise = fit.weights.noise_std[: fit.grid.observations.n_dof]
+        start = grid.start(structure, fit.control_points, fit.coefficients, noise)
+        fit = refine(grid.fit(structure, start), search.report, _ROUNDS)
     return search.now(fit, feeding=feeding)
 
 

@@ -36,7 +36,7 @@ def run(search: Search) -> Search:
             break
         fit = better
     fit = _ordered(fit)
-    return search.now(fit).at(fit.problem.shape_values)
+    return search.now(fit)
 
 
 def _ordered(fit: Fit) -> Fit:

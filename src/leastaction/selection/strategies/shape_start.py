@@ -1,34 +1,42 @@
 """Numbers to begin with for shape parameters, from a profile of the weak form.
 
-Candidates with shape parameters are placed one after the other: of the numbers that the range of the
-parameters offers, those that explain the rows of the weak form with the cheapest support, refined by
-Gauss–Newton steps. Then each is looked for once more with the others in place. Numbers that do it nearly as
-well are compared by fits: a steep exponential, say, follows the noise of a few samples.
+Of the numbers that the ranges of the parameters offer, those are taken that explain the rows of the weak form
+with the cheapest support, refined by Gauss–Newton steps. Candidates are placed together: one by itself goes
+where it does best without the others. Then each is looked for once more with the others in place. Where the
+places are too many for that, those of frequencies, candidates are placed one after the other, twice. Numbers
+that do nearly as well are compared by fits: a steep exponential, say, follows the noise of a few samples.
 
-Cost: two passes over some tens of numbers for each candidate, each a search for a support on the weak form;
-a search for a structure with each of the few best. Skipped where no candidate has shape parameters.
+Cost: some tens of numbers for each candidate, a thousand where several are placed together, each a search for
+a support on the weak form; a search for a structure with each of the few best. Skipped where no candidate has
+shape parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.shape_ranges import ShapeRange, shape_starts
+from leastaction.library import alike
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
-from leastaction.selection.shape_profile import Profile, ProfilePoint
+from leastaction.selection.shape_profile import Kind, Profile, ProfilePoint
 from leastaction.selection.strategies import shape_fit, weak_start
 
 __all__ = ["places", "run"]
 
 _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
 _MOST_STARTS = 512  # of a candidate with more
+_PLACES = {1: 33, 2: 1024}  # of candidates that are placed together, by the number of their own parameters
+_MOST_PLACES = 2048  # of those with more
+_SHARED_STARTS = 8  # of numbers that candidates share, beside those that are their own
+_CHOSEN = 16  # of sets of places, beside all of these together
 _REFINED = 4  # of the starts, beside each number of plain candidates
-_PASSES = 2  # over the candidates
+_MOST_SHARED = 2  # numbers of several kinds that are placed together
 
 
 def run(search: Search) -> Search:
@@ -53,31 +61,112 @@ def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
     profile = Profile(search.grid, search.curve, search.seed)
     values: dict[str, float] = {}
     found: list[ProfilePoint] = []
-    groups = _groups(problem)
-    for _ in range(_PASSES if len(groups) > 1 else 1):
-        for group in groups:
-            others = {n: v for n, v in values.items() if n not in group}
-            bearers = _determined(problem, {*others, *group})
-            ranges = {name: problem.ranges[name] for name in group}
-            count = min(_STARTS.get(len(group), _MOST_STARTS), most)
-            starts = shape_starts(ranges, count)
-            new = _distinct(_best(profile, bearers, others, starts, rising=len(group) == 1), ranges)
-            complete = bool(found) and set(found[0].values) == {*others, *group}
-            if new and not (complete and found[0].score <= new[0].score):
-                found, values = new, dict(new[0].values)
+    for group in _rounds(problem):
+        others = {n: v for n, v in values.items() if n not in group.names}
+        bearers = _determined(problem, {*others, *group.names})
+        begun = _begun(profile, group, others, bearers, most)
+        new = _distinct(_best(profile, bearers, begun, group), problem.ranges)
+        complete = bool(found) and set(found[0].values) == {*others, *group.names}
+        if new and not (complete and found[0].score <= new[0].score):
+            found, values = new, dict(new[0].values)
     return found
 
 
-def _groups(problem: Problem) -> list[tuple[str, ...]]:
-    """Shape parameters that come together: those of a candidate that none before it has."""
-    out: list[tuple[str, ...]] = []
+@dataclass(frozen=True)
+class _Group:
+    """Shape parameters that come together.
+
+    Attributes
+    ----------
+    names : tuple of str
+    kinds : tuple of mapping
+        Candidates that have numbers of their own, those of a kind differ in the names of these alone, see
+        `leastaction.library.alike`; where there is more than one candidate, they are placed together.
+    """
+
+    names: tuple[str, ...]
+    kinds: tuple[Mapping[int, Mapping[str, str]], ...]
+
+    @property
+    def together(self) -> bool:
+        """Whether several candidates are placed at once."""
+        return sum(map(len, self.kinds)) > 1
+
+
+def _rounds(problem: Problem) -> list[_Group]:
+    """All at once where that can be, then each group with the others in place; else two such rounds."""
+    groups = _groups(problem)
+    if len(groups) < 2:
+        return groups
+    kinds = tuple(kind for group in groups for kind in group.kinds)
+    names = tuple(name for group in groups for name in group.names)
+    whole = _Group(names, kinds)
+    waves = any(problem.ranges[name].spacing == "frequency" for name in names)  # too many to try
+    return [*groups, *groups] if waves or len(_shared(whole)) > _MOST_SHARED else [whole, *groups]
+
+
+def _shared(group: _Group) -> list[str]:
+    """Numbers of a group that no candidate has for itself."""
+    own = {name for kind in group.kinds for names in kind.values() for name in names.values()}
+    return [name for name in group.names if name not in own]
+
+
+def _groups(problem: Problem) -> list[_Group]:
+    """Shape parameters of candidates that are alike, or else of one that none before it has."""
+    free: list[int] = problem.free.tolist()
+    kinds = [
+        {free[k]: names for k, names in kind.items()} for kind in alike([problem.terms[k] for k in free])
+    ]
+    out: list[_Group] = []
     seen: set[str] = set()
-    for term in problem.terms:
-        new = tuple(name for name in term.shapes if name not in seen)
-        if new:
-            out.append(new)
-            seen |= {*new}
+    for k in range(len(problem.terms)):
+        some = [kind for kind in kinds if k == next(iter(kind)) and len(kind) > 1]
+        kind = some[0] if some else dict[int, dict[str, str]]()
+        own = {name for names in kind.values() for name in names.values()}
+        others = {name for j, t in enumerate(problem.terms) if j not in kind for name in t.shapes}
+        pairs = [pair for names in kind.values() for pair in names.items()]
+        apart = any(problem.ranges[a] != problem.ranges[b] for a, b in pairs)
+        waves = any(problem.ranges[name].spacing == "frequency" for name in own)  # too many to try
+        if own & (seen | others) or apart or waves:
+            kind = {}
+        shapes = dict.fromkeys(name for j in kind or (k,) for name in problem.terms[j].shapes)
+        names = tuple(name for name in shapes if name not in seen)
+        if names:
+            out.append(_Group(names, tuple(filter(None, [kind or _alone(problem, k)]))))
+            seen |= {*names}
     return out
+
+
+def _alone(problem: Problem, k: int) -> dict[int, dict[str, str]]:
+    """The names that a single candidate has for itself."""
+    others = {name for j, term in enumerate(problem.terms) if j != k for name in term.shapes}
+    own = {name: name for name in problem.terms[k].shapes if name not in others}
+    return {k: own} if own and not problem.is_known[k] else {}
+
+
+def _begun(
+    profile: Profile, group: _Group, others: dict[str, float], bearers: list[int], most: int
+) -> list[list[ProfilePoint]]:
+    """Numbers to begin with, beside ever more plain candidates."""
+    ranges = profile.problem.ranges
+    if not group.together:
+        count = min(_STARTS.get(len(group.names), _MOST_STARTS), most)
+        starts = shape_starts({name: ranges[name] for name in group.names}, count)
+        tried = (profile.point({**others, **start}, bearers) for start in starts)
+        return [list(level) for level in zip(*filter(None, tried), strict=True)]
+    kinds: list[Kind] = []
+    for kind in group.kinds:
+        own = next(iter(kind.values()))
+        count = min(_PLACES.get(len(own), _MOST_PLACES), most)
+        kinds.append(Kind(kind, list(shape_starts({name: ranges[name] for name in own}, count))))
+    shared = {name: ranges[name] for name in _shared(group)}
+    numbers = list(shape_starts(shared, _SHARED_STARTS)) if shared else [dict[str, float]()]
+    chosen = [profile.chosen(kinds, {**others, **each}, bearers) for each in numbers]
+    most_each, levels = _CHOSEN // len(numbers), list[list[ProfilePoint]]()
+    for level in zip(*filter(None, chosen), strict=True):
+        points = [profile.refined(p, bearers, roughly=True) for some in level for p in some[:most_each]]
+        levels.append(_distinct(sorted(points, key=lambda p: p.ratio), ranges))
+    return levels
 
 
 def _determined(problem: Problem, names: set[str]) -> list[int]:
@@ -86,26 +175,21 @@ def _determined(problem: Problem, names: set[str]) -> list[int]:
 
 
 def _best(
-    profile: Profile,
-    bearers: Sequence[int],
-    others: dict[str, float],
-    starts: Iterable[dict[str, float]],
-    rising: bool,
+    profile: Profile, bearers: Sequence[int], begun: Sequence[Sequence[ProfilePoint]], group: _Group
 ) -> list[ProfilePoint]:
     """Supports after Gauss–Newton steps from the best few starts, beside ever more plain candidates.
 
     Ends beside as many plain candidates as let noise explain what is left.  All of the starts are compared
     there: the first that does may be a harmonic of the numbers, which more terms make up for.  Where the
-    starts rise, only those are begun with that are better than their neighbours.
+    starts rise, those of a single number, only those are begun with that are better than their neighbours.
     """
-    tried = list(filter(None, (profile.point({**others, **start}, bearers) for start in starts)))
     found: list[ProfilePoint] = []
-    for level in zip(*tried, strict=True):
-        begun = _lowest(level) if rising else level
-        for point in sorted(begun, key=lambda p: p.ratio)[:_REFINED]:
+    for level in begun:
+        lowest = _lowest(level) if len(group.names) == 1 else level
+        for point in sorted(lowest, key=lambda p: p.ratio)[:_REFINED]:
             found.append(profile.searched(profile.refined(point, bearers)))
         found.sort(key=lambda p: p.score)
-        if found[0].ratio < SELECTION.rows_explained:
+        if found and found[0].ratio < SELECTION.rows_explained and not group.together:
             break
     return found
 
@@ -127,7 +211,7 @@ def _distinct(points: Sequence[ProfilePoint], ranges: Mapping[str, ShapeRange]) 
 
 
 def _near(one: ProfilePoint, other: ProfilePoint, ranges: Mapping[str, ShapeRange]) -> bool:
-    return all(
-        abs(where.share(one.values[name]) - where.share(other.values[name])) < SELECTION.shape_apart
-        for name, where in ranges.items()
+    return all(  # in the first pass, later groups have no numbers yet
+        abs(ranges[name].share(number) - ranges[name].share(other.values[name])) < SELECTION.shape_apart
+        for name, number in one.values.items()
     )
