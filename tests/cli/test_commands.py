@@ -32,7 +32,8 @@ from leastaction.cli import show as _show
 from leastaction.cli import text as _text
 from leastaction.model.term import FitSummary, ModelTerm
 
-COMMANDS = ("app", "discover", "simulate", "validate", "export", "generate", "demo")
+COMMANDS = ("app", "discover", "show", "simulate", "validate", "export", "generate", "demo")
+FILES = [("model", "json"), ("report", "html")]
 LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
 
 
@@ -124,6 +125,37 @@ def test_discover_is_the_same_through_the_shell(work, found):
     models = [json.loads((p / "model.json").read_text(encoding="utf-8")) for p in (found[1], work / "again")]
     assert models[0] == models[1]
     assert result.stdout.splitlines()[:-2] == found[0].stdout.splitlines()[:-2]
+
+
+def test_what_discover_prints_is_chosen(work, found, tmp_path):
+    again = [
+        "discover", work / "run.csv", "--coordinates", "theta", "--forces", "theta_force",
+        "--library", work / "library.txt", "--angles", "theta", "--hold-out", 1, "--output", tmp_path,
+    ]  # fmt: skip
+    result = run(*again, "--json", "-v")
+    document = json.loads(result.stdout)
+    assert document["files"] == {name: str(tmp_path / f"{name}.{end}") for name, end in FILES}
+    assert document["model"] == json.loads((found[1] / "model.json").read_text(encoding="utf-8"))
+    assert document["forecast"]["n_diverged"] == 0
+    steps = result.stderr.splitlines()
+    assert steps[0] == "preparing"
+    assert any(
+        re.match(r"choosing terms: 2 terms, evidence [0-9.]+, 0\.\d+ theta_dot", step) for step in steps
+    )
+    quiet = run(*again, "--quiet")
+    assert quiet.stdout.splitlines() == [f"{name}: {tmp_path / name}.{end}" for name, end in FILES]
+    assert quiet.stderr == ""
+
+
+def test_show_prints_what_discover_printed(found, model):
+    """But the forecast, and what takes the recording: what was left out, and where the motion went."""
+    lines, printed = (
+        [line for line in text.splitlines() if not line.startswith(("symmetry", "equilibrium", "left out"))]
+        for text in (run("show", model).stdout, found[0].stdout)
+    )
+    assert len(lines) > 8
+    assert printed[: len(lines)] == lines
+    assert run("show", model, "--group", "a", code=2).stderr.startswith("error: --group: ")
 
 
 def test_discover_replaces_an_earlier_result_and_keeps_other_files(work, tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,7 +32,7 @@ from leastaction.cli.shape_options import (
     term_option,
     with_terms,
 )
-from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn
+from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import counted, shown
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
@@ -137,6 +138,16 @@ Example:
     "are not fitted but forecast in the report.",
 )
 @click.option("--output", required=True, metavar="DIR", help="Directory for model.json and report.html.")
+@click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    help="Print one JSON object instead of tables: model, forecast errors (or null), paths of the files.",
+)
+@click.option("-q", "--quiet", is_flag=True, help="Print the paths of the files only; warnings remain.")
+@click.option(
+    "-v", "--verbose", is_flag=True, help="Print every step of the search, with its numbers, on stderr."
+)
 @click.pass_context
 def discover(
     ctx: click.Context,
@@ -159,6 +170,9 @@ def discover(
     workers: int | None,
     hold_out: str | None,
     output: str,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Find the Lagrangian behind measured coordinates.
 
@@ -185,7 +199,7 @@ def discover(
     _check_scale(given, fitted, candidates)
     import leastaction
 
-    with live_progress("prepare") as shown_progress, stoppable(shown_progress) as progress:
+    with live_progress("prepare", verbose) as shown_progress, stoppable(shown_progress) as progress:
         model = leastaction.discover(
             fitted,
             candidates,
@@ -206,7 +220,10 @@ def discover(
         forecast = _forecast(model, held_out, groups)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
-    _show(folder, model, forecast)
+    if as_json:
+        _print_json(folder, model, forecast)
+    else:
+        _show(folder, model, forecast, quiet)
 
 
 def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
@@ -217,12 +234,28 @@ def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: L
         )
 
 
-def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:
-    show_model(model)
-    if forecast is not None:
+def _print_json(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:
+    """The result as one object; paths as they are, for the program that reads it."""
+    if model.fit.status != "ok":
+        warn_of_doubts("the fit", model)
+    document = {
+        "model": model.to_dict(),
+        "forecast": None if forecast is None else forecast.to_dict(),
+        "files": {name.partition(".")[0]: str(folder / name) for name in OUTPUTS},
+    }
+    say(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None, quiet: bool) -> None:
+    if quiet:
+        if model.fit.status != "ok":
+            warn_of_doubts("the fit", model)
+    else:
+        show_model(model)
+        if forecast is not None:
+            say()
+            show_forecast(forecast)
         say()
-        show_forecast(forecast)
-    say()
     for name in OUTPUTS:
         say(f"{name.partition('.')[0]}: {shown(folder / name)}")
 

@@ -66,6 +66,7 @@ def program(ctx: click.Context) -> None:
 
 for _command in (
     discover.discover,
+    use.show,
     use.simulate,
     use.validate,
     use.export,

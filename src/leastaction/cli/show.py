@@ -70,8 +70,14 @@ def warn_of_doubts(what: str, model: LagrangianModel) -> None:
 
 
 @contextmanager
-def live_progress(stage: str) -> Iterator[Callable[[str, dict], None]]:
-    """Give a function that shows the stage and its numbers in one line of the terminal, if there is one."""
+def live_progress(stage: str, every: bool = False) -> Iterator[Callable[[str, dict], None]]:
+    """Give a function that shows the stage and its numbers in one line of the terminal, if there is one.
+
+    With ``every`` each has a line of its own on stderr, in a file, too.
+    """
+    if every:
+        yield lambda stage, details: click.echo(describe(stage, details), err=True)
+        return
     if not sys.stderr.isatty():
         yield lambda stage, details: None
         return

@@ -1,4 +1,4 @@
-"""``leastaction simulate``, ``validate`` and ``export``: what one does with a model file."""
+"""``leastaction show``, ``simulate``, ``validate`` and ``export``: what one does with a model file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import click
 from leastaction.cli.discover import groups_of_trials
 from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli.output import check_file
-from leastaction.cli.show import live_progress, say, show_forecast, warn, warn_of_doubts
+from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import one_line, shown
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
@@ -21,7 +21,7 @@ from leastaction.identifiers import quoted
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
 
-__all__ = ["export", "simulate", "validate"]
+__all__ = ["export", "show", "simulate", "validate"]
 
 _MAX_SAMPLES = 5_000_000
 _GROUP = click.option(
@@ -40,6 +40,22 @@ def _loaded(path: str, group: str | None) -> LagrangianModel:
         return found
     with blame("--group"):
         return found.of_group(group)
+
+
+@click.command(
+    epilog="""\b
+Example:
+  leastaction show found/model.json
+"""
+)
+@click.argument("model", metavar="MODEL")
+@_GROUP
+def show(model: str, group: str | None) -> None:
+    """Print the law of a model file, its errors and what is known of the fit.
+
+    MODEL is a model.json of discover. What the search tried is not in the file, but in the report.
+    """
+    show_model(_loaded(model, group))
 
 
 @click.command(
