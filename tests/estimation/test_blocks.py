@@ -154,7 +154,7 @@ def test_what_fails_on_a_cluster_fails_here():
 
 # ------------------------------------------------------------------------------------- discover()
 def recordings(trials: int = 4):
-    return systems.generate("double_pendulum", noise=0.05, trials=trials, duration=15.0, seed=1)
+    return systems.generate("double_pendulum", noise=0.05, trials=trials, duration=8.0, seed=1)
 
 
 def found(data, **more):

@@ -176,7 +176,7 @@ def test_worker_of_a_cluster_is_killed(fake):
     [
         ("raises", 60, "failed", "ValueError: no luck"),
         ("dies", 60, "failed", "the process ended by signal SIGSEGV"),
-        ("slow", 3, "timed out", "no result after 3 s"),
+        ("slow", 1, "timed out", "no result after 1 s"),
     ],
 )
 def test_failures_become_records(fake, method, timeout, status, reason):
