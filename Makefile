@@ -118,10 +118,9 @@ $(STAMPS)/venv:
 	fi
 	@mkdir -p $(STAMPS) && touch $@
 
-# Editable, so that only a change of pyproject.toml asks for a new installation. Python compiles a module where it is
-# first imported, and of most packages only a part is: to compile all of it takes as long as the rest.
+# Editable, so that only a change of pyproject.toml asks for a new installation.
 install = echo "installing leastaction$(1) into $(VENV)"; \
-	$(BIN)/python -m pip install -q --no-compile -e '.$(1)' || { echo "error: pip could not install leastaction$(1): see above;" \
+	$(BIN)/python -m pip install -q -e '.$(1)' || { echo "error: pip could not install leastaction$(1): see above;" \
 	  "it needs a package index" >&2; exit 1; }
 
 $(STAMPS)/core: $(STAMPS)/venv pyproject.toml
