@@ -118,10 +118,12 @@ $(STAMPS)/venv:
 	fi
 	@mkdir -p $(STAMPS) && touch $@
 
-# Editable, so that only a change of pyproject.toml asks for a new installation.
+# Editable, so that only a change of pyproject.toml asks for a new installation. pip compiles with one processor,
+# which takes a third of the time; some files of packages are templates, which no Python can compile.
 install = echo "installing leastaction$(1) into $(VENV)"; \
-	$(BIN)/python -m pip install -q -e '.$(1)' || { echo "error: pip could not install leastaction$(1): see above;" \
-	  "it needs a package index" >&2; exit 1; }
+	$(BIN)/python -m pip install -q --no-compile -e '.$(1)' || { echo "error: pip could not install" \
+	  "leastaction$(1): see above; it needs a package index" >&2; exit 1; }; \
+	$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1 || true
 
 $(STAMPS)/core: $(STAMPS)/venv pyproject.toml
 	@$(call install,)

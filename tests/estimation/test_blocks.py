@@ -193,7 +193,7 @@ def test_workers_that_make_no_sense_are_refused(workers):
         found(recordings(1), workers=workers)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def cluster():
     distributed = pytest.importorskip("distributed")
     with (
@@ -205,13 +205,13 @@ def cluster():
         yield client
 
 
-def test_a_cluster_gives_the_same_result(cluster, alone):
-    data, model = alone
-    assert_same(model, found(data, workers=cluster))
+def swinging(data, **more):
+    return la.discover(data, ["theta_dot**2", "cos(theta)", "sin(theta)"], **more)
 
 
-def test_a_killed_worker_costs_time_and_not_the_result(cluster, alone):
-    data, model = alone
+def test_a_cluster_that_loses_a_worker_gives_the_same_result(cluster):
+    """The problem is small, because every task costs the cluster some 5 ms."""
+    data = systems.generate("single_pendulum", noise=0.02, trials=4, duration=5.0, seed=1)
     killed = []
 
     def kill(stage, details):
@@ -220,7 +220,7 @@ def test_a_killed_worker_costs_time_and_not_the_result(cluster, alone):
             cluster.run(_die, workers=killed, wait=False, on_error="ignore")
             time.sleep(0.1)
 
-    assert_same(model, found(data, workers=cluster, progress=kill))
+    assert_same(swinging(data), swinging(data, workers=cluster, progress=kill))
     assert killed
 
 
