@@ -6,6 +6,8 @@ import errno
 import inspect
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,7 +18,7 @@ from click.testing import CliRunner
 
 import leastaction
 from leastaction import systems
-from leastaction.cli import program
+from leastaction.cli import failures, program
 
 LINES = [f"{k / 50!r},{np.cos(k / 9):.6f},{np.sin(k / 20):.6f}" for k in range(100)]
 SPRING = {
@@ -552,6 +554,66 @@ def test_interrupt(monkeypatch):
     assert (result.exit_code, result.stdout) == (130, "")
     assert result.stderr == "interrupted: nothing was written\n"
     assert not Path("out").exists()
+
+
+# -------------------------------------------------------------------------------------------- exit codes
+DISCOVER = ["--coordinates", "x", "--library", "lib.txt", "--known", "x_dot**2=0.5", "--output", "out"]
+
+
+def raising(error):
+    def call(*args, **options):
+        raise error
+
+    return call
+
+
+def stopped(data, library, known, *, progress, **options):
+    """A search that the user ends by one Ctrl-C before there is a law; a second one would do the same."""
+    signal.raise_signal(signal.SIGINT)
+    progress("search", {})
+
+
+@pytest.mark.parametrize(
+    ("args", "search", "code"),
+    [
+        (["--version"], None, failures.DONE),
+        (["discover", "run.csv", *DISCOVER, "--forces", "tau"], None, failures.DONE),  # doubtful
+        (["discover", "still.csv", *DISCOVER], None, failures.NO_MODEL),
+        (["discover", "run.csv", *DISCOVER], raising(MemoryError()), failures.NO_MODEL),
+        (["discover", "run.csv", *DISCOVER, "--frob"], None, failures.WRONG_USE),
+        (["discover", "none.csv", *DISCOVER], None, failures.WRONG_USE),
+        (["discover", "binary.csv", *DISCOVER], None, failures.WRONG_USE),
+        (["discover", "run.csv", *DISCOVER], raising(RuntimeError("boom")), failures.FAULT),
+        (["discover", "run.csv", *DISCOVER], raising(KeyboardInterrupt()), failures.INTERRUPTED),
+        (["discover", "run.csv", *DISCOVER], stopped, failures.INTERRUPTED),
+    ],
+)
+def test_exit_codes(args, search, code, monkeypatch):
+    table([f"{k},1.5,0" for k in range(50)], "still.csv")
+    Path("binary.csv").write_bytes(bytes(range(256)) * 40)
+    if search is not None:
+        monkeypatch.setattr(leastaction, "discover", search, raising=False)
+    result = CliRunner().invoke(program, args)
+    assert result.exit_code == code, result.output
+    assert "Traceback" not in result.output
+    if "tau" in args:
+        assert leastaction.load("out/model.json").fit.status == "doubtful"
+
+
+def test_exit_code_when_nobody_reads_on():
+    command = [sys.executable, "-m", "leastaction", "show", "model.json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        process.stdout.close()
+        errors = process.stderr.read()
+        assert (process.wait(timeout=60), errors) == (failures.PIPE_CLOSED, "")
+
+
+def test_exit_codes_are_documented():
+    page = (Path(__file__).parents[2] / "docs" / "cli.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([0-9]+) \| (.+) \|$", page.split("## Exit codes")[1].split("## ")[0], re.M)
+    assert {int(code): meaning for code, meaning in rows} == failures.EXIT_CODES
+    said = " ".join(CliRunner().invoke(program, ["--help"]).stdout.split())
+    assert all(f"{code} {meaning}" in said for code, meaning in failures.EXIT_CODES.items())
 
 
 @pytest.mark.parametrize(

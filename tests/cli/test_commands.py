@@ -32,7 +32,7 @@ from leastaction.cli import show as _show
 from leastaction.cli import text as _text
 from leastaction.model.term import FitSummary, ModelTerm
 
-COMMANDS = ("app", "discover", "show", "simulate", "validate", "export", "generate", "demo")
+COMMANDS = ("app", "completion", "discover", "show", "simulate", "validate", "export", "generate", "demo")
 FILES = [("model", "json"), ("report", "html")]
 LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
 
@@ -521,6 +521,57 @@ def test_no_arguments_show_the_help_and_version_is_that_of_the_package():
     assert run().stdout == run("-h").stdout
     assert run("--version").stdout == f"leastaction {version('leastaction')}\n"
     assert shell("--version").stdout == f"leastaction {version('leastaction')}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (["exp"], ["plain,export"]),
+        (["discover", "--hold"], ["plain,--hold-out"]),
+        (["discover", "--size", "c"], ["plain,compact", "plain,chain"]),
+        (["discover", "ru"], ["file,ru"]),
+        (["discover", "--output", ""], ["dir,"]),
+        (["export", "model.json", "--format", "fmu"], ["plain,fmu2", "plain,fmu3"]),
+        (["generate", "single_p"], ["plain,single_pendulum"]),
+    ],
+)
+def test_the_program_answers_the_shell_that_completes(words, offered):
+    line = {"COMP_WORDS": "\n".join(["leastaction", *words]), "COMP_CWORD": str(len(words))}
+    asked = {**os.environ, **line, "_LEASTACTION_COMPLETE": "bash_complete"}
+    command = [sys.executable, "-m", "leastaction"]
+    done = subprocess.run(command, env=asked, capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == offered
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_completions_is_printed(shell, monkeypatch):
+    monkeypatch.setenv("PATH", "")  # without that shell, too
+    script = run("completion", shell)
+    assert f"_LEASTACTION_COMPLETE={shell}_complete" in script.stdout
+    assert script.stderr == ""
+
+
+def test_completion_is_for_three_shells():
+    assert "'tcsh' is not one of 'bash', 'zsh', 'fish'" in run("completion", "tcsh", code=2).stderr
+
+
+@pytest.mark.skipif(os.name == "nt" or not shutil.which("bash"), reason="no bash")
+def test_the_script_completes_in_bash(tmp_path):
+    program_file = tmp_path / "leastaction"
+    program_file.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m leastaction "$@"\n', encoding="utf-8")
+    program_file.chmod(0o755)
+    (tmp_path / "script").write_text(run("completion", "bash").stdout, encoding="utf-8")
+    typed = """source ./script
+COMP_WORDS=(leastaction discover --hold) COMP_CWORD=2
+_leastaction_completion ./leastaction
+echo "${COMPREPLY[@]}"
+complete -p leastaction
+"""
+    done = subprocess.run(["bash", "-c", typed], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[0] == "--hold-out"
+    assert done.stdout.endswith("-F _leastaction_completion leastaction\n")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are different there")

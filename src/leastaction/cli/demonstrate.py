@@ -11,7 +11,7 @@ from leastaction.cli.demo import DEMOS, HELD_OUT, Demo
 from leastaction.cli.discover import OUTPUTS, command_line, write_outputs
 from leastaction.cli.output import check_folder
 from leastaction.cli.show import live_progress, say, show_fit, show_table, with_error
-from leastaction.cli.text import counted, shown
+from leastaction.cli.text import complete_folder, counted, shown
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories
@@ -39,6 +39,7 @@ Example:
     default="leastaction-demo",
     show_default=True,
     metavar="DIR",
+    shell_complete=complete_folder,
     help="Directory for model.json and report.html.",
 )
 @click.pass_context

@@ -33,7 +33,7 @@ from leastaction.cli.shape_options import (
     with_terms,
 )
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
-from leastaction.cli.text import counted, shown
+from leastaction.cli.text import complete_file, complete_folder, counted, shown
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
@@ -59,6 +59,7 @@ Example:
     default="auto",
     show_default=True,
     metavar="FILE|auto|symbolic",
+    shell_complete=complete_file,
     help="Candidates for L: a text file with one expression a line, # starts a comment; "
     "auto: what mechanical systems are usually made of; symbolic: more kinds of terms, grown by a grammar.",
 )
@@ -137,7 +138,13 @@ Example:
     help="The last N trials, or trials by name (a,b; with a comma behind a single name that is a number), "
     "are not fitted but forecast in the report.",
 )
-@click.option("--output", required=True, metavar="DIR", help="Directory for model.json and report.html.")
+@click.option(
+    "--output",
+    required=True,
+    metavar="DIR",
+    shell_complete=complete_folder,
+    help="Directory for model.json and report.html.",
+)
 @click.option(
     "--json",
     "as_json",

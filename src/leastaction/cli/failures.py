@@ -16,16 +16,26 @@ from leastaction.cli.show import warn
 from leastaction.cli.text import in_options, one_line
 from leastaction.errors import DataError, InputError, StopSearch
 
-__all__ = ["Interrupted", "give_up", "stoppable"]
+__all__ = ["EXIT_CODES", "PIPE_CLOSED", "Interrupted", "give_up", "stoppable"]
 
 _SEARCHING = frozenset({"search", "select", "knots", "coarse", "confirm", "drift"})
+DONE, NO_MODEL, WRONG_USE, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 70, 130, 141
+EXIT_CODES = {
+    DONE: "done, even if the model is doubtful, or one Ctrl-C ended its search early",
+    NO_MODEL: "the data do not support any model, or a motion cannot be followed to the end",
+    WRONG_USE: "wrong use, or a file that cannot be read or written",
+    FAULT: "a fault of the program",
+    INTERRUPTED: "interrupted: nothing was written",
+    PIPE_CLOSED: "whoever read the output has stopped",
+}
+"""Exit code of every command -> what it means, as in ``leastaction --help`` and ``docs/cli.md``."""
 _NUMERICAL = ("LinAlgError", "FloatingPointError", "OverflowError", "ZeroDivisionError")
 
 
 class Interrupted(Exception):
     """The user, or the reader of the output, has had enough."""
 
-    def __init__(self, code: int = 130) -> None:
+    def __init__(self, code: int = INTERRUPTED) -> None:
         super().__init__(code)
         self.code = code
 
@@ -35,39 +45,39 @@ def give_up(error: Exception) -> int:
 
     With LEASTACTION_DEBUG=1 in the environment the traceback is shown as well.
     """
-    if isinstance(error, Interrupted) and error.code != 130:
+    if isinstance(error, Interrupted) and error.code != INTERRUPTED:
         # Nobody reads on; without this Python complains when it flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return error.code
     code, message = _explain(error)
     if os.environ.get("LEASTACTION_DEBUG", "0") not in ("", "0"):
         click.echo("".join(traceback.format_exception(error)), err=True, nl=False)
-    click.secho(f"error: {one_line(message)}" if code != 130 else message, err=True, fg="red")
+    click.secho(f"error: {one_line(message)}" if code != INTERRUPTED else message, err=True, fg="red")
     return code
 
 
 def _explain(error: Exception) -> tuple[int, str]:
     name = type(error).__name__
     if isinstance(error, (Interrupted, click.Abort)):
-        return 130, "interrupted: nothing was written"
+        return INTERRUPTED, EXIT_CODES[INTERRUPTED]
     if isinstance(error, click.UsageError):
         where = error.ctx.command_path if error.ctx else "leastaction"
-        return 2, f"{error.format_message()} (see '{where} --help')"
+        return WRONG_USE, f"{error.format_message()} (see '{where} --help')"
     if isinstance(error, click.ClickException):
-        return 2, error.format_message()
+        return WRONG_USE, error.format_message()
     if isinstance(error, InputError):
-        return 2, in_options(str(error))
+        return WRONG_USE, in_options(str(error))
     if isinstance(error, DataError):
-        return 1, in_options(str(error))
+        return NO_MODEL, in_options(str(error))
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename is not None else ""
-        return 2, f"{where}{error.strerror or error}; check the path and the rights to it"
+        return WRONG_USE, f"{where}{error.strerror or error}; check the path and the rights to it"
     if isinstance(error, MemoryError):
-        return 1, "not enough memory for so many samples and candidates; use fewer of either"
+        return NO_MODEL, "not enough memory for so many samples and candidates; use fewer of either"
     if name in _NUMERICAL:
-        return 1, f"no model could be computed from these data ({name}: {error}); try other candidates"
+        return NO_MODEL, f"no model could be computed from these data ({name}: {error}); try other candidates"
     report = "please report this, with the command and LEASTACTION_DEBUG=1 for the traceback"
-    return 70, f"a fault of leastaction itself: {name}: {error}; {report}"
+    return FAULT, f"a fault of leastaction itself: {name}: {error}; {report}"
 
 
 @contextmanager

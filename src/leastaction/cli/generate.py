@@ -10,7 +10,7 @@ import click
 from leastaction.cli.options import blame, number
 from leastaction.cli.output import check_file
 from leastaction.cli.show import say
-from leastaction.cli.text import counted, shown
+from leastaction.cli.text import complete_file, counted, shown
 from leastaction.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +51,13 @@ Example:
   leastaction generate double_pendulum --noise 0.05 --trials 3 -o double.csv
 """
 )
-@click.argument("system", metavar="SYSTEM")
+@click.argument(
+    "system",
+    metavar="SYSTEM",
+    shell_complete=lambda ctx, param, incomplete: [
+        n for n in (*SYSTEMS, *FURTHER) if n.startswith(incomplete)
+    ],
+)
 @click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Level of the noise.")
 @click.option(
     "--noise-convention",
@@ -70,7 +76,9 @@ Example:
     "--missing", default="0", show_default=True, metavar="FRACTION", help="Samples left out at random."
 )
 @click.option("--irregular", is_flag=True, help="Sample at irregular times.")
-@click.option("-o", "--output", required=True, metavar="FILE", help="CSV file to write.")
+@click.option(
+    "-o", "--output", required=True, metavar="FILE", shell_complete=complete_file, help="CSV file to write."
+)
 def generate(
     system: str,
     noise: str,

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from leastaction.cli.show import warn
+from leastaction.cli.text import complete_file
 from leastaction.errors import DataWarning, InputError
 from leastaction.identifiers import quoted
 
@@ -322,7 +323,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
     """
     where = "" if coordinates_required else " By default those of the model."
     decorators = (
-        click.argument("data", nargs=-1, required=True, metavar="DATA..."),
+        click.argument("data", nargs=-1, required=True, metavar="DATA...", shell_complete=complete_file),
         click.option(
             "--coordinates",
             required=coordinates_required,

@@ -8,9 +8,11 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import ShellComplete, get_completion_class
 
 from leastaction.cli import app, demonstrate, discover, generate, use
-from leastaction.cli.failures import Interrupted, give_up
+from leastaction.cli.failures import EXIT_CODES, PIPE_CLOSED, Interrupted, give_up
+from leastaction.cli.show import say
 
 __all__ = ["main", "program"]
 
@@ -34,7 +36,7 @@ class _Program(click.Group):
             raise Interrupted from None
         except BrokenPipeError:
             # Whoever read the output has gone; click would call that an error of exit code 1.
-            raise Interrupted(141) from None
+            raise Interrupted(PIPE_CLOSED) from None
 
     def main(self, args=None, prog_name=None, complete_var=None, standalone_mode=True, **extra: Any) -> Any:
         try:
@@ -51,17 +53,42 @@ class _Program(click.Group):
     cls=_Program,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-    epilog="\b\nExample:\n  leastaction generate cart_spring_pendulum --noise 0.02 -o cart.csv",
+    epilog="\b\nExit codes:\n"
+    + "\n".join(f"  {code:<5}{meaning}" for code, meaning in EXIT_CODES.items())
+    + "\n\n\b\nExample:\n  leastaction generate cart_spring_pendulum --noise 0.02 -o cart.csv",
 )
 @click.version_option(package_name="leastaction", message="%(prog)s %(version)s")
 @click.pass_context
 def program(ctx: click.Context) -> None:
-    """Find the Lagrangian of a mechanical system from noisy measured coordinates.
-
-    Exit code 0: done; 1: the data do not support any model; 2: wrong use or bad input.
-    """
+    """Find the Lagrangian of a mechanical system from noisy measured coordinates."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
+
+
+_COMPLETION_HELP = """Print the script that lets the Tab key complete commands, options, choices and files.
+
+\b
+Install it once, then open a new shell:
+  bash  echo 'eval "$(leastaction completion bash)"' >> ~/.bashrc
+  zsh   echo 'eval "$(leastaction completion zsh)"' >> ~/.zshrc
+  fish  leastaction completion fish > ~/.config/fish/completions/leastaction.fish
+
+It takes bash 4.4 or newer. In zsh, write the line below compinit.
+"""
+
+
+@click.command(
+    help=_COMPLETION_HELP,
+    short_help="Let the Tab key complete commands, options and files.",
+    epilog="\b\nExample:\n  leastaction completion bash",
+)
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="bash|zsh|fish")
+def completion(shell: str) -> None:
+    """Print the script that lets the Tab key complete."""
+    script = get_completion_class(shell)
+    assert script is not None, shell
+    # Not the method of the class: that of bash runs the bash of this machine first, to look at its version.
+    say(ShellComplete.source(script(program, {}, "leastaction", "_LEASTACTION_COMPLETE")))
 
 
 for _command in (
@@ -73,6 +100,7 @@ for _command in (
     generate.generate,
     demonstrate.demo,
     app.app,
+    completion,
 ):
     program.add_command(_command)
 

@@ -1,10 +1,13 @@
-"""Text for the terminal: safe to print, in the words of the command line."""
+"""Text for the terminal: safe to print, in the words of the command line, completed by the Tab key."""
 
 from __future__ import annotations
 
 import os
 
-__all__ = ["counted", "in_options", "one_line", "shown"]
+import click
+from click.shell_completion import CompletionItem
+
+__all__ = ["complete_file", "complete_folder", "counted", "in_options", "one_line", "shown"]
 
 
 _OPTIONS = {
@@ -58,3 +61,13 @@ def in_options(text: str) -> str:
     for argument, option in _OPTIONS.items():
         text = text.replace(argument, option)
     return text
+
+
+def complete_file(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Let the shell complete the path of a file; a script of completions has nothing by default."""
+    return [CompletionItem(incomplete, type="file")]
+
+
+def complete_folder(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Let the shell complete the path of a directory."""
+    return [CompletionItem(incomplete, type="dir")]

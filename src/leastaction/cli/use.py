@@ -13,7 +13,7 @@ from leastaction.cli.discover import groups_of_trials
 from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
 from leastaction.cli.output import check_file
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
-from leastaction.cli.text import one_line, shown
+from leastaction.cli.text import complete_file, one_line, shown
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
 from leastaction.identifiers import quoted
@@ -48,7 +48,7 @@ Example:
   leastaction show found/model.json
 """
 )
-@click.argument("model", metavar="MODEL")
+@click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @_GROUP
 def show(model: str, group: str | None) -> None:
     """Print the law of a model file, its errors and what is known of the fit.
@@ -64,7 +64,7 @@ Example:
   leastaction simulate found/model.json --initial "theta1=1, theta1_dot=0" --duration 10 --rate 100 -o run.csv
 """
 )
-@click.argument("model", metavar="MODEL")
+@click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @click.option(
     "--initial",
     required=True,
@@ -73,7 +73,13 @@ Example:
 )
 @click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
 @click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
-@click.option("-o", "--output", required=True, metavar="FILE", help="CSV file: t, coordinates, velocities.")
+@click.option(
+    *("-o", "--output"),
+    required=True,
+    metavar="FILE",
+    shell_complete=complete_file,
+    help="CSV file: t, coordinates, velocities.",
+)
 @_GROUP
 def simulate(model: str, initial: str, duration: str, rate: str, output: str, group: str | None) -> None:
     """Simulate a model without external forces.
@@ -152,7 +158,7 @@ Example:
   leastaction validate found/model.json other.csv --horizon 2 --json errors.json
 """,
 )
-@click.argument("model", metavar="MODEL")
+@click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @data_options(coordinates_required=False)
 @click.option("--horizon", metavar="SECONDS", help="Length of the forecasts; by default about 1 s.")
 @click.option(
@@ -161,7 +167,13 @@ Example:
     help="Column with the group of each trial: each is forecast by the law of its group, by default of the "
     "first.",
 )
-@click.option("--json", "json_file", metavar="FILE", help="Write the errors to a JSON file too.")
+@click.option(
+    "--json",
+    "json_file",
+    metavar="FILE",
+    shell_complete=complete_file,
+    help="Write the errors to a JSON file too.",
+)
 def validate(
     model: str,
     data: Callable[..., DataOptions],
@@ -221,9 +233,18 @@ Example:
   leastaction export found/model.json --format fmu3 --output pendulum.fmu
 """,
 )
-@click.argument("model", metavar="MODEL")
-@click.option("--format", "kind", required=True, metavar="FORMAT", help="One of the formats above.")
-@click.option("-o", "--output", required=True, metavar="PATH", help="File to write.")
+@click.argument("model", metavar="MODEL", shell_complete=complete_file)
+@click.option(
+    "--format",
+    "kind",
+    required=True,
+    metavar="FORMAT",
+    shell_complete=lambda ctx, param, incomplete: [name for name in FORMATS if name.startswith(incomplete)],
+    help="One of the formats above.",
+)
+@click.option(
+    "-o", "--output", required=True, metavar="PATH", shell_complete=complete_file, help="File to write."
+)
 @_GROUP
 def export(model: str, kind: str, output: str, group: str | None) -> None:
     """Write a model for other programs."""
