@@ -124,9 +124,10 @@ def discover(
     options : AdamOptions or mapping, optional
         Settings of ``method="adam"``; the default method has none.
     progress : callable, optional
-        Called as ``progress(stage, details)``; where a stage has an intermediate law, ``details`` holds its
-        ``"coefficients"`` (term → value) and the number of free ``"terms"``. Raise `leastaction.StopSearch`
-        in it to end a long search: the best law so far comes back, with the finding ``stopped-early``.
+        Called as ``progress(stage, details)``, with plain numbers in ``details``; where a stage has an
+        intermediate law, its ``"coefficients"`` (term → value) and the number of free ``"terms"`` are there.
+        Raise `leastaction.StopSearch` to end a long search: the best law so far comes back, with the finding
+        ``stopped-early``.
     workers : int or distributed.Client, optional
         Compute with so many processes, or with the workers of a Dask cluster; by default in this thread.
         Processes share the trials of long recordings, which have more than 100,000 measured values, and a

@@ -5,6 +5,8 @@ The motions come from accelerations written out by hand, so that nothing of the 
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -293,6 +295,33 @@ def test_progress_is_reported_and_data_are_left_alone():
     for d, (t, q) in zip(data, before, strict=True):
         np.testing.assert_array_equal(d.t, t)
         np.testing.assert_array_equal(d.q, q)
+
+
+def _numbers(details: dict[str, object]) -> list[object]:
+    return [n for v in details.values() for n in (_numbers(v) if isinstance(v, dict) else [v])]
+
+
+@pytest.mark.parametrize(
+    ("options", "stages"),
+    [
+        ({}, {"search", "select", "knots", "verify"}),
+        ({"force_offset": {"x": 1.0}}, {"drift"}),
+        ({"method": "adam", "options": {"iterations": 200, "check_every": 100}}, {"descent"}),
+    ],
+)
+def test_details_of_progress_are_plain_numbers(options, stages):
+    seen = {}
+    la.discover(
+        duffing(),
+        DUFFING_LIBRARY,
+        KINETIC,
+        progress=lambda stage, details: seen.setdefault(stage, []).append(details),
+        **options,
+    )
+    assert set(seen) >= stages
+    assert json.loads(json.dumps(seen)) == seen
+    numbers = {type(n) for all_details in seen.values() for details in all_details for n in _numbers(details)}
+    assert numbers <= {int, float}
 
 
 def test_diagnostics_describe_the_fit(duffing_model):

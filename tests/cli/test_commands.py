@@ -632,7 +632,7 @@ def test_progress_shows_in_a_terminal_only(monkeypatch, capsys):
     monkeypatch.setenv("TERM", "xterm")
     with _show.live_progress("prepare") as report:
         report("search", {"terms": 4, "evidence": -np.inf})
-        report("select", {"terms": np.int64(5), "evidence": np.float64(12.34)})
+        report("select", {"terms": 5, "evidence": 12.34})
     assert "choosing terms: 5 terms, evidence 12.3" in err.getvalue()
 
 
@@ -641,12 +641,14 @@ def test_describe_knows_the_stages_of_discover():
         _show.describe(stage, details)
         for stage, details in (
             ("prepare", {}), ("search", {"terms": 1, "evidence": 1.0}), ("knots", {"knots_per_second": 16.2}),
-            ("verify", {}), ("other", {"loss": "0.1"}),
+            ("verify", {}), ("other", {"loss": "0.1"}), ("drift", {"theta": 0.123456789}),
+            ("coarse", {"forecast_error": 0.0123, "before": 0.5}),
         )
     ]  # fmt: skip
     assert said == [
         "preparing", "searching the weak form: 1 term, evidence 1.0", "refining knots: 16 knots per second",
-        "verifying", "other: loss 0.1",
+        "verifying", "other: loss 0.1", "following drifting forces: theta 0.1235",
+        "comparing with a coarser spline: forecasts off by 0.012 of the spread, 0.5 before",
     ]  # fmt: skip
 
 

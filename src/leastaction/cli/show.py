@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -47,11 +48,18 @@ def _law(coefficients: Mapping[str, float]) -> str:
 
 
 _DETAILS: dict[str, Callable[[Any], str]] = {
-    "terms": lambda value: counted(int(value), "term"),
+    "terms": partial(counted, thing="term"),
     "evidence": "evidence {:.1f}".format,
     "knots_per_second": "{:.0f} knots per second".format,
     "coefficients": _law,
+    "forecast_error": "forecasts off by {:.2g} of the spread".format,
+    "before": "{:.2g} before".format,
 }
+
+
+def _named(name: str, value: Any) -> str:
+    """A number that has no words of its own, such as the slow force on a coordinate."""
+    return f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
 
 
 def say(text: str = "", **style) -> None:
@@ -99,7 +107,7 @@ def describe(stage: str, details: dict[str, Any]) -> str:
     'choosing terms: 5 terms, evidence 1234.6'
     """
     parts = [
-        _DETAILS.get(name, f"{name} {{}}".format)(value)
+        _DETAILS[name](value) if name in _DETAILS else _named(name, value)
         for name, value in details.items()
         if not isinstance(value, float) or math.isfinite(value)
     ]

@@ -223,7 +223,7 @@ def descend(
             small = free & (np.abs(values) < options.threshold)
             changed = bool(small.any())
             values[small], free[small] = 0.0, False
-        loss = problem.loss(points, values)
+        loss = float(problem.loss(points, values))
         report({"iteration": step, "loss": loss, "terms": int(free.sum()), "coefficients": values.copy()})
         if not free.any():
             raise DataError(

@@ -14,6 +14,7 @@ from leastaction.estimation.problem import Problem
 __all__ = ["Clock", "Progress", "law_so_far", "silent"]
 
 Progress = Callable[[str, dict[str, Any]], None]
+"""Called with a stage and its details: plain numbers, and dictionaries of them, as JSON has them."""
 
 
 def silent(stage: str, details: dict[str, Any]) -> None:
@@ -22,8 +23,8 @@ def silent(stage: str, details: dict[str, Any]) -> None:
 
 def law_so_far(problem: Problem, coefficients: np.ndarray, evidence: float) -> dict[str, Any]:
     """What a user may see of a structure on the way; known terms are in the coefficients only."""
-    free = np.count_nonzero(coefficients[problem.free])
-    return {"terms": free, "evidence": evidence, "coefficients": problem.named(coefficients)}
+    free = int(np.count_nonzero(coefficients[problem.free]))
+    return {"terms": free, "evidence": float(evidence), "coefficients": problem.named(coefficients)}
 
 
 class Clock:
