@@ -226,7 +226,7 @@ def test_a_constant_force_is_named():
     missing = doubts.one("missing-term")
     assert (missing.subject, missing.values["free_terms"]) == (("theta",), 2)
     assert missing.values["constant_force"] == "theta"
-    assert "theta by itself is a constant force on it (force_offset)" in missing.remedy
+    assert "theta by itself is a constant force on it (force_offset=['theta'])" in missing.remedy
 
 
 def in_a_magnetic_field(q, v, f):

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import inspect
 import json
 import pickle
+import re
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 from string import Formatter
@@ -12,6 +14,8 @@ from string import Formatter
 import numpy as np
 import pytest
 
+import leastaction as la
+from leastaction.cli import program
 from leastaction.errors import InputError
 from leastaction.findings import (
     CODES,
@@ -180,7 +184,7 @@ SAID = [
         find("missing-term", ["x"], constant_force="x", free_terms=2, free_terms_before=4, gain=40.2),
         "the library seems to lack x (with it, 2 free terms instead of 4 explain the motion better, -2 "
         "log likelihood 40, the price of the terms included): add it to the candidates; in L, x by "
-        "itself is a constant force on it (force_offset)",
+        "itself is a constant force on it (force_offset=['x'])",
     ),
     (
         find("missing-term", ["x**4", "x**6"], constant_force=None, free_terms=3),
@@ -237,7 +241,7 @@ SAID = [
     (
         find("hardly-determined", ["x", "y"], scale_open=False, combination=["+ x", "- y"], open=0.4),
         "these data hardly determine x, y (open to 40 %: the combination + x, - y): record larger or "
-        "different motions, or fix one of the coefficients with known",
+        "different motions, or fix one of the coefficients with known={...}",
     ),
     (
         find("correlated-residuals", "x", quantity="velocity", correlation=0.5),
@@ -280,6 +284,83 @@ def test_remedies_speak_of_the_command_line_and_of_the_page():
     assert "give --force-delay 0.03" in sentence(late, "command line")
     other = find("motion-in-noise", "x", motion=0.01, noise=0.1)
     assert sentence(other, "page") == sentence(other, "command line") == str(other)
+
+
+def test_remedies_on_the_command_line_name_options():
+    def said(code, subject, **values):
+        return sentence(find(code, subject, **values), "command line").rpartition(": ")[2]
+
+    off = {"equation_error": 0.03, "residual_ratio": 1.0, "cause_named": False, "may_be_prescribed": True}
+    assert said("equations-off", "x", **off).endswith("not measured move x, give --prescribed x")
+    missing = {"constant_force": "x", "free_terms": 2}
+    assert said("missing-term", ["x", "x**4"], **missing) == (
+        'add them to the candidates, --term "x" --term "x**4"; in L, x by itself is a constant force on it '
+        "(--force-offset x)"
+    )
+    imitated = {"kind": "potential", "gain": 50.0, "freedom": 3, "shift": 0.1, "numbers": ["a = 2"]}
+    assert said("form-imitated", "x", **imitated, family=["exp(-{a}*x)"]) == (
+        'add exp(-{a}*x) to the candidates, --term "exp(-{a}*x)"; the motion agrees with a = 2'
+    )
+    assert said("form-imitated", "x", **imitated, family=[]).endswith("as in --term 'exp(-{a}*x)'")
+    timed = {"numbers": [], "free_terms": 2}
+    assert said("time-dependent", ["x*t"], **timed) == 'add --term "x*t", or measure what moves it (--input)'
+
+
+# ------------------------------------------------------- what a text names can be given, and is there
+def texts(*parts: str) -> set[str]:
+    """All texts of modules of the package, their docstrings left out."""
+    found = set()
+    for path in (p for part in parts for p in SOURCES.glob(part)):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        docs = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        constants = (n for n in nodes if isinstance(n, ast.Constant) and id(n) not in docs)
+        found |= {node.value for node in constants if isinstance(node.value, str)}
+    return found
+
+
+def options() -> set[str]:
+    commands = [program, *program.commands.values()]
+    return {option for command in commands for p in command.params for option in p.opts} | {"--help"}
+
+
+def arguments() -> set[str]:
+    """Names of the parameters of everything that is public, and of public methods."""
+    things = [getattr(la, name) for name in la.__all__]
+    things += [la.delay.estimate, la.delay.shift_forces]
+    methods = [m for c in things if inspect.isclass(c) for n, m in vars(c).items() if not n.startswith("_")]
+    errors = (la.DataError, la.InputError)  # without a signature of their own
+    named = [t for t in (*things, *methods) if callable(t) and t not in errors]
+    return {name for thing in named for name in inspect.signature(thing).parameters}
+
+
+def unknown_names(said: set[str]) -> set[str]:
+    """Options, keyword arguments and public functions in texts that do not exist."""
+    joined = "\n".join(said)
+    missing = set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", joined)) - options()
+    missing |= set(re.findall(r"\b([a-z_]+)=(?=[\[{('\"])", joined)) - arguments()
+    for path in re.findall(r"\b((?:la|model)(?:\.[a-z_]+)+)", joined):
+        start, *names = path.split(".")
+        thing: object = {"la": la, "model": la.LagrangianModel}[start]
+        for name in names:
+            thing = getattr(thing, name, None)
+        missing |= set() if thing is not None else {path}
+    return missing
+
+
+def test_options_and_arguments_that_findings_name_exist():
+    said = texts("findings/*.py")
+    assert unknown_names(said) == set()
+    assert {"--term", "--force-offset", "--known"} <= set(re.findall(r"--[a-z-]+", "\n".join(said)))
+
+
+def test_options_that_errors_and_warnings_name_exist():
+    said = texts("cli/*.py", "data/**/*.py", "estimation/*.py", "library/*.py", "*.py")
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", "\n".join(said))) - options() == set()
+
+
+def test_names_that_do_not_exist_are_noticed():
+    said = {"give --frobnicate or --known", "with knwon={...}", "see la.delay.guess", "known={...}"}
+    assert unknown_names(said) == {"--frobnicate", "knwon", "la.delay.guess"}
 
 
 @pytest.mark.parametrize("values", [{}, {"delay": None}, {"delay": "soon"}])

@@ -7,22 +7,30 @@ A text is a template over ``subject`` and the figures, or a function of both whe
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 from leastaction.findings.finding import Finding
 from leastaction.findings.templates import (
     Audience,
     Message,
+    Text,
     another_structure,
     converted_units,
     correlated,
     equations_off,
+    equations_off_remedy,
     fill,
     friction,
     groups_differ,
+    imitated_remedy,
     late_forces,
+    missing_term,
+    missing_term_remedy,
     rate_scaled,
     smoothed,
+    time_dependent,
+    time_dependent_remedy,
     time_unit,
     undetermined,
     undetermined_remedy,
@@ -32,43 +40,6 @@ from leastaction.findings.templates import (
 )
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
-
-
-def _equations_off_remedy(f: dict[str, Any]) -> str:
-    text = (
-        "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign "
-        "be wrong"
-    )
-    if f["cause_named"]:
-        return f"{text}; see the likely cause below"
-    unmeasured = "; if forces that were not measured move {subject}, name it in prescribed"
-    return text + (fill(unmeasured, f) if f["may_be_prescribed"] else "")
-
-
-def _missing_term(f: dict[str, Any]) -> str:
-    it = "it" if len(f["subject"]) == 1 else "them"
-    instead = f" instead of {f['free_terms_before']}" if "free_terms_before" in f else ""
-    gain = f.get("gain")
-    by = f", -2 log likelihood {gain:.0f}, the price of the terms included" if gain is not None else ""
-    better = " better" if instead else ""
-    lacking = fill("the library seems to lack {subject}", f)
-    it += fill(", {numbers}", f) if f.get("numbers") else ""
-    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
-    return f"{lacking} (with {it}, {f['free_terms']} free {terms}{instead} {explain} the motion{better}{by})"
-
-
-def _missing_term_remedy(f: dict[str, Any]) -> str:
-    it = "it" if len(f["subject"]) == 1 else "them"
-    force = "; in L, {constant_force} by itself is a constant force on it (force_offset)"
-    return f"add {it} to the candidates" + (fill(force, f) if f["constant_force"] else "")
-
-
-def _time_dependent(f: dict[str, Any]) -> str:
-    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
-    numbers = fill(" ({numbers})", f) if f["numbers"] else ""
-    return fill("the law seems to depend on time: with {subject}", f) + (
-        f"{numbers}, {f['free_terms']} free {terms} {explain} the motion"
-    )
 
 
 def _hardly_determined(f: dict[str, Any]) -> str:
@@ -94,12 +65,6 @@ def _slow_force(f: dict[str, Any]) -> str:
     )
 
 
-def _imitated_remedy(f: dict[str, Any]) -> str:
-    if not f.get("family"):
-        return "offer other candidates; unknown numbers in them stand in braces, as in exp(-{a}*x)"
-    return fill("add {family} to the candidates; the motion agrees with {numbers}", f)
-
-
 CODES: dict[str, Message] = {
     # the equations do not hold
     "not-converged": Message(
@@ -108,14 +73,28 @@ CODES: dict[str, Message] = {
     "equations-off": Message(
         "warning",
         equations_off,
-        _equations_off_remedy,
+        equations_off_remedy,
+        on_command_line=partial(equations_off_remedy, prescribed="--prescribed {subject}"),
     ),
     # a likely cause
-    "missing-term": Message("warning", _missing_term, _missing_term_remedy),
-    "time-dependent": Message(
-        "warning", _time_dependent, "add {subject} to the candidates, or measure what moves it"
+    "missing-term": Message(
+        "warning",
+        missing_term,
+        missing_term_remedy,
+        on_command_line=partial(missing_term_remedy, on_command_line=True),
     ),
-    "unmodelled-friction": Message("warning", friction, "give {subject} as a candidate for dissipation"),
+    "time-dependent": Message(
+        "warning",
+        time_dependent,
+        "add {subject} to the candidates, or measure what moves it",
+        on_command_line=time_dependent_remedy,
+    ),
+    "unmodelled-friction": Message(
+        "warning",
+        friction,
+        "give {subject} as a candidate for dissipation",
+        on_command_line="add {subject} to --dissipation",
+    ),
     "energy-fed-in": Message(
         "warning",
         "energy seems to be fed in along {velocities} (friction of about {coefficient:.2g})",
@@ -129,9 +108,17 @@ CODES: dict[str, Message] = {
         on_command_line="give --force-delay {delay:.2g}, or that of the device",
     ),
     "slight-friction": Message(
-        "note", friction, "with {subject} among the candidates for dissipation it would be in the model"
+        "note",
+        friction,
+        "with {subject} among the candidates for dissipation it would be in the model",
+        on_command_line="with {subject} in --dissipation it would be in the model",
     ),
-    "slight-delay": Message("note", late_forces, "too little to matter; la.delay.estimate finds it"),
+    "slight-delay": Message(
+        "note",
+        late_forces,
+        "too little to matter; la.delay.estimate finds it",
+        on_command_line="too little to matter; --force-delay {delay:.2g} allows for it",
+    ),
     "scaled-forces": Message(
         "warning",
         "the forces seem to be {factor:.2g} times those given ({share:.0f%} of the equation error)",
@@ -148,7 +135,8 @@ CODES: dict[str, Message] = {
         "the candidates seem to imitate a law that they cannot write: a smooth change of the {kind} energy "
         "explains the motion better (-2 log likelihood {gain:.0f}, for {freedom} numbers more) and changes "
         "the accelerations by {shift:.1f%}",
-        _imitated_remedy,
+        imitated_remedy,
+        on_command_line=partial(imitated_remedy, on_command_line=True),
     ),
     "form-open": Message(
         "warning",
@@ -228,7 +216,8 @@ CODES: dict[str, Message] = {
     "hardly-determined": Message(
         "warning",
         _hardly_determined,
-        "record larger or different motions, or fix one of the coefficients with known",
+        "record larger or different motions, or fix one of the coefficients with known={{...}}",
+        on_command_line="record larger or different motions, or fix one of the coefficients with --known",
     ),
     "competing-structures": Message(
         "warning", "these data cannot tell {subject} from {others}", _competing_remedy
@@ -246,7 +235,7 @@ CODES: dict[str, Message] = {
     "scale-open": Message(
         "warning",
         "nothing known reaches {subject}: the coefficients of its terms may all be multiplied by one number",
-        "give one of these coefficients with known",
+        "give one of these coefficients with known={{...}}",
         on_command_line="give one of these coefficients with --known",
     ),
     "mass-matrix-not-finite": Message(
@@ -312,8 +301,10 @@ CODES: dict[str, Message] = {
         "note",
         "L is not unique: the motion is so nearly linear that {open} of the scales of its {modes} modes may "
         "be any number, with the same accelerations",
-        "natural frequencies, damping ratios and mode shapes do not depend on it (linearise); a known "
+        "natural frequencies, damping ratios and mode shapes do not depend on it (model.linearise); a known "
         "coefficient or force for each mode fixes it",
+        on_command_line="natural frequencies, damping ratios and mode shapes do not depend on it; --known or "
+        "--forces for each mode fixes it",
     ),
     "groups-differ": Message("note", groups_differ),
     "groups-alike": Message("note", "no coefficient differs between the groups {groups}, within its error"),
@@ -389,7 +380,7 @@ def sentence(finding: Finding, audience: Audience = "python") -> str:
         return str(finding)
 
 
-def _other_remedies(audience: Audience) -> dict[str, str]:
+def _other_remedies(audience: Audience) -> dict[str, Text]:
     if audience == "python":
         return {}
     rows = CODES.items()

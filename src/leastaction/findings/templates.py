@@ -21,13 +21,19 @@ __all__ = [
     "converted_units",
     "correlated",
     "equations_off",
+    "equations_off_remedy",
     "fill",
     "friction",
     "groups_differ",
+    "imitated_remedy",
     "late_forces",
+    "missing_term",
+    "missing_term_remedy",
     "rate_scaled",
     "smoothed",
     "statements",
+    "time_dependent",
+    "time_dependent_remedy",
     "time_unit",
     "wrong_known",
     "wrong_known_remedy",
@@ -47,15 +53,15 @@ class Message:
     severity : Severity
     message, remedy : str or callable
         What is so, and what to do, for those who call Python.
-    on_command_line, on_page : str
+    on_command_line, on_page : str or callable
         What to do, for those who use the command line or the app; empty: the same.
     """
 
     severity: Severity
     message: Text
     remedy: Text = ""
-    on_command_line: str = ""
-    on_page: str = ""
+    on_command_line: Text = ""
+    on_page: Text = ""
 
 
 class _Template(Formatter):
@@ -173,6 +179,68 @@ def equations_off(f: dict[str, Any]) -> str:
     residual = ", the residual is {residual_ratio:.2f} times the noise" if more else ""
     text = "the library cannot explain {subject} (the equation is off by {equation_error:.1f%} of its forces"
     return fill(f"{text}{residual})", f)
+
+
+def equations_off_remedy(f: dict[str, Any], prescribed: str = "prescribed=['{subject}']") -> str:
+    """What to look for; the argument or option for motion that nobody explains."""
+    text = (
+        "a term of L, friction or a force may be missing, columns may be swapped, or a known value or sign "
+        "be wrong"
+    )
+    if f["cause_named"]:
+        return f"{text}; see the likely cause below"
+    unmeasured = f"; if forces that were not measured move {{subject}}, give {prescribed}"
+    return text + (fill(unmeasured, f) if f["may_be_prescribed"] else "")
+
+
+def missing_term(f: dict[str, Any]) -> str:
+    """Words for terms that the library lacks."""
+    it = "it" if len(f["subject"]) == 1 else "them"
+    instead = f" instead of {f['free_terms_before']}" if "free_terms_before" in f else ""
+    gain = f.get("gain")
+    by = f", -2 log likelihood {gain:.0f}, the price of the terms included" if gain is not None else ""
+    better = " better" if instead else ""
+    lacking = fill("the library seems to lack {subject}", f)
+    it += fill(", {numbers}", f) if f.get("numbers") else ""
+    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
+    return f"{lacking} (with {it}, {f['free_terms']} free {terms}{instead} {explain} the motion{better}{by})"
+
+
+def missing_term_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+    """Where to add them."""
+    it = "it" if len(f["subject"]) == 1 else "them"
+    how, offset = "", "force_offset=['{constant_force}']"
+    if on_command_line:
+        how, offset = f", {_term_options(f['subject'])}", "--force-offset {constant_force}"
+    force = f"; in L, {{constant_force}} by itself is a constant force on it ({offset})"
+    return f"add {it} to the candidates{how}" + (fill(force, f) if f["constant_force"] else "")
+
+
+def time_dependent(f: dict[str, Any]) -> str:
+    """Words for a law that holds with terms of the time."""
+    terms, explain = ("term", "explains") if f["free_terms"] == 1 else ("terms", "explain")
+    numbers = fill(" ({numbers})", f) if f["numbers"] else ""
+    return fill("the law seems to depend on time: with {subject}", f) + (
+        f"{numbers}, {f['free_terms']} free {terms} {explain} the motion"
+    )
+
+
+def time_dependent_remedy(f: dict[str, Any]) -> str:
+    """What to do about it on the command line."""
+    return f"add {_term_options(f['subject'])}, or measure what moves it (--input)"
+
+
+def _term_options(terms: Iterable[str]) -> str:
+    return " ".join(f'--term "{term}"' for term in terms)
+
+
+def imitated_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+    """What the library may lack, if that could be told."""
+    if not f.get("family"):
+        example = "--term 'exp(-{a}*x)'" if on_command_line else "exp(-{a}*x)"
+        return f"offer other candidates; unknown numbers in them stand in braces, as in {example}"
+    how = f", {_term_options(f['family'])}" if on_command_line else ""
+    return fill("add {family} to the candidates", f) + how + fill("; the motion agrees with {numbers}", f)
 
 
 def friction(f: dict[str, Any]) -> str:
