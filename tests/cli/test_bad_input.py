@@ -325,7 +325,11 @@ def test_hostile_names_of_coordinates(name):
         (("--hold-out", "1"), ("--hold-out", "at least 1")),
         (("--hold-out", "99999999999999999999"), "--hold-out"),
         (("--hold-out", "second"), ("--hold-out", "'second'")),
-        (("--hold-out", "run"), ("--hold-out", "all trials")),
+        (("--hold-out", "run"), ("--hold-out", "all trajectories")),
+        (("--hold-out", "100%"), ("--hold-out", "'100%'", "less than 100%")),
+        (("--hold-out", "1%"), ("--hold-out", "1 % of 100 samples")),
+        (("--hold-out", "x%"), ("--hold-out", "'x%'")),
+        (("--hold-out", "a", "--hold-out", "1"), ("--hold-out", "'a'")),
         (("--frobnicate",), ("--frobnicate", "discover --help")),
     ],
 )

@@ -266,16 +266,18 @@ def test_hold_out_takes_the_last_trials_or_names(work):
 
     data = la.read(work / "run.csv", ["theta"])
     names = data.names
-    for text, held in (
-        ("2", names[1:]),
-        (f"{names[0]}, {names[2]}", (names[0], names[2])),
-        (f"{names[1]},", names[1:2]),
+    for texts, held in (
+        (["2"], names[1:]),
+        ([f"{names[0]}, {names[2]}"], (names[0], names[2])),
+        ([f"{names[1]},"], names[1:2]),
+        ([names[0], f"{names[2]},"], (names[0], names[2])),
+        (["30%"], names[2:]),
     ):
-        fitted, out = _split(data, text)
+        fitted, out = _split(data, texts)
         assert out is not None
         assert out.names == held
         assert set(fitted.names) == set(names) - set(held)
-    assert _split(data, None) == (data, None)
+    assert _split(data, []) == (data, None)
 
 
 def test_a_forecast_that_fails_does_not_cost_the_model(work, tmp_path, monkeypatch):

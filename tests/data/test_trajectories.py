@@ -169,6 +169,41 @@ def test_different_coordinates_and_equal_names_are_refused():
         Trajectories([make(name="a"), make(name="a")])
 
 
+@pytest.mark.parametrize(
+    ("what", "held"),
+    [
+        (1, "d"), ("2", "cd"), ("25%", "d"), ("1%", "d"), ("60%", "cd"), ("99%", "bcd"), ("a", "a"),
+        (" a, c", "ac"), (["b", -1], "bd"), (slice(1, None, 2), None), (0, None), (4, None), ("0", None),
+        ("0%", None), ("100%", None), ("nan%", None), ("a,a", None), ("e", None), ("", None), ("abc", None),
+        ("a,b,c,d", None), ([], None), (0.25, None), (True, None), (None, None), (b"a", None),
+    ],
+)  # fmt: skip
+def test_hold_out(what, held):
+    runs = Trajectories([Trajectory([0.0, 1.0], [0.0, k], name=name) for k, name in enumerate("abcd")])
+    if held is None:
+        with pytest.raises(InputError):
+            runs.hold_out(what)
+        return
+    fitted, out = runs.hold_out(what)
+    assert out.names == tuple(held)
+    assert fitted.names == tuple(name for name in "abcd" if name not in held)
+    assert out[0] is runs.select(held[0])[0]
+
+
+def test_the_end_of_a_single_trajectory_is_held_out():
+    t = np.arange(101.0)
+    angle = np.mod(0.1 * t, 2.0 * np.pi)
+    run = Trajectories([Trajectory(t, angle, forces=t, coordinates=["x"], name="run")]).unwrap(["x"])
+    fitted, out = run.hold_out("20%")
+    assert (fitted.names, out.names) == (("run",), ("run (end)",))
+    assert (fitted[0].n_times, out[0].n_times) == (81, 20)
+    np.testing.assert_array_equal(np.concatenate([fitted[0].t, out[0].t]), t)
+    np.testing.assert_array_equal(np.concatenate([fitted[0].forces, out[0].forces])[:, 0], t)
+    assert fitted.wraps_removed == run.wraps_removed
+    with pytest.raises(InputError, match="leave too few"):
+        run.hold_out("1%")
+
+
 def test_select():
     runs = Trajectories([make(name=name, seed=k) for k, name in enumerate(("run-a", "run-b", ""))])
     assert runs.select(["run-b", 0]).names == ("run-b", "run-a")

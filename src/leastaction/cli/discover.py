@@ -33,7 +33,7 @@ from leastaction.cli.shape_options import (
     with_terms,
 )
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
-from leastaction.cli.text import complete_file, complete_folder, counted, shown
+from leastaction.cli.text import complete_file, complete_folder, shown
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
@@ -134,9 +134,11 @@ Example:
 )
 @click.option(
     "--hold-out",
-    metavar="N|NAMES",
-    help="The last N trials, or trials by name (a,b; with a comma behind a single name that is a number), "
-    "are not fitted but forecast in the report.",
+    multiple=True,
+    metavar="N|P%|NAMES",
+    help="Not fitted but forecast in the report: the last N trials; the last 20% of them, or of a single "
+    "trial its end; or trials by name (a,b; a number is a name with a comma behind it: 7,). May be given "
+    "several times with names.",
 )
 @click.option(
     "--output",
@@ -175,7 +177,7 @@ def discover(
     relevance: str,
     seed: int,
     workers: int | None,
-    hold_out: str | None,
+    hold_out: tuple[str, ...],
     output: str,
     as_json: bool,
     quiet: bool,
@@ -311,27 +313,13 @@ def _library(
         return library.with_dissipation(expression_list(dissipation))
 
 
-def _split(trajectories: Trajectories, hold_out: str | None) -> tuple[Trajectories, Trajectories | None]:
+def _split(trajectories: Trajectories, hold_out: Sequence[str]) -> tuple[Trajectories, Trajectories | None]:
     """Trials to fit, and trials to forecast."""
-    if hold_out is None:
+    if not hold_out:
         return trajectories, None
+    names = [name.strip() for text in hold_out for name in text.strip().removesuffix(",").split(",")]
     with blame("--hold-out"):
-        text = hold_out.strip()
-        if text.isascii() and text.isdigit():
-            count = int(text[:9])
-            last = trajectories.names[len(trajectories) - count :] if 0 < count < len(trajectories) else ()
-            if not last:
-                raise InputError(
-                    f"{quoted(text)} of {counted(len(trajectories), 'trial')}; hold out at least 1 and leave "
-                    "at least 1 to fit"
-                )
-            held = trajectories.select(last)
-        else:
-            held = trajectories.select([name.strip() for name in text.removesuffix(",").split(",")])
-        rest = [name for name in trajectories.names if name not in held.names]
-        if not rest:
-            raise InputError("all trials are held out; leave at least 1 to fit")
-        return trajectories.select(rest), held
+        return trajectories.hold_out(hold_out[0] if len(hold_out) == 1 else names)
 
 
 def groups_of_trials(options: DataOptions, column: str, names: Sequence[str]) -> dict[str, str]:

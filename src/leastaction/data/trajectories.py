@@ -8,8 +8,17 @@ from typing import overload
 
 import numpy as np
 
-from leastaction.data.trajectory import RATES, Rate, Trajectory
-from leastaction.data.validation import fill_names, listed, position_of, unwrap_in_place
+from leastaction.data.trajectory import RATES, Rate, Trajectory, check_items
+from leastaction.data.validation import (
+    fill_names,
+    listed,
+    names_held_out,
+    plain_bytes,
+    position_of,
+    rows_held_out,
+    share_held_out,
+    unwrap_in_place,
+)
 from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import check_coordinate_names, quoted
@@ -44,7 +53,7 @@ class Trajectories(Sequence[Trajectory]):
     """
 
     def __init__(self, trajectories: Iterable[Trajectory]) -> None:
-        items = _check_items(trajectories)
+        items = check_items(trajectories)
         self._items = items
         self._wraps = tuple((0,) * items[0].n_dof for _ in items)
         self._names = fill_names([item.name for item in items])
@@ -268,6 +277,36 @@ class Trajectories(Sequence[Trajectory]):
         )
         return self._with(*pick)
 
+    def hold_out(self, what: int | str | Iterable[str | int]) -> tuple[Trajectories, Trajectories]:
+        """Return the trajectories to fit, and those to forecast.
+
+        Parameters
+        ----------
+        what : int, str, or iterable of names and numbers
+            ``2``: the last two. ``"20%"``: the last fifth, one at least; of a single trajectory, its end.
+            ``"a,b"`` or ``["a", "b"]``: by name. As ``--hold-out`` of the command line.
+
+        Raises
+        ------
+        InputError
+            If there is no such trajectory, or nothing is left to fit or to forecast.
+
+        Examples
+        --------
+        >>> runs = Trajectories([Trajectory([0, 1], [0, k], name=f"run{k}") for k in range(3)])
+        >>> [part.names for part in runs.hold_out("20%")]
+        [('run0', 'run1'), ('run2',)]
+        """
+        share = share_held_out(what)
+        if share is not None and len(self) == 1:
+            late = rows_held_out(self._items[0].t, share)
+            parts = [self._items[0].rows(rows) for rows in (~late, late)]
+            named = zip(parts, (self._names[0], f"{self._names[0]} (end)"), strict=True)
+            fitted, held = (self._with([part], self._wraps, [name]) for part, name in named)
+            return fitted, held
+        held = self.select(names_held_out(what, share, self._names))
+        return self.select([name for name in self._names if name not in held.names]), held
+
     def with_forces(self, forces: Iterable[np.ndarray | None]) -> Trajectories:
         """Return the same trajectories with other known forces, (n_times, n_dof) or None for each.
 
@@ -311,11 +350,11 @@ class Trajectories(Sequence[Trajectory]):
             digest.update(f"|{item.n_times},{item.n_dof},{item.driven}|".encode())
             for array in (item.t, item.q, item.forces if item.driven else None):
                 if array is not None:
-                    digest.update(_plain_bytes(array))
+                    digest.update(plain_bytes(array))
             for field in RATES:
                 rates = item.rates(field)
                 if rates is not None:
-                    digest.update(f"|{field}|".encode() + _plain_bytes(rates))
+                    digest.update(f"|{field}|".encode() + plain_bytes(rates))
         return digest.hexdigest()
 
     def without(self, masks: Sequence[np.ndarray]) -> Trajectories:
@@ -358,30 +397,3 @@ class Trajectories(Sequence[Trajectory]):
                 known = f"the coordinates are {listed(self.coordinates)}"
                 raise InputError(f"angle {quoted(name)} is not a coordinate; {known}")
         return [self.coordinates.index(name) for name in names]
-
-
-def _plain_bytes(array: np.ndarray) -> bytes:
-    """One NaN and one zero: their other bit patterns mean the same data."""
-    plain = np.where(np.isnan(array), np.nan, array + 0.0)
-    return np.ascontiguousarray(plain, dtype="<f8").tobytes()
-
-
-def _check_items(trajectories: Iterable[object]) -> tuple[Trajectory, ...]:
-    cure = "pass a Trajectory or a sequence of them, e.g. [Trajectory(t, q)]"
-    try:
-        items = tuple(trajectories)
-    except TypeError:
-        raise InputError(f"{type(trajectories).__name__} is not a sequence of trajectories; {cure}") from None
-    if not items:
-        raise InputError("there is no trajectory; at least one is needed")
-    checked: list[Trajectory] = []
-    for position, item in enumerate(items):
-        if not isinstance(item, Trajectory):
-            raise InputError(f"item {position} is of type {type(item).__name__}, not Trajectory; {cure}")
-        checked.append(item)
-        if item.coordinates != checked[0].coordinates:
-            raise InputError(
-                f"trajectory {position} has the coordinates {listed(item.coordinates)}, but trajectory 0 has "
-                f"{listed(checked[0].coordinates)}; all must have the same, in the same order"
-            )
-    return tuple(checked)

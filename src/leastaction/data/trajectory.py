@@ -16,6 +16,7 @@ from leastaction.data.validation import (
     check_rates,
     check_samples,
     check_times,
+    listed,
     real_array,
 )
 from leastaction.errors import InputError
@@ -291,3 +292,25 @@ def _restored(
 ) -> Trajectory:
     rates = {"velocities": velocities, "accelerations": accelerations}
     return Trajectory(t, q, forces, coordinates, name, findings=findings, **rates)
+
+
+def check_items(trajectories: Iterable[object]) -> tuple[Trajectory, ...]:
+    """Return the trajectories, if there is one and all have the same coordinates."""
+    cure = "pass a Trajectory or a sequence of them, e.g. [Trajectory(t, q)]"
+    try:
+        items = tuple(trajectories)
+    except TypeError:
+        raise InputError(f"{type(trajectories).__name__} is not a sequence of trajectories; {cure}") from None
+    if not items:
+        raise InputError("there is no trajectory; at least one is needed")
+    checked: list[Trajectory] = []
+    for position, item in enumerate(items):
+        if not isinstance(item, Trajectory):
+            raise InputError(f"item {position} is of type {type(item).__name__}, not Trajectory; {cure}")
+        checked.append(item)
+        if item.coordinates != checked[0].coordinates:
+            raise InputError(
+                f"trajectory {position} has the coordinates {listed(item.coordinates)}, but trajectory 0 has "
+                f"{listed(checked[0].coordinates)}; all must have the same, in the same order"
+            )
+    return tuple(checked)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from numbers import Integral, Real
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -265,3 +266,77 @@ def _cure(kind: str) -> str:
     if kind in "mM":
         return ", times in seconds"
     return ": convert text to numbers first" if kind in "US" else ""
+
+
+def plain_bytes(array: np.ndarray) -> bytes:
+    """One NaN and one zero: their other bit patterns mean the same data."""
+    plain = np.where(np.isnan(array), np.nan, array + 0.0)
+    return np.ascontiguousarray(plain, dtype="<f8").tobytes()
+
+
+_TO_HOLD_OUT = "give how many of the last ones (2), a share ('20%'), or names ('a,b')"
+
+
+def share_held_out(given: object) -> float | None:
+    """Return the share of ``"20%"``; None for what is no share.
+
+    Examples
+    --------
+    >>> share_held_out("20%"), share_held_out("a,b")
+    (0.2, None)
+    """
+    if not isinstance(given, str) or not given.strip().endswith("%"):
+        return None
+    try:
+        share = float(given.strip()[:-1]) / 100.0
+    except ValueError:
+        return None
+    if not 0.0 < share < 1.0:
+        raise InputError(f"{quoted(given)} is no share; give more than 0% and less than 100%, such as '20%'")
+    return share
+
+
+def rows_held_out(t: FloatArray, share: float) -> NDArray[np.bool_]:
+    """Return which samples are in the last share of the time.
+
+    Examples
+    --------
+    >>> rows_held_out(np.arange(5.0), 0.5).tolist()
+    [False, False, False, True, True]
+    """
+    late = t > t[-1] - share * (t[-1] - t[0])
+    if late.sum() < 2 or (~late).sum() < 2:
+        raise InputError(f"{100 * share:g} % of {t.size} samples leave too few on one side")
+    return late
+
+
+def names_held_out(given: object, share: float | None, names: Sequence[str]) -> list[str]:
+    """Return the names of the trajectories to hold out, of which one must be left.
+
+    Examples
+    --------
+    >>> [names_held_out(given, None, ["a", "b", "7"]) for given in (1, "2", "a, b", "7,", ["7"])]
+    [['7'], ['b', '7'], ['a', 'b'], ['7'], ['7']]
+    >>> names_held_out("60%", 0.6, ["a", "b", "c"])
+    ['b', 'c']
+    """
+    text = given.strip() if isinstance(given, str) else ""
+    if share is not None:
+        given = min(max(round(share * len(names)), 1), len(names) - 1)
+    elif text.isascii() and text.isdigit():
+        given = int(text[:9])
+    if not isinstance(given, bool) and isinstance(given, Integral):
+        count = int(given)
+        if not 0 < count < len(names):
+            raise InputError(
+                f"{count} of {len(names)} trajectories; hold out at least 1 and leave at least 1 to fit"
+            )
+        return list(names[len(names) - count :])
+    if isinstance(given, str):
+        given = [part.strip() for part in text.removesuffix(",").split(",")]
+    if isinstance(given, bytes) or not isinstance(given, Iterable):
+        raise InputError(f"{quoted(given)} cannot be held out; {_TO_HOLD_OUT}")
+    held = [names[position_of(key, names)] for key in cast("Iterable[object]", given)]
+    if set(held) >= set(names):
+        raise InputError("all trajectories are held out; leave at least 1 to fit")
+    return held
