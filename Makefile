@@ -48,7 +48,7 @@ test: $(STAMPS)/test
 
 # Kernels of OpenBLAS round differently: results must not depend on the processor.
 test-kernels: $(STAMPS)/test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/kernels.py $(KERNELS) -- -n 2 -q $(TEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/test_kernels.py $(KERNELS) -- -n 2 -q $(TEST_ARGS)
 
 lint: $(STAMPS)/lint
 	$(BIN)/ruff check .

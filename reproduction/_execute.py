@@ -14,7 +14,7 @@ from types import ModuleType
 
 from reproduction.problem import Case, pose
 from reproduction.scoring import score
-from runner.origin import commit, failure, machine, versions
+from runner.machine import commit, failure, machine, versions
 
 __all__ = ["end_with_parent", "execute", "record"]
 

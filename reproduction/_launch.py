@@ -15,8 +15,7 @@ from pathlib import Path
 
 from reproduction._execute import record
 from reproduction.problem import Case
-from runner.origin import ROOT, failure
-from runner.processes import end, environment, last_words
+from runner.machine import ROOT, end, environment, failure, last_words
 
 __all__ = ["Options", "launch", "launched"]
 

@@ -28,7 +28,7 @@ from reproduction._launch import Options, launched
 from reproduction._results import store_of
 from reproduction.problem import Case
 from runner.course import carry_out, say
-from runner.origin import ROOT
+from runner.machine import ROOT
 from runner.store import to_line
 
 RESULTS = ROOT / "reproduction" / "results"

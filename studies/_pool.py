@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from runner.origin import ROOT, failure
-from runner.processes import end, environment, last_words, stop
+from runner.machine import ROOT, end, environment, failure, last_words, stop
 from studies.case import Case
 
 __all__ = ["Options", "solved"]

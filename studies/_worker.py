@@ -15,7 +15,7 @@ import threading
 import traceback
 from pathlib import Path
 
-from runner.origin import failure
+from runner.machine import failure
 from runner.store import to_line
 from studies.case import Case
 

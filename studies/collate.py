@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 
 import leastaction as la
-from runner.origin import ROOT
+from runner.machine import ROOT
 from runner.store import RecordError, Store
 from studies._study_tables import tables
 from studies.case import Case

@@ -18,7 +18,7 @@ import click
 from rich.console import Console
 
 from runner.course import carry_out
-from runner.origin import ROOT, commit, machine, versions
+from runner.machine import ROOT, commit, machine, versions
 from runner.store import Store
 from studies._pool import Options, solved
 from studies._tables import number

@@ -31,7 +31,7 @@ import numpy as np
 
 from reproduction.methods._symbolic import STRIDE, acceleration_of, choose, names, samples
 from reproduction.problem import Answer, Problem
-from runner.processes import environment, last_words
+from runner.machine import environment, last_words
 
 TITLE = "uDSR"
 REFERENCE = "dso; Landajuela et al., A Unified Framework for Deep Symbolic Regression, NeurIPS 2022"

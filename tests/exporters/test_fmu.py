@@ -10,8 +10,7 @@ import pytest
 import leastaction as la
 from export_models import COMPILER, MODELS, states, timed
 from leastaction.errors import InputError
-from leastaction.exporters import compile as _compile
-from leastaction.exporters.fmu import source_files
+from leastaction.exporters.fmu import compile_library, platform_name, source_files
 from leastaction.model.model import LagrangianModel, ModelTerm
 
 fmpy = pytest.importorskip("fmpy")
@@ -101,7 +100,7 @@ def test_description_is_valid(version, tmp_path):
         with zipfile.ZipFile(path) as archive:
             assert archive.testzip() is None
             assert [p for p in archive.namelist() if p.startswith("binaries/")] == [
-                f"binaries/{_compile.platform_name(version)}/{name}{fmpy.sharedLibraryExtension}"
+                f"binaries/{platform_name(version)}/{name}{fmpy.sharedLibraryExtension}"
             ]
 
 
@@ -342,4 +341,4 @@ def test_no_compiler(monkeypatch, tmp_path):
 @needs_compiler
 def test_compiler_that_fails():
     with pytest.raises(InputError, match=r"the C compiler .* failed: .*error"):
-        _compile.compile_library({"a.c": "int a(void) { return nothing; }\n"})
+        compile_library({"a.c": "int a(void) { return nothing; }\n"})

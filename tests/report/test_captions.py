@@ -9,6 +9,7 @@ import pytest
 
 from leastaction import Trajectories, Trajectory
 from leastaction.model.diagnostics import PathPoint, pareto
+from leastaction.model.mathml import Notation, number_parts
 from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.axes import shortened
@@ -21,12 +22,10 @@ from leastaction.report.captions import (
     residual_title,
     symmetry_note,
 )
-from leastaction.report.figures_model import pareto_figure
-from leastaction.report.mathml import Notation, number_parts
+from leastaction.report.figures_model import pareto_figure, whisker
 from leastaction.report.series import Series
 from leastaction.report.tables import pareto_rows
 from leastaction.report.verdict import verdict
-from leastaction.report.whisker import whisker
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from report_helpers import Page, spring
 

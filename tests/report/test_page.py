@@ -22,8 +22,8 @@ from leastaction import (
 from leastaction.curve.bspline import SplineGrid
 from leastaction.findings import Finding, find
 from leastaction.library import Dropped, make_term
+from leastaction.model.mathml import number_parts
 from leastaction.model.term import FitSummary, ModelTerm
-from leastaction.report.mathml import number_parts
 from leastaction.report.text import percent
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from report_helpers import Page, spring

@@ -15,9 +15,9 @@ from leastaction import (
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 from leastaction.report.captions import motion_note
-from leastaction.report.mathml import Notation
 from leastaction.report.series import Energy, Series, legible_samples, thin_line, thin_points
 from leastaction.report.tables import motion_rows, path_rows, symmetry_rows
 from leastaction.report.text import plain

@@ -21,7 +21,7 @@ from reproduction._results import store_of
 from reproduction.problem import Case
 from reproduction.run import build_cases, main, settings
 from runner.course import open_cases
-from runner.origin import ROOT
+from runner.machine import ROOT
 from runner.store import to_line
 
 # A stand-in for reproduction.methods: it notes when a run begins and ends. "gated" waits for a file from the

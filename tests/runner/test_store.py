@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from runner.origin import ROOT
+from runner.machine import ROOT
 from runner.store import RecordError, Store, to_line
 from studies.case import Case
 

@@ -18,7 +18,7 @@ import leastaction as la
 from leastaction import systems
 from leastaction.findings import CODES, find
 from runner.course import open_cases
-from runner.origin import ROOT
+from runner.machine import ROOT
 from runner.store import Store
 from studies import collate, run
 from studies._pool import Options, solved

@@ -269,7 +269,7 @@ def shown_names(coordinates: Sequence[str]) -> dict[str, str]:
     >>> shown_names(["theta1"])
     {'theta1': 'θ₁'}
     """
-    from leastaction.report.mathml import Notation
+    from leastaction.model.mathml import Notation
 
     notation = Notation(coordinates)
     return {c: notation.text(c) for c in coordinates}

@@ -238,7 +238,7 @@ class CandidatesView:
                 say(f"{counted(len(lines(self.choice.text)), 'expression')}, all readable", "fine")
 
     def _show_formulas(self, library: Library) -> None:
-        from leastaction.report.mathml import Notation
+        from leastaction.model.mathml import Notation
 
         notation = Notation(library.coordinates)
         self.formulas.clear()

@@ -233,7 +233,7 @@ class DataView:
             smooth, hint = None, self.page.words(error)
         if session.data is not data or self.figures.is_deleted:
             return
-        from leastaction.report.mathml import Notation
+        from leastaction.model.mathml import Notation
 
         names = [Notation(data.coordinates).text(name) for name in data.coordinates]
         figures = []

@@ -12,8 +12,8 @@ from leastaction.app.motion import frames, is_pendulum
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, table, title
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
+from leastaction.model.mathml import Notation
 from leastaction.report import captions
-from leastaction.report.mathml import Notation
 from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from nicegui import html, ui
 
 from leastaction.app.figures import walk_figure
 from leastaction.app.parts import action, aside, drawn, math, panel, say, title
-from leastaction.report.mathml import Notation
+from leastaction.model.mathml import Notation
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page

@@ -1,23 +1,35 @@
-"""A model as an FMU for co-simulation: an archive of a description, C sources and a library made of them."""
+"""A model as an FMU for co-simulation: an archive of a description, C sources and a library
+that the compiler found on the PATH makes of them.
+"""
 
 from __future__ import annotations
 
 import io
+import platform
 import re
+import shutil
+import subprocess
+import sys
 import uuid
 import zipfile
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import sympy as sp
 
+from leastaction.errors import InputError
 from leastaction.exporters import c
-from leastaction.exporters.compile import compile_library, platform_name
 from leastaction.exporters.fmu_description import build_description, model_description, variables
 from leastaction.exporters.shared import about, clock
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["source_files", "write"]
+__all__ = ["COMPILERS", "compile_library", "platform_name", "source_files", "write"]
+
+COMPILERS = ("cc", "gcc", "clang")
+_SECONDS = 600  # that a compilation may take
 
 _MAX_STEP = 1e-3  # seconds, unless the knots of the discovery ask for less
 _STEPS_PER_KNOT = 10
@@ -124,3 +136,55 @@ def _archive(members: dict[str, bytes]) -> bytes:
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, data)
     return out.getvalue()
+
+
+def platform_name(version: int) -> str:
+    """Name that FMI gives this platform: ``linux64`` in version 2, ``x86_64-linux`` in version 3."""
+    systems = {"linux": ("linux", "linux"), "darwin": ("darwin", "darwin"), "win32": ("win", "windows")}
+    short, long = systems.get(sys.platform, (sys.platform, sys.platform))
+    machine = platform.machine().lower()
+    machine = {"amd64": "x86_64", "arm64": "aarch64", "i386": "x86", "i686": "x86"}.get(machine, machine)
+    if version == 2 and machine in ("x86_64", "x86"):
+        return f"{short}{64 if machine == 'x86_64' else 32}"
+    # Version 2 has one name for both kinds of Mac.
+    return "darwin64" if version == 2 and short == "darwin" else f"{machine}-{long}"
+
+
+def compile_library(sources: Mapping[str, str], options: Sequence[str] = ()) -> tuple[bytes, str]:
+    """Return a shared library of the C files (file name -> text), and the suffix of its name.
+
+    Raises
+    ------
+    InputError
+        If there is no C compiler, or it fails.
+    """
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    if compiler is None:
+        raise InputError(
+            f"there is no C compiler on the PATH (looked for {', '.join(COMPILERS)}), and an FMU holds "
+            "compiled code; install one such as GCC or Clang, or export another format"
+        )
+    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    with TemporaryDirectory(prefix="leastaction-") as name:
+        folder = Path(name)
+        for path, text in sources.items():
+            (folder / path).write_text(text, encoding="utf-8")
+        units = sorted(path for path in sources if path.endswith(".c"))
+        position = [] if sys.platform == "win32" else ["-fPIC", "-fvisibility=hidden"]
+        if sys.platform == "linux":  # elsewhere a missing function is an error anyway
+            position.append("-Wl,--no-undefined")
+        command = [compiler, "-std=c99", "-O2", *position, *options, "-shared", "-o", f"library{suffix}"]
+        try:
+            done = subprocess.run(
+                [*command, *units, "-lm"], cwd=folder, capture_output=True, timeout=_SECONDS, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            reason = f"not done after {_SECONDS} s" if isinstance(error, subprocess.TimeoutExpired) else error
+            raise InputError(f"the C compiler {compiler} cannot be used: {reason}") from None
+        if done.returncode != 0:
+            said = done.stderr.decode(errors="replace").strip().splitlines() or [
+                f"exit code {done.returncode}"
+            ]
+            first = next((line for line in said if "error" in line.lower()), said[0])
+            raise InputError(f"the C compiler {compiler} failed: {first[:200]}; try another one, such as GCC")
+        return (folder / f"library{suffix}").read_bytes(), suffix

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
+from leastaction.model.mathml import Notation
 from leastaction.report.axes import HALF, Axes
-from leastaction.report.mathml import Notation
 from leastaction.report.series import Series, legible_samples, sample_times, thin_line, thin_points
 from leastaction.report.text import plain
 

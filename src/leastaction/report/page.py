@@ -14,15 +14,14 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.findings import because
+from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.report import captions, tables
 from leastaction.report import figures_model as figures
 from leastaction.report.figures_data import DataFigures
-from leastaction.report.mathml import Notation
 from leastaction.report.series import Energy, Series
 from leastaction.report.text import percent, plain, plural
 from leastaction.report.verdict import verdict
-from leastaction.report.whisker import axis as whisker_axis
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 
 __all__ = ["render"]
@@ -80,7 +79,7 @@ def _context(
         "symmetry_note": captions.symmetry_note(model.symmetries),
         **_motions(model, notation),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
-        "whisker_axis": whisker_axis(),
+        "whisker_axis": figures.whisker_axis(),
         **_profiles(model),
         "data": series.trajectories,
         "shown": series.trajectories.names[series.trial],

@@ -12,15 +12,15 @@ from markupsafe import Markup
 from leastaction.findings import because
 from leastaction.model.constants import Offer
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.mathml import Notation, number_parts
 from leastaction.model.model import LagrangianModel
 from leastaction.model.notation import interval_text
 from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import ModelTerm
 from leastaction.model.text import CONSERVED, outcome, reach, shown_quantity
-from leastaction.report.mathml import Notation, number_parts
+from leastaction.report.figures_model import whisker
 from leastaction.report.series import Series
 from leastaction.report.text import aligned, listed, percent, plain, signed, typeset, typeset_all
-from leastaction.report.whisker import whisker
 from leastaction.simulation.forecast import ForecastResult
 
 __all__ = [

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
-from leastaction.report.mathml import Notation
 from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 

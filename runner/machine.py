@@ -1,19 +1,31 @@
-"""How and with what a run was made, without anything that names the machine or its folders."""
+"""The machine of a run: how and with what it was made, without naming folders; its processes."""
 
 from __future__ import annotations
 
 import os
 import platform
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 
-__all__ = ["ROOT", "commit", "failure", "machine", "versions"]
+__all__ = [
+    "ROOT",
+    "commit",
+    "end",
+    "environment",
+    "failure",
+    "last_words",
+    "machine",
+    "stop",
+    "versions",
+]
 
 ROOT = Path(__file__).resolve().parents[1]
 _ALWAYS = ("numpy", "scipy", "sympy", "leastaction")
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def failure(status: str, reason: str) -> dict:
@@ -52,3 +64,35 @@ def commit(*code: str) -> str:
     except OSError:
         return ""
     return head.stdout.strip() + ("+changes" if clean.stdout else "")
+
+
+def environment() -> dict[str, str]:
+    """One BLAS thread, no windows, and this folder's packages."""
+    path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH", "")) if p)
+    return {**os.environ, **dict.fromkeys(_THREADS, "1"), "MPLBACKEND": "Agg", "PYTHONPATH": path}
+
+
+def stop(process: subprocess.Popen) -> None:
+    """End a process and what it has started, if it still runs. Its pipes stay open for who reads them."""
+    if process.poll() is None:
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, signal.SIGKILL)  # it leads a group of its own
+        else:
+            process.kill()
+        process.wait()
+
+
+def end(process: subprocess.Popen) -> None:
+    """End a process, and close its pipes."""
+    stop(process)
+    for pipe in (process.stdin, process.stdout):
+        if pipe:
+            pipe.close()
+
+
+def last_words(code: int, log: Path) -> str:
+    """Say how a process ended, and the last line that it wrote."""
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+    how = f"ended by signal {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+    return f"the process {how}" + (f": {last}" if last else "")
