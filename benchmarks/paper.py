@@ -11,8 +11,8 @@ blame: the descent has not arrived.
 ``minimum``, over all candidates, for each system, weight γ of the equations and density of knots: the ℓ2
 error of the coefficients at the minimum of J that Gauss–Newton reaches from where Adam begins (smoothing
 spline, regression along it), from the exact motion with the true coefficients, and with the true terms alone;
-nothing is thresholded.  The penalty on accelerations, which J hardly weighs, is left out.  Where the first two are
-near the law, the loss leads there and a descent that ends elsewhere has not arrived.
+nothing is thresholded.  The penalty on accelerations, which J hardly weighs, is left out.  Where the first
+two are near the law, the loss leads there and a descent that ends elsewhere has not arrived.
 """
 
 from __future__ import annotations

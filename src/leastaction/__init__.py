@@ -1,10 +1,40 @@
-"""leastaction: the Lagrangian of a mechanical system from noisy measured coordinates.
+"""Find the Lagrangian of a mechanical system from noisy measured coordinates.
 
-The names below are public, and only these.  They are loaded when first used, so that
-``leastaction --help`` does not wait for SymPy.  What needs an extra is public too, but not in ``__all__``, so
-that ``from leastaction import *`` works without: `SparseLagrangian`, `casadi` and `control`.  `StopSearch` is
-for those who follow a search.
+You give recorded angles or positions, and forces where there are motors; you get a short formula for L and
+for the friction, each coefficient with its error, and a verdict on whether to trust it. A pendulum:
+
+>>> import leastaction as la
+>>> runs = la.systems.generate("single_pendulum", noise=0.01, trials=3, duration=6.0, seed=0)
+>>> runs.coordinates, runs.n_trajectories  # of your own: la.read("runs.csv", ["theta"])
+(('theta',), 3)
+>>> candidates = ["theta_dot**2", "cos(theta)", "sin(theta)", "theta**2"]
+>>> model = la.discover(runs[:2], candidates, angles=["theta"])
+>>> model.fit.status
+'ok'
+>>> print(model.formula())  # doctest: +SKIP
+L = 0.4992*theta_dot**2 + 9.791*cos(theta)
+>>> forecast = model.validate(runs[2:])  # a recording that was not used
+>>> bool(forecast.rms_over_std[0] < 0.05)
+True
+
+What to do next:
+
+* Look: ``la.show(model)`` in a terminal, or ``model`` alone in a notebook; ``.plot()`` and ``.to_frame()`` of
+  models, trajectories, simulations and forecasts (they need Matplotlib and pandas).
+* Read data: `read`, `read_csv`, `from_frame`, `stream`; or make `Trajectories` of arrays.
+* Choose candidates: ``la.Library.mechanical(["x", "theta"], angles=["theta"])`` generates them.
+* Use the law: ``model.simulate``, ``model.equations_of_motion``, ``model.equilibria``, `export` to C, Python,
+  MATLAB, CasADi or an FMU.
+* Keep it: ``model.save(path)`` and `load`; `write_report` writes one HTML page with figures.
+* Without code: ``leastaction demo``, ``leastaction app`` and ``leastaction --help`` in a terminal.
+
+``help(la.discover)`` and every other help text hold shapes, units, errors and an example. The documentation
+begins with ``docs/start.md``.
 """
+# The names in __all__ are public, and only these.  They are loaded when first used, so that
+# ``leastaction --help`` does not wait for SymPy.  What needs an extra is public too, but not in __all__, so
+# that ``from leastaction import *`` works without: SparseLagrangian, casadi and control.  StopSearch is for
+# those who follow a search.
 
 from __future__ import annotations
 
@@ -30,7 +60,8 @@ if TYPE_CHECKING:
     from leastaction.model.file import load
     from leastaction.model.model import LagrangianModel
     from leastaction.report import write_report
-    from leastaction.simulation.integrate import SimulationResult
+    from leastaction.shown import show
+    from leastaction.simulation.results import SimulationResult
     from leastaction.sklearn import SparseLagrangian as SparseLagrangian
 
 _HOMES = {
@@ -39,7 +70,7 @@ _HOMES = {
     "InputError": "errors",
     "LagrangianModel": "model.model",
     "Library": "library",
-    "SimulationResult": "simulation.integrate",
+    "SimulationResult": "simulation.results",
     "SparseLagrangian": "sklearn",
     "StopSearch": "errors",
     "Trajectories": "data.trajectories",
@@ -54,6 +85,7 @@ _HOMES = {
     "read_mat": "io",
     "read_npz": "io",
     "read_parquet": "io",
+    "show": "shown",
     "smooth": "curve.motion",
     "stream": "io",
     "write_csv": "io",
@@ -84,6 +116,7 @@ __all__ = [
     "read_mat",
     "read_npz",
     "read_parquet",
+    "show",
     "smooth",
     "stream",
     "systems",

@@ -58,6 +58,7 @@ def assemble_model(
         force_offset=search.bias.found(),
         prepared=setup.findings,
         pareto=pareto(points),
+        angles=tuple(options.get("angles", ())),
     )
     terms = _terms(fit)
     unknown = bool(np.isnan(fit.covariance).any())

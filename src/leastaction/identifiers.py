@@ -1,4 +1,4 @@
-"""Which names a coordinate may have; the one place where that is decided."""
+"""Which names a coordinate may have, and how they are written for people; the one place for both."""
 
 from __future__ import annotations
 
@@ -9,7 +9,17 @@ from collections.abc import Iterable
 
 from leastaction.errors import InputError
 
-__all__ = ["FUNCTION_NAMES", "RESERVED_NAMES", "TIME", "check_coordinate_names", "names_in_terms", "quoted"]
+__all__ = [
+    "FUNCTION_NAMES",
+    "RESERVED_NAMES",
+    "TIME",
+    "check_coordinate_names",
+    "names_in_terms",
+    "quoted",
+    "split_name",
+    "split_names",
+    "written_name",
+]
 
 FUNCTION_NAMES = frozenset({"sin", "cos", "tan", "exp", "log", "sqrt", "abs"})
 """Functions that an expression may call."""
@@ -22,6 +32,7 @@ RESERVED_NAMES = frozenset({"pi", TIME, "E", "I"})
 
 _ASCII_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 _MAX_LENGTH = 64
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def quoted(value: object, limit: int = 40) -> str:
@@ -115,6 +126,57 @@ def names_in_terms(coordinates: Iterable[str]) -> list[str]:
     """
     names = list(coordinates)
     return [*names, *(f"{name}_dot" for name in names), TIME]
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Head and subscript of a name, Greek letters as such.
+
+    Examples
+    --------
+    >>> split_name("theta_arm2"), split_name("x")
+    (('θ', 'arm,2'), ('x', ''))
+    """
+    head, *rest = re.findall(r"\d+|[^\W\d_]+", name) or [name]
+    return _letter(head), ",".join(_letter(part) for part in rest)
+
+
+def split_names(names: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Head and subscript of each name; names that would look alike are left as they are.
+
+    Examples
+    --------
+    >>> split_names(["theta1", "q1", "q_1"])
+    {'theta1': ('θ', '1'), 'q1': ('q1', ''), 'q_1': ('q_1', '')}
+    """
+    parts = {name: split_name(name) for name in names}
+    all_parts = list(parts.values())
+    return {name: part if all_parts.count(part) == 1 else (name, "") for name, part in parts.items()}
+
+
+def written_name(head: str, subscript: str) -> str:
+    """A name as plain text for figures.
+
+    Examples
+    --------
+    >>> written_name("θ", "1"), written_name("x", "cart")
+    ('θ₁', 'x_cart')
+    """
+    if subscript.isdecimal():
+        return f"{head}{subscript.translate(_SUBSCRIPTS)}"
+    return f"{head}_{subscript.replace(',', '_')}" if subscript else head
+
+
+def _letter(word: str) -> str:
+    """The Greek letter of this name, or the word itself."""
+    size = {word.lower(): "SMALL", word.capitalize(): "CAPITAL"}.get(word)
+    if size is None or len(word) == 1:
+        return word
+    try:
+        return unicodedata.lookup(
+            f"GREEK {size} LETTER {'LAMDA' if word.lower() == 'lambda' else word.upper()}"
+        )
+    except KeyError:
+        return word
 
 
 def _check_one(name: object) -> str:

@@ -29,7 +29,7 @@ from leastaction.app.columns import (
 )
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles
-from leastaction.app.path import Walk
+from leastaction.app.session import Walk
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from report_helpers import spring

@@ -15,7 +15,7 @@ from leastaction.report.series import legible_samples, thin_line, thin_points
 if TYPE_CHECKING:
     from leastaction import Trajectory
     from leastaction.app.jobs import Motion
-    from leastaction.app.path import Walk
+    from leastaction.app.session import Walk
     from leastaction.curve.motion import SmoothMotion
 
 __all__ = ["data_figure", "forecast_figure", "walk_figure"]

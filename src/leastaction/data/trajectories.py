@@ -8,6 +8,7 @@ from typing import overload
 
 import numpy as np
 
+from leastaction.data.shown import ShownRuns
 from leastaction.data.trajectory import RATES, Rate, Trajectory, check_items
 from leastaction.data.validation import (
     fill_names,
@@ -26,7 +27,7 @@ from leastaction.identifiers import check_coordinate_names, quoted
 __all__ = ["Rate", "Trajectories", "Trajectory"]
 
 
-class Trajectories(Sequence[Trajectory]):
+class Trajectories(ShownRuns, Sequence[Trajectory]):
     """Several trajectories of one system, with the same coordinates; lengths and times may differ.
 
     Parameters
@@ -270,12 +271,11 @@ class Trajectories(Sequence[Trajectory]):
         if len(set(chosen)) < len(chosen):
             twice = next(self._names[i] for i in chosen if chosen.count(i) > 1)
             raise InputError(f"trajectory {quoted(twice)} is selected twice; select each one once")
-        pick = (
+        return self._with(
             [self._items[i] for i in chosen],
             [self._wraps[i] for i in chosen],
             [self._names[i] for i in chosen],
         )
-        return self._with(*pick)
 
     def hold_out(self, what: int | str | Iterable[str | int]) -> tuple[Trajectories, Trajectories]:
         """Return the trajectories to fit, and those to forecast.

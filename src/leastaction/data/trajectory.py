@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from leastaction.data.shown import ShownRuns
 from leastaction.data.validation import (
     FloatArray,
     check_forces,
@@ -67,7 +68,7 @@ class Rate:
 
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
-class Trajectory:
+class Trajectory(ShownRuns):
     """One continuous run: coordinates, rates where measured, and known forces, at increasing times.
 
     The arrays are float64 copies and read-only.

@@ -12,7 +12,7 @@ from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, name
 from leastaction.library.collect import collect, read_terms
 from leastaction.library.families import check_angles, check_count, mechanical_terms
 from leastaction.library.grammar import description_lengths, grown_terms
-from leastaction.library.lookup import listing_of, place_among_all, place_within, summary_of
+from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within, summary_of
 from leastaction.library.parser import normalise
 from leastaction.library.reduction import find_redundant
 from leastaction.library.shapes import check_numbers, shape_names, term_somewhere
@@ -21,7 +21,7 @@ from leastaction.library.term import Candidate, Dropped, Kind, Term
 __all__ = ["Library"]
 
 
-class Library(Sequence[Term]):
+class Library(ShownLibrary, Sequence[Term]):
     """Candidate terms of the Lagrangian, L = Σ_k λ_k φ_k, and of the dissipation function.
 
     Immutable: every method returns a new library.

@@ -1,10 +1,11 @@
-"""Finding a term in a library, and saying what a library holds."""
+"""Finding a term in a library, and showing what a library holds."""
 
 from __future__ import annotations
 
 import difflib
+from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import sympy
 
@@ -12,13 +13,66 @@ from leastaction.errors import InputError
 from leastaction.identifiers import names_in_terms
 from leastaction.library.reduction import same_functions
 from leastaction.library.term import Candidate, Kind, Term, make_term
+from leastaction.shown import Card, Shown, counted, data_frame
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from leastaction.library.library import Library
 
-__all__ = ["listing_of", "place_among_all", "place_of", "place_within", "summary_of"]
+__all__ = ["ShownLibrary", "listing_of", "place_among_all", "place_of", "place_within", "summary_of"]
 
 _SHOWN = 6
+_REASONS = {"null": "without effect", "duplicate": "repeated", "dependent": "equal to others in effect"}
+
+
+class ShownLibrary(Shown):
+    """How a library shows itself."""
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the candidates as a data frame of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``expression``, ``kind`` ("lagrangian" or "dissipation") and ``length``, the description
+            length in nats, NaN where there is none.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed (extra ``pandas``); it is an ImportError, too.
+
+        Examples
+        --------
+        >>> from leastaction import Library
+        >>> Library(["x_dot**2", "x"], ["x"], dissipation=["x_dot**2"]).to_frame().kind.tolist()
+        ['lagrangian', 'lagrangian', 'dissipation']
+        """
+        terms, lengths = self._listed()
+        columns: dict[str, Any] = {"expression": [t.text for t in terms], "kind": [t.kind for t in terms]}
+        return data_frame({**columns, "length": [float("nan") if x is None else x for x in lengths]})
+
+    def _listed(self) -> tuple[list[Term], list[float | None]]:
+        """Candidates of both kinds, and their lengths."""
+        library = cast("Library", self)
+        terms = [*library.terms, *library.dissipation]
+        return terms, [*library.lengths, *[None] * (len(terms) - len(library.lengths))]
+
+    def _card(self) -> Card:
+        library = cast("Library", self)
+        terms, lengths = self._listed()
+        rows: list[tuple[str, ...]] = [("term", "kind")]
+        if any(length is not None for length in lengths):
+            rows = [("term", "kind", "length")]
+        for term, length in zip(terms, lengths, strict=True):
+            rows.append((term.text, term.kind, f"{length:.1f}" if length is not None else "")[: len(rows[0])])
+        title = f"Library of {', '.join(library.coordinates)}: {counted(len(library), 'term')}"
+        title += f", {len(library.dissipation)} of dissipation" if library.dissipation else ""
+        found = Counter(d.reason for d in library.dropped)
+        notes = [f"left out: {n} {_REASONS.get(reason, reason)}" for reason, n in found.items()]
+        angles = [f"angles: {', '.join(library.angles)}"] if library.angles else []
+        return Card(title, angles, rows, notes)
 
 
 def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) -> int:

@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.data.shown import units_of, written_names
 from leastaction.data.trajectories import Trajectories
 from leastaction.findings import Finding
 from leastaction.library import Dropped, Kind
+from leastaction.shown import Card, Display, Panel, Series, Shown, counted, data_frame
 
-__all__ = ["Diagnostics", "PathPoint", "pareto"]
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+
+__all__ = ["Diagnostics", "PathPoint", "TradeOff", "pareto"]
 
 _NOT_BORNE_OUT = ("no-fit", "fit-is-worse")
+_MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none"}
+_STRUCTURES = {"marker": "o", "linestyle": "none"}
+_CHOSEN = {"marker": "D", "markersize": 9, "markerfacecolor": "none", "linestyle": "none"}
 
 
 @dataclass(frozen=True)
@@ -93,8 +103,106 @@ def pareto(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
     return tuple(kept)
 
 
+class TradeOff(Shown, Sequence[PathPoint]):
+    """Size of structures against how badly they explain the data: a sequence of `PathPoint`.
+
+    Parameters
+    ----------
+    points : iterable of PathPoint
+
+    Examples
+    --------
+    >>> curve = TradeOff([PathPoint(("x",), 9.0, 4.0), PathPoint(("x", "y"), 0.0, 0.0, chosen=True)])
+    >>> len(curve), curve[-1].chosen, curve.measure
+    (2, True, 'terms')
+    """
+
+    def __init__(self, points: Iterable[PathPoint]) -> None:
+        self._points = tuple(points)
+
+    def __len__(self) -> int:
+        return len(self._points)
+
+    @overload
+    def __getitem__(self, key: int) -> PathPoint: ...
+    @overload
+    def __getitem__(self, key: slice) -> tuple[PathPoint, ...]: ...
+    def __getitem__(self, key: int | slice) -> PathPoint | tuple[PathPoint, ...]:
+        return self._points[key]
+
+    def __repr__(self) -> str:
+        return f"<TradeOff of {counted(len(self), 'structure')}>"
+
+    @property
+    def measure(self) -> str:
+        """How size is measured: ``"bits"`` where the library has description lengths, else ``"terms"``."""
+        return "bits" if self and all(math.isfinite(p.length) for p in self) else "terms"
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
+        """Plot −2 log likelihood against size, and mark the structure that was chosen.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default a new figure.
+        **kwargs
+            Properties of Matplotlib's lines, such as ``color``.
+
+        Returns
+        -------
+        Display
+            With ``figure_``, ``ax_``, ``axes_`` and ``lines_``: all structures, then the chosen one.
+
+        Raises
+        ------
+        InputError
+            If `ax` holds several axes; also, as an ImportError too, if Matplotlib is not installed (extra
+            ``plot``).
+
+        Examples
+        --------
+        >>> curve = TradeOff([PathPoint(("x",), 9.0, 4.0), PathPoint(("x", "y"), 0.0, 0.0, chosen=True)])
+        >>> curve.plot().ax_.get_xlabel()
+        'free terms'
+        """
+        sizes = [p.length if self.measure == "bits" else p.n_terms for p in self]
+        chosen = [k for k, p in enumerate(self) if p.chosen]
+        marked = [sizes[k] for k in chosen], [self[k].cost for k in chosen]
+        series = [
+            Series(sizes, [p.cost for p in self], "structures", style=_STRUCTURES),
+            Series(*marked, "chosen", style=_CHOSEN),
+        ]
+        x_label = "description length (bits)" if self.measure == "bits" else "free terms"
+        return Display([Panel("−2 Δ log likelihood", "", series, x_label, "symlog")]).plot(ax, **kwargs)
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return a data frame of pandas, one row for each structure.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Columns ``terms`` (separated by semicolons), ``n_terms``, ``cost``, ``bic``, ``length``,
+            ``chosen`` and ``reason``, as in `PathPoint`.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed (extra ``pandas``); it is an ImportError, too.
+        """
+        columns: dict[str, Any] = {"terms": ["; ".join(p.written) for p in self]}
+        names = ("n_terms", "cost", "bic", "length", "chosen", "reason")
+        return data_frame(columns | {name: [getattr(p, name) for p in self] for name in names})
+
+    def _card(self) -> Card:
+        rows = [(self.measure, "−2 Δ log likelihood", "structure")]
+        for p in self:
+            size = f"{p.length:.1f}" if self.measure == "bits" else str(p.n_terms)
+            rows.append((size, f"{p.cost:.4g}", f"{', '.join(p.written)}{' (chosen)' if p.chosen else ''}"))
+        return Card(f"Trade-off of {counted(len(self), 'structure')}", rows=rows)
+
+
 @dataclass(frozen=True, eq=False)
-class Diagnostics:
+class Diagnostics(Shown):
     """Everything that the report shows and the model file does not keep.
 
     Attributes
@@ -124,6 +232,8 @@ class Diagnostics:
     force_offset : dict
         Coordinate → the slowly changing force that was found there, one (n_times,) array a trajectory at its
         times, where ``discover(force_offset={coordinate: seconds})`` asked for it.
+    angles : tuple of str
+        Coordinates that are angles.
     """
 
     trajectories: Trajectories
@@ -140,6 +250,59 @@ class Diagnostics:
     findings: tuple[Finding, ...] = ()
     prepared: tuple[Finding, ...] = ()
     pareto: tuple[PathPoint, ...] = ()
+    angles: tuple[str, ...] = ()
+
+    @property
+    def trade_off(self) -> TradeOff:
+        """`pareto`, or where there are no description lengths `path`, as one object that can be plotted."""
+        return TradeOff(self.pareto or self.path)
+
+    def plot(
+        self, ax: Axes | Sequence[Axes] | None = None, *, trial: str | int = 0, **kwargs: Any
+    ) -> Display:
+        """Plot one trial: measured samples, and the fitted curve through them.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, or sequence of them, optional
+            One for all coordinates, or one for each. By default a new figure.
+        trial : str or int
+            Name or number of the trial; by default the first.
+        **kwargs
+            Properties of Matplotlib's lines, such as ``linewidth``, for samples and curve.
+
+        Returns
+        -------
+        Display
+            With ``figure_``, ``ax_``, ``axes_`` and ``lines_``: the samples first.
+
+        Raises
+        ------
+        InputError
+            If there is no such trial, or the number of axes is wrong; also, as an ImportError too, if
+            Matplotlib is not installed (extra ``plot``).
+        """
+        chosen = self.trajectories.select(trial)
+        (name,), run = chosen.names, chosen[0]
+        curve = self.curve()[self.trajectories.names.index(name)]
+        units, written = units_of(self.trajectories, self.angles), written_names(run.coordinates)
+        panels: list[Panel] = []
+        for i, c in enumerate(run.coordinates):
+            series = [
+                Series(run.t, run.q[:, i], "measured", style=_MEASURED),
+                Series(run.t, curve[:, i], "fitted"),
+            ]
+            panels.append(Panel(written[c], units.get(c, ""), series))
+        return Display(panels, name).plot(ax, **kwargs)
+
+    def _card(self) -> Card:
+        data = self.trajectories
+        rows = [("coordinate", "noise", "equation error")]
+        numbers = zip(data.coordinates, self.noise_std.tolist(), self.equation_error.tolist(), strict=True)
+        rows += [(name, f"{noise:.3g}", f"{error:.3g}") for name, noise, error in numbers]
+        took = f"{sum(self.timings.values()):.1f} s, {counted(len(self.path), 'structure')} on the path"
+        left = f"{counted(len(self.dropped), 'candidate')} left out before the fit" if self.dropped else ""
+        return Card(f"Diagnostics of {', '.join(data.coordinates)}", list(filter(None, (took, left))), rows)
 
     @property
     def notes(self) -> tuple[str, ...]:

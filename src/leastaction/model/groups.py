@@ -18,7 +18,8 @@ from leastaction.identifiers import quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import Kind
 from leastaction.model.term import ModelTerm, as_float
-from leastaction.simulation.forecast import ForecastResult, lengths_of
+from leastaction.simulation.forecast import lengths_of
+from leastaction.simulation.results import ForecastResult
 
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel

@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import ast
 import re
-import unicodedata
 from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
 from markupsafe import Markup
 
+from leastaction.identifiers import split_name, split_names, written_name
 from leastaction.model.notation import rounded
 
 __all__ = ["Notation", "Number", "number_parts"]
 
-_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 _SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _SHORT = 16  # letters of a name
@@ -40,11 +39,7 @@ class Notation:
 
     def __init__(self, coordinates: Sequence[str]) -> None:
         self.coordinates = tuple(coordinates)
-        parts = [_split(c) for c in self.coordinates]
-        self._parts = {
-            c: part if parts.count(part) == 1 else (c, "")
-            for c, part in zip(self.coordinates, parts, strict=True)
-        }
+        self._parts = split_names(self.coordinates)
 
     def text(self, coordinate: str, derivative: int = 0) -> str:
         """Name of a coordinate, or of its derivative, as plain text for figures.
@@ -57,15 +52,8 @@ class Notation:
         >>> notation.text("theta1"), notation.text("theta1", 1), notation.text("x_cart", 2)
         ('θ₁', 'dθ₁/dt', 'd²x_cart/dt²')
         """
-        head, subscript = self._parts[coordinate]
-        tail = (
-            subscript.translate(_SUBSCRIPTS)
-            if subscript.isdecimal()
-            else f"_{subscript.replace(',', '_')}"
-            if subscript
-            else ""
-        )
-        return (f"{head}{tail}", f"d{head}{tail}/dt", f"d²{head}{tail}/dt²")[derivative]
+        name = written_name(*self._parts[coordinate])
+        return (name, f"d{name}/dt", f"d²{name}/dt²")[derivative]
 
     def symbol(self, coordinate: str, derivative: int = 0) -> Markup:
         """Name of a coordinate, or of its derivative with dots, as one ``<math>`` element."""
@@ -194,7 +182,7 @@ class Notation:
 
 def _shape(node: ast.Set) -> str:
     """A shape parameter, which stands in braces: {a1}."""
-    head, subscript = _split("".join(e.id for e in node.elts if isinstance(e, ast.Name)))
+    head, subscript = split_name("".join(e.id for e in node.elts if isinstance(e, ast.Name)))
     base = f"<mi>{escape(head)}</mi>"
     return f"<msub>{base}<mtext>{escape(subscript)}</mtext></msub>" if subscript else base
 
@@ -253,25 +241,6 @@ def _exponent(text: str) -> str:
 
 def _times_ten(power: str) -> str:
     return f" × 10{power.translate(_SUPERSCRIPTS)}" if power else ""
-
-
-def _split(name: str) -> tuple[str, str]:
-    """Head and subscript of a name: theta_arm2 -> θ and arm,2."""
-    head, *rest = re.findall(r"\d+|[^\W\d_]+", name) or [name]
-    return _letter(head), ",".join(_letter(part) for part in rest)
-
-
-def _letter(word: str) -> str:
-    """The Greek letter of this name, or the word itself."""
-    size = {word.lower(): "SMALL", word.capitalize(): "CAPITAL"}.get(word)
-    if size is None or len(word) == 1:
-        return word
-    try:
-        return unicodedata.lookup(
-            f"GREEK {size} LETTER {'LAMDA' if word.lower() == 'lambda' else word.upper()}"
-        )
-    except KeyError:
-        return word
 
 
 def _math(body: str) -> Markup:

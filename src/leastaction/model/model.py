@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -22,10 +22,12 @@ from leastaction.model import text as model_text
 from leastaction.model.constants import SimpleConstants, find_simple_constants
 from leastaction.model.groups import Grouped, Groups
 from leastaction.model.linear import Resting
+from leastaction.model.shown import ShownModel
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
-from leastaction.simulation.forecast import ForecastResult, forecast
-from leastaction.simulation.integrate import SimulationResult, follow, simulate
+from leastaction.simulation.forecast import forecast
+from leastaction.simulation.integrate import follow, simulate
+from leastaction.simulation.results import ForecastResult, SimulationResult
 from leastaction.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -35,7 +37,7 @@ __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LagrangianModel(model_text.Written, Resting, Grouped):
+class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t) with numbers and their errors.
 
     The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
@@ -114,7 +116,7 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
 
     @cached_property
     def lagrangian(self) -> sp.Expr:
-        """L with its numbers, over real SymPy symbols such as ``theta1`` and ``theta1_dot``."""
+        """L with all digits, to compute with, over real SymPy symbols; `formula` rounds it for people."""
         return weighted_sum(self.terms, self.expressions)
 
     @cached_property
@@ -130,6 +132,11 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
         is its acceleration.
         """
         return checks.prescribed_in(self.coordinates, self.provenance)
+
+    @property
+    def angles(self) -> tuple[str, ...]:
+        """Coordinates that the discovery was told are angles (`provenance`)."""
+        return tuple(checks.angles_in(self.coordinates, self.provenance))
 
     @cached_property
     def mechanics(self) -> Mechanics:
@@ -282,7 +289,8 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
             places = checks.checked_inputs(self.coordinates, self.prescribed, inputs)
             q0, qdot0, forces = follow(places, q0, qdot0, t, forces)
         limits = {"mass_matrix": self.mechanics.mass_matrix, "timed": self.timed, **limits}
-        return simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
+        run = simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
+        return replace(run, coordinates=self.coordinates, angles=self.angles)
 
     @single_threaded()
     def validate(
@@ -330,9 +338,11 @@ class LagrangianModel(model_text.Written, Resting, Grouped):
         """
         data = checks.held_out(self, trajectories)
         if groups is not None:
-            return self.forecast_groups(data, groups, (horizon, window, tolerance))
-        law, lengths = self.mechanics, (horizon, window, tolerance)
-        return forecast(law.acceleration, data, self.noise_std, *lengths, law.prescribed, law.timed)
+            run = self.forecast_groups(data, groups, (horizon, window, tolerance))
+        else:
+            law, lengths = self.mechanics, (horizon, window, tolerance)
+            run = forecast(law.acceleration, data, self.noise_std, *lengths, law.prescribed, law.timed)
+        return replace(run, angles=self.angles)
 
     def _states(self, t: ArrayLike | None, **arrays: ArrayLike | None) -> list[Any]:
         states = checks.checked_states(self.coordinates, arrays)

@@ -95,13 +95,18 @@ def coefficient_text(term: ModelTerm, digits: int | None = None, uncertainty: bo
     return rounded(term.coefficient, term.standard_error, digits, uncertainty)
 
 
-def plain_sum(terms: Sequence[ModelTerm], expressions: Sequence[sp.Expr]) -> str:
+def plain_sum(
+    terms: Sequence[ModelTerm],
+    expressions: Sequence[sp.Expr],
+    digits: int | None = None,
+    uncertainty: bool = False,
+) -> str:
     """The sum of the terms with rounded coefficients, e.g. ``0.5*theta_dot**2 + 9.81*cos(theta)``."""
     pieces: list[str] = []
     for term, expr in zip(terms, expressions, strict=True):
         written = term.written
         text = f"({written})" if expr.is_Add or written.startswith("-") else written
-        pieces.append(f"{coefficient_text(term)}*{text}")
+        pieces.append(f"{coefficient_text(term, digits, uncertainty)}*{text}")
     return " + ".join(pieces).replace("+ -", "- ") or "0"
 
 

@@ -15,6 +15,7 @@ from leastaction.errors import InputError
 from leastaction.findings import Audience, Finding, Severity, Status, sentence, statements
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
+from leastaction.shown import Card, Shown
 
 __all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
 
@@ -240,7 +241,7 @@ def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
 
 
 @dataclass(frozen=True, init=False)
-class FitSummary:
+class FitSummary(Shown):
     """How well the model holds.
 
     Parameters
@@ -328,6 +329,13 @@ class FitSummary:
         ('the shaft is bent',)
         """
         return tuple(sentence(found, audience) for found in self.findings if found.severity == severity)
+
+    def _card(self) -> Card:
+        lines = [f"{name}: {text}" for name, text in self.statements.items()]
+        if math.isfinite(self.chi2_per_sample):
+            lines.append(f"chi2 per sample: {self.chi2_per_sample:.3g}, 1 is expected")
+        notes = [*(f"warning: {text}" for text in self.warnings), *self.notes]
+        return Card(f"fit: {self.status}", lines, notes=notes)
 
 
 def _findings(value: Iterable[object]) -> tuple[Finding, ...]:

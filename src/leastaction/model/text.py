@@ -1,8 +1,7 @@
-"""A model as people read it: summary line, table, LaTeX, HTML."""
+"""A model as people read it: summary line, formula, table, LaTeX."""
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, cast
@@ -35,8 +34,8 @@ __all__ = [
     "CONSERVED",
     "Written",
     "agreement",
+    "formula",
     "frame",
-    "html_table",
     "latex",
     "outcome",
     "reach",
@@ -77,6 +76,41 @@ class Written:
         """
         return frame(self._whole)
 
+    def to_frame(self) -> pd.DataFrame:
+        """Return `table`, under the name that trajectories, simulations and forecasts have for it."""
+        return frame(self._whole, "to_frame()")
+
+    def formula(self, digits: int | None = None, uncertainty: bool = False) -> str:
+        """L, and psi if there is friction, as plain text with rounded numbers.
+
+        `lagrangian` is for computing and holds all digits.
+
+        Parameters
+        ----------
+        digits : int, optional
+            Significant digits of the coefficients. By default each ends at the second digit of its
+            standard error, and has six digits if it has none.
+        uncertainty : bool
+            Write the error behind the number, as in 0.5577(12).
+
+        Returns
+        -------
+        str
+            One line for each.
+
+        Raises
+        ------
+        InputError
+            If `digits` is not a whole number of at least 1.
+
+        Examples
+        --------
+        >>> from leastaction.model.model import LagrangianModel, ModelTerm
+        >>> LagrangianModel("x", [ModelTerm("x_dot**2", 0.50123, 0.002)]).formula(uncertainty=True)
+        'L = 0.5012(20)*x_dot**2'
+        """
+        return formula(self._whole, digits, uncertainty)
+
     def format_rows(self) -> list[tuple[str, ...]]:
         """Rows of text for a table, the first one the header; numbers are rounded to their errors."""
         return rows(self._whole)
@@ -112,9 +146,6 @@ class Written:
 
     def _repr_latex_(self) -> str:
         return f"$\\displaystyle {self.latex()}$"
-
-    def _repr_html_(self) -> str:
-        return html_table(self._whole)
 
 
 def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
@@ -153,6 +184,18 @@ def summary(model: LagrangianModel) -> str:
     return f"<LagrangianModel of {', '.join(model.coordinates)}: L = {total}; fit {model.fit.status}>"
 
 
+def formula(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
+    """L, and psi if there is one, as plain text."""
+    _check_digits(digits)
+    lines = [f"L = {plain_sum(model.terms, model.expressions, digits, uncertainty)}"]
+    if model.dissipation:
+        friction = plain_sum(model.dissipation, model.dissipation_expressions, digits, uncertainty)
+        lines.append(f"psi = {friction}")
+    for shape in model.shapes:
+        lines.append(f"{{{shape.name}}} = {rounded(shape.value, shape.standard_error, digits, uncertainty)}")
+    return "\n".join(lines)
+
+
 def _check_digits(digits: object) -> None:
     if digits is not None and (isinstance(digits, bool) or not isinstance(digits, int) or digits < 1):
         raise InputError(f"digits is {quoted(digits)}; expected a whole number of at least 1")
@@ -185,21 +228,6 @@ def _written(model: LagrangianModel, term: ModelTerm, expr: sp.Expr) -> sp.Expr:
     """The expression of a term with its shape parameters as symbols."""
     names = names_in_terms(model.coordinates)
     return parse_expression(term.template, names, shapes=True) if term.template else expr
-
-
-def html_table(model: LagrangianModel) -> str:
-    """Table of the terms, the status of the fit and its warnings as HTML; all text is escaped."""
-
-    def line(cells: tuple[str, ...], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    header, *body = rows(model)
-    notes = "".join(f"<li>{html.escape(w)}</li>" for w in model.fit.warnings)
-    lines = "".join(line(row, "td") for row in body)
-    return (
-        f"<table><thead>{line(header, 'th')}</thead><tbody>{lines}</tbody></table>"
-        f"<p>fit: {model.fit.status}</p>{f'<ul>{notes}</ul>' if notes else ''}"
-    )
 
 
 CONSERVED = {
@@ -326,13 +354,13 @@ def agreement(found: SimpleConstants) -> str:
     return f"chi2 {found.chi2:.2g} for {found.freedom} of them, {fits}"
 
 
-def frame(model: LagrangianModel) -> pd.DataFrame:
+def frame(model: LagrangianModel, use: str = "table()") -> pd.DataFrame:
     """Coefficients with their errors, as a data frame of pandas."""
     try:
         import pandas as pd
     except ImportError:
         instead = "use format_table(), or terms and dissipation"
-        raise MissingPackageError("table()", "pandas", "pandas", instead) from None
+        raise MissingPackageError(use, "pandas", "pandas", instead) from None
 
     names = ("standard_error", "lower", "upper")
     found = [

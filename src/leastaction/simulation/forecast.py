@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,7 @@ from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
 from leastaction.simulation.batch import Acceleration, Start, StartResult, run_starts
+from leastaction.simulation.results import ForecastResult
 
 __all__ = ["ForecastResult", "ForecastTrace", "forecast", "lengths_of"]
 
@@ -62,163 +63,6 @@ class ForecastTrace:
     valid_time: float
     status: str
     reason: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class ForecastResult:
-    """Forecast errors on held-out trials, as `LagrangianModel.validate` returns them.
-
-    Attributes
-    ----------
-    coordinates : tuple of str
-    horizon, window, tolerance : float
-        As used; seconds, seconds, fraction of the standard deviation.
-    noise_std, std : ndarray, shape (n_dof,)
-        Noise of the measurement, and standard deviation of the data over all trials.
-    traces : tuple of ForecastTrace
-        One per start, in the sequence of the trials.
-    skipped : tuple of (str, str)
-        Trials without a start, and why.
-
-    Examples
-    --------
-    >>> from leastaction.data.trajectories import Trajectory
-    >>> t = np.linspace(0.0, 10.0, 201)
-    >>> data = Trajectories([Trajectory(t, np.cos(t), coordinates=["x"])])
-    >>> spring = forecast(lambda q, qdot, forces: -q, data, np.array([0.01]))
-    >>> spring.n_starts, spring.valid_time, bool(spring.rms_over_std < 0.001)
-    (9, 1.0, True)
-    >>> free = forecast(lambda q, qdot, forces: 0 * q, data, np.array([0.01]))
-    >>> bool(free.rms > 10 * free.expected_rms)
-    True
-    """
-
-    coordinates: tuple[str, ...]
-    horizon: float
-    window: float
-    tolerance: float
-    noise_std: np.ndarray
-    std: np.ndarray
-    traces: tuple[ForecastTrace, ...]
-    skipped: tuple[tuple[str, str], ...] = ()
-
-    @cached_property
-    def rms(self) -> np.ndarray:
-        """Error of each coordinate over all starts, shape (n_dof,); inf if one diverged."""
-        return _rms([trace.rms for trace in self.traces])
-
-    @cached_property
-    def expected_rms(self) -> np.ndarray:
-        """What `rms` would be if the model were exact; starts that diverged are left out."""
-        return _rms([trace.expected_rms for trace in self.traces])
-
-    @property
-    def rms_over_noise(self) -> np.ndarray:
-        """`rms` in units of the measurement noise."""
-        return self.rms / self.noise_std
-
-    @property
-    def rms_over_std(self) -> np.ndarray:
-        """`rms` in units of the standard deviation of the data: 1 is no better than the mean."""
-        return self.rms / self.std
-
-    @property
-    def valid_time(self) -> float:
-        """Median of the starts, in seconds."""
-        return float(np.median([trace.valid_time for trace in self.traces]))
-
-    @property
-    def n_starts(self) -> int:
-        """Number of forecasts."""
-        return len(self.traces)
-
-    @property
-    def n_diverged(self) -> int:
-        """Number of forecasts that ended in infinity, or had no initial state."""
-        return sum(trace.status in ("diverged", "failed") for trace in self.traces)
-
-    def by_trial(self) -> dict[str, ForecastResult]:
-        """The same result for each trial on its own."""
-        names = dict.fromkeys(trace.trial for trace in self.traces)
-        common = (self.coordinates, self.horizon, self.window, self.tolerance, self.noise_std, self.std)
-        return {
-            name: ForecastResult(*common, tuple(t for t in self.traces if t.trial == name)) for name in names
-        }
-
-    def with_(self, others: Sequence[ForecastResult], data: Trajectories) -> ForecastResult:
-        """These forecasts and those of other laws, in the sequence of the trials of ``data``."""
-        place = {name: k for k, name in enumerate(data.names)}
-        every = [self, *others]
-        traces = sorted((t for part in every for t in part.traces), key=lambda t: place[t.trial])
-        skipped = sorted((s for part in every for s in part.skipped), key=lambda s: place[s[0]])
-        std = np.sqrt(np.nanvar(np.concatenate([trial.q for trial in data]), axis=0))
-        return replace(
-            self, std=np.fmax(std, np.finfo(float).tiny), traces=tuple(traces), skipped=tuple(skipped)
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON types, without the traces; null stands for inf and NaN."""
-        return {
-            "coordinates": list(self.coordinates),
-            "horizon": self.horizon,
-            "window": self.window,
-            "tolerance": self.tolerance,
-            "noise_std": _plain(self.noise_std),
-            "std": _plain(self.std),
-            **self._scores(),
-            "trials": [{"trial": name, **part._scores()} for name, part in self.by_trial().items()],
-            "starts": [
-                {
-                    "trial": trace.trial,
-                    "origin": trace.origin,
-                    "rms": _plain(trace.rms),
-                    "expected_rms": _plain(trace.expected_rms),
-                    "valid_time": trace.valid_time,
-                    "status": trace.status,
-                    "reason": trace.reason,
-                }
-                for trace in self.traces
-            ],
-            "skipped": [{"trial": name, "reason": reason} for name, reason in self.skipped],
-        }
-
-    def _scores(self) -> dict[str, Any]:
-        return {
-            "rms": _plain(self.rms),
-            "expected_rms": _plain(self.expected_rms),
-            "rms_over_noise": _plain(self.rms_over_noise),
-            "rms_over_std": _plain(self.rms_over_std),
-            "valid_time": self.valid_time,
-            "n_starts": self.n_starts,
-            "n_diverged": self.n_diverged,
-        }
-
-    def format_rows(self) -> list[tuple[str, ...]]:
-        """Rows of text for a table, the first one the header: one row per coordinate."""
-        rows = [("coordinate", "rms error", "if exact", "/ noise", "/ std")]
-        numbers = (self.rms, self.expected_rms, self.rms_over_noise, self.rms_over_std)
-        rows += [(c, *(f"{x[i]:.3g}" for x in numbers)) for i, c in enumerate(self.coordinates)]
-        return rows
-
-    def __repr__(self) -> str:
-        errors = ", ".join(f"{c} {x:.3g}" for c, x in zip(self.coordinates, self.rms, strict=True))
-        return (
-            f"<ForecastResult over {self.horizon:g} s, {self.n_starts} starts ({self.n_diverged} diverged): "
-            f"rms error {errors}; valid for {self.valid_time:.3g} s>"
-        )
-
-
-def _rms(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Root mean square down the rows; NaN ("not available") is left out."""
-    stacked = np.array(values)
-    there = ~np.isnan(stacked)
-    total = np.where(there, stacked, 0.0) ** 2
-    with np.errstate(invalid="ignore"):
-        return np.sqrt(total.sum(axis=0) / there.sum(axis=0))
-
-
-def _plain(values: np.ndarray) -> list[float | None]:
-    return [float(x) if math.isfinite(x) else None for x in values]
 
 
 def forecast(

@@ -8,7 +8,6 @@ comes behind them where the law holds it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.optimize import brentq
 
 from leastaction.errors import InputError
+from leastaction.simulation.results import SimulationResult
 
 Acceleration = Callable[..., np.ndarray]
 Event = Callable[[float, np.ndarray, np.ndarray], float]
@@ -28,40 +28,6 @@ _BLOW_UP = 1e12
 _DEGREE = 5
 # A mass matrix whose reciprocal condition number is below this is taken as singular.
 _SINGULAR = 1e-12
-
-
-@dataclass(frozen=True, eq=False)
-class SimulationResult:
-    """Motion on the requested times, up to where the integration got.
-
-    Attributes
-    ----------
-    t : ndarray, shape (n_times,)
-        Times reached, in seconds; the leading part of the times asked for.
-    q, qdot : ndarray, shape (n_times, n_dof)
-        Coordinates and rates.
-    status : {"complete", "stopped"}
-    reason : str
-        Why it stopped: "step limit ...", "blow-up ...", "event ..." or "singular mass matrix ..."; empty if
-        complete.
-    n_evaluations : int
-        Number of calls of the acceleration.
-    stop_time : float
-        Time the integration reached (for an event: the time of the event).
-    """
-
-    t: np.ndarray
-    q: np.ndarray
-    qdot: np.ndarray
-    status: str
-    reason: str = ""
-    n_evaluations: int = 0
-    stop_time: float = float("nan")
-
-    @property
-    def complete(self) -> bool:
-        """Whether the motion reaches the last time asked for."""
-        return self.status == "complete"
 
 
 def _check_times(t) -> np.ndarray:

@@ -1,0 +1,132 @@
+"""A model as notebooks show it, and the plot of its coefficients."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from markupsafe import Markup
+
+from leastaction.model.mathml import Notation
+from leastaction.model.notation import coefficient_text
+from leastaction.model.term import ModelTerm
+from leastaction.model.text import formula, rows
+from leastaction.shown import Card, Display, Panel, Series, Shown, Typeset
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from leastaction.model.model import LagrangianModel
+
+__all__ = ["ShownModel"]
+
+_NOT_FITTED = {"marker": "s", "markerfacecolor": "none", "linestyle": "none", "color": "0.45"}
+_FITTED = {"marker": "o", "linestyle": "none", "capsize": 3}
+
+
+class ShownModel(Shown):
+    """How a model shows itself in notebooks and plots."""
+
+    def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
+        """Plot how well each coefficient is known: its 95 % interval about it, in per cent of it.
+
+        Beyond ±100 % an interval includes zero. Coefficients that were given have hollow squares. The motion
+        through the data is drawn by ``model.diagnostics.plot()``, the trade-off between size and misfit by
+        ``model.diagnostics.trade_off.plot()``.
+
+        Parameters
+        ----------
+        ax : matplotlib.axes.Axes, optional
+            By default a new figure.
+        **kwargs
+            Properties of Matplotlib's lines, such as ``color``.
+
+        Returns
+        -------
+        Display
+            With ``figure_``, ``ax_``, ``axes_`` and ``lines_``.
+
+        Raises
+        ------
+        InputError
+            If `ax` holds several axes; also, as an ImportError too, if Matplotlib is not installed (extra
+            ``plot``).
+
+        Examples
+        --------
+        >>> from leastaction.model.model import LagrangianModel, ModelTerm
+        >>> model = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0, 0.02)])
+        >>> [label.get_text() for label in model.plot().ax_.get_yticklabels()]
+        ['0.5 · x_dot**2', '-2.000(20) · x**2']
+        """
+        model = cast("LagrangianModel", self)
+        numbers = [shape.as_term() for shape in model.shapes]
+        terms = [*model.terms, *model.dissipation, *numbers]
+        reach = np.array([_reach(term) for term in terms]).T
+        places, fitted = np.arange(len(terms)), reach.max(axis=0) > 0
+        series = [
+            Series(np.zeros(at.sum()), places[at], label, errors=errors, style=style)
+            for at, label, errors, style in (
+                (fitted, "95 % interval", reach[:, fitted], _FITTED),
+                (~fitted, "without an error", None, _NOT_FITTED),
+            )
+            if at.any()
+        ]
+        labels = [f"{coefficient_text(term, uncertainty=True)} · {term.written}" for term in terms]
+        x_label = "distance from the coefficient (% of it)"
+        return Display([Panel("", "", series, x_label, rows=labels)]).plot(ax, **kwargs)
+
+    def _card(self) -> Card:
+        model = cast("LagrangianModel", self)
+        notation = Notation(model.coordinates)
+        header, *body = rows(model)
+        table = [header, *((Typeset(row[0], notation.term(row[0])), *row[1:]) for row in body)]
+        status = f"fit: {model.fit.status}{_statements(model)}"
+        kinds = {"warning": "warning: ", "note": ""}
+        found = sorted(model.fit.findings, key=lambda finding: finding.severity != "warning")
+        return Card(
+            f"LagrangianModel of {', '.join(model.coordinates)}",
+            [
+                status,
+                Typeset(formula(model, None, False), _formulas(model)),
+            ],
+            table,
+            [f"{kinds[finding.severity]}{finding}" for finding in found],
+        )
+
+
+def _statements(model: LagrangianModel) -> str:
+    """What is said of structure, equations and forecast, behind the status."""
+    said = [f"{name}: {text}" for name, text in model.fit.statements.items()]
+    return f" ({'; '.join(said)})" if said else ""
+
+
+def _reach(term: ModelTerm) -> tuple[float, float]:
+    """How far the 95 % interval goes down and up in per cent of the coefficient; 0 where there is none."""
+    ends = (term.coefficient - term.lower, term.upper - term.coefficient)
+    if not term.coefficient or not all(math.isfinite(end) and end > 0 for end in ends):
+        return 0.0, 0.0
+    return 100 * ends[0] / abs(term.coefficient), 100 * ends[1] / abs(term.coefficient)
+
+
+def _formulas(model: LagrangianModel) -> Markup:
+    """L, and ψ if there is one, each coefficient with its error below."""
+    notation = Notation(model.coordinates)
+    lines: list[Markup] = []
+    for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
+        if terms:
+            parts = [
+                Markup(
+                    '<math><mrow><mi class="q" mathvariant="normal">{}</mi><mo>=</mo></mrow></math>'
+                ).format(name)
+            ]
+            parts += [
+                notation.addend(
+                    t.written, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
+                )
+                for k, t in enumerate(terms)
+            ]
+            lines.append(Markup('<span class="formula">{}</span>').format(Markup(" ").join(parts)))
+    return Markup("").join(lines)
