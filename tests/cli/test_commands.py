@@ -763,3 +763,13 @@ def test_wrong_options_end_with_one_line(more, says):
     assert result.stderr.count("\n") == 1
     assert says in result.stderr
     assert result.stdout == ""
+
+
+def test_simulate_states_the_error_of_the_motion(model, tmp_path):
+    start = ["--initial", "theta=1", "--duration", 1, "--rate", 20, "-o", tmp_path / "run.csv"]
+    run("simulate", model, *start, "--initial-std", "theta=0.01")
+    table = pd.read_csv(tmp_path / "run.csv")
+    assert [*table] == ["t", "theta", "theta_dot", "theta_std"]
+    assert 0.008 < table["theta_std"][0] < 0.012
+    refused = run("simulate", model, *start, "--initial-std", "x=0.01", code=2)
+    assert "--initial-std: 'x' is not in the model" in refused.output

@@ -30,10 +30,11 @@ from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from report_helpers import Page, spring
 
 
-def forecast(rms: float, expected: float, status: str = "ok") -> ForecastResult:
+def forecast(rms: float, expected: float, status: str = "ok", std: float | None = None) -> ForecastResult:
     t = np.linspace(0.0, 1.0, 11)
     x = np.sin(t)[:, None]
-    trace = ForecastTrace("a", 0.0, t, x, x, np.array([rms]), np.array([expected]), 1.0, status)
+    run, band = x + 0.05 * t[:, None], None if std is None else np.full((11, 1), std)
+    trace = ForecastTrace("a", 0.0, t, x, run, np.array([rms]), np.array([expected]), 1.0, status, "", band)
     return ForecastResult(("x",), 1.0, 0.5, 0.4, np.array([0.01]), np.array([0.5]), (trace,))
 
 
@@ -55,6 +56,7 @@ def with_residuals(r: np.ndarray) -> Series:
             forecast(0.05, 0.005),
             "off by 10 % of the spread (rms): 10 times as far as an exact model would be",
         ),
+        (forecast(0.05, 0.005, std=0.02), "(rms); 73 % of the samples lie in the model's 95 % band"),
         (forecast(0.6, np.nan), "off by 120 % of the spread (rms)"),
         (forecast(np.inf, np.nan, "diverged"), "1 of 1 forecast over 1 s diverged"),
         (forecast(np.nan, np.nan), "without samples"),

@@ -133,7 +133,7 @@ def test_every_drawing_has_title_and_description(source):
     page = Page(source)
     drawings = [s for s in page.root.all("svg") if s.attributes.get("aria-hidden") != "true"]
     panels = [s for s in drawings if "whisker" not in (s.attributes.get("class") or "")]
-    assert len(panels) == 2 * (4 + 3) + 1 + 2 + 2 * 3
+    assert len(panels) == 2 * (4 + 3) + 1 + 2 + 2 * 2 * 3
     for drawing in drawings:
         assert drawing.attributes["role"] == "img"
         said = [page.by_id(name).text for name in str(drawing.attributes["aria-labelledby"]).split()]

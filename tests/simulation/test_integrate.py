@@ -1,11 +1,17 @@
+"""One motion and many at once, and what the data leave open of a law."""
+
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import leastaction as la
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.simulation.integrate import rk4, simulate
 
 T = np.linspace(0.0, 2.0, 21)
@@ -177,3 +183,126 @@ def test_rk4_gives_each_motion_its_own_time():
     q, _ = rk4(forced, np.zeros((3, 1)), np.zeros((3, 1)), t, clock=begin)
     for k, start in enumerate(begin):
         np.testing.assert_allclose(q[:, k, 0], forced_from_rest(t + start, start), atol=1e-7)
+
+
+# ------------------------ what is left open, against linear systems whose statistics are known
+OMEGA = 2.0
+
+
+def oscillator(k_error: float = 0.0, density: float = 1e-12, **more) -> LagrangianModel:
+    """ẍ = −k x with k = 4 ± `k_error`, and white equation errors of this spectral density."""
+    terms = [
+        ModelTerm("x_dot**2", 0.5, known=True),
+        ModelTerm("x**2", -0.5 * OMEGA**2, 0.5 * k_error),
+    ]
+    fit = FitSummary("ok", 1.0, [1.0 / density])
+    return LagrangianModel("x", terms, fit=fit, noise_std=[more.pop("noise", 1e-6)], **more)
+
+
+def test_white_errors_of_an_oscillator_spread_as_theory_says():
+    """Var x = S/(2 ω²) (t − sin 2ωt / 2ω) of ẍ + ω² x = white noise of density S."""
+    t = np.linspace(0.0, 10.0, 201)
+    run = oscillator(density=1e-4).simulate([1.0], [0.0], t, start_std=0.0)
+    expected = np.sqrt(1e-4 / (2 * OMEGA**2) * (t - np.sin(2 * OMEGA * t) / (2 * OMEGA)))
+    ratio = run.std[20:, 0] / expected[20:]
+    assert ratio.min() > 0.75  # 128 motions
+    assert ratio.max() < 1.3
+
+
+def test_the_spread_does_not_depend_on_the_times_asked_for():
+    model, last = oscillator(density=1e-4), []
+    for step in (0.01, 0.05, 0.25):
+        t = np.arange(0.0, 6.0 + step / 2, step)
+        last.append(model.simulate([1.0], [0.0], t, start_std=0.0).std[-1, 0])
+    expected = np.sqrt(1e-4 / (2 * OMEGA**2) * (6.0 - np.sin(12.0 * OMEGA) / (2 * OMEGA)))
+    np.testing.assert_allclose(last, expected, rtol=0.2)
+
+
+def test_errors_of_start_and_coefficients_are_carried_along():
+    t = np.linspace(0.0, 5.0, 101)
+    start = oscillator().simulate([1.0], [0.0], t, start_std=[[0.01], [0.06]]).std[:, 0]
+    expected = np.hypot(0.01 * np.cos(OMEGA * t), 0.03 * np.sin(OMEGA * t))
+    np.testing.assert_allclose(start, expected, atol=0.25 * 0.03)
+    number = oscillator(k_error=0.08).simulate([1.0], [0.0], t, start_std=0.0).std[:, 0]
+    np.testing.assert_allclose(number, 0.02 * t * np.abs(np.sin(OMEGA * t)), atol=0.25 * 0.1)
+
+
+def test_a_start_that_is_all_there_is():
+    run = oscillator().simulate([1.0], [0.0], [0.0], start_std=[[0.1], [0.2]])
+    assert run.std.shape == (1, 1)
+    assert 0.06 < run.std[0, 0] < 0.14
+
+
+def test_forces_and_prescribed_coordinates_are_as_given():
+    terms = [ModelTerm("x_dot**2", 0.5, 0.01), ModelTerm("y_dot**2", 0.5, known=True)]
+    model = LagrangianModel(
+        ["x", "y"],
+        [*terms, ModelTerm("x*y", 1.0, known=True)],
+        fit=FitSummary("ok", 1.0, [np.nan, 1e12]),
+        provenance={"options": {"prescribed": ["x"]}},
+    )
+    t = np.linspace(0.0, 2.0, 41)
+    run = model.simulate([0.0, 0.0], [0.0, 0.0], t, forces=np.ones((41, 2)), start_std=0.0)
+    np.testing.assert_allclose(run.q[:, 0], 0.5 * t**2, atol=1e-9)
+    assert run.std[:, 0].max() < 1e-9
+    assert 0.0 < run.std[-1, 1] < 1e-4
+
+
+def test_a_model_without_errors_states_none():
+    bare = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+    t = np.linspace(0.0, 1.0, 11)
+    assert bare.simulate([1.0], [0.0], t).std is None
+    with pytest.raises(la.InputError, match="start_std asks for the error"):
+        bare.simulate([1.0], [0.0], t, start_std=0.0)
+    result = bare.validate(
+        Trajectory(np.arange(400) / 100, np.cos(2 * np.arange(400) / 100), coordinates="x")
+    )
+    assert result.traces[0].std is None
+    assert result.traces[0].reach is None
+    assert np.isnan(result.coverage).all()
+    assert result.to_dict()["coverage"] == [None]
+
+
+@pytest.mark.parametrize("value", [-1.0, np.nan, [1.0, 2.0, 3.0], [[[0.0]]], np.zeros((3, 1))])
+def test_standard_deviations_that_make_no_sense(value):
+    with pytest.raises(la.InputError, match=r"start_std is .*shape \(2, 1\)"):
+        oscillator().simulate([1.0], [0.0], [0.0, 1.0], start_std=value)
+
+
+def pushed(density: float, noise: float, n_trials: int, rate: float = 100.0) -> Trajectories:
+    """Oscillators under white noise, exactly (a linear recursion), with noise of measurement."""
+    rng, h = np.random.default_rng(5), 1.0 / (20 * rate)
+    step = 20
+    c, s = np.cos(OMEGA * h), np.sin(OMEGA * h)
+    turn = np.array([[c, s / OMEGA], [-OMEGA * s, c]])
+    trials = []
+    for _ in range(n_trials):
+        state, q = np.array([1.0, 0.0]), []
+        for k in range(int(8 * rate) * step):
+            if k % step == 0:
+                q.append(state[0])
+            state = turn @ state + [0.0, np.sqrt(density * h) * rng.standard_normal()]
+        q = np.array(q) + noise * rng.standard_normal(len(q))
+        trials.append(Trajectory(np.arange(q.size) / rate, q, coordinates=["x"]))
+    return Trajectories(trials)
+
+
+def test_bands_hold_where_the_equation_holds_within_its_error():
+    """The start of each forecast is fitted under the same errors, which its band must count, too."""
+    model = oscillator(density=1e-3, noise=1e-3)
+    result = model.validate(pushed(1e-3, 1e-3, 6), horizon=2.0)
+    assert result.rms[0] > 10 * result.expected_rms[0]
+    assert 0.88 < result.coverage[0] < 0.99
+
+
+def test_bands_of_an_exact_law_are_those_of_noise_and_coefficients():
+    data = la.systems.generate("double_pendulum", noise=0.05, trials=5, duration=8.0, seed=3)
+    library = la.Library.mechanical(data.coordinates, angles=data.coordinates)
+    model = la.discover(data.select([0, 1, 2]), library)
+    result = model.validate(data.select([3, 4]), horizon=2.0)
+    assert (np.abs(result.coverage - 0.95) < 0.03).all()
+    heavier = [
+        replace(term, coefficient=1.1 * term.coefficient) if term.expression == "cos(theta2)" else term
+        for term in model.terms
+    ]
+    assert replace(model, terms=heavier).validate(data.select([3, 4]), horizon=2.0).coverage.min() < 0.85

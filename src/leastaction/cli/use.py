@@ -71,6 +71,12 @@ Example:
     metavar="NAME=VALUE,...",
     help="Coordinates and velocities at time 0; those not given are 0.",
 )
+@click.option(
+    "--initial-std",
+    metavar="NAME=VALUE,...",
+    help="Standard deviations of --initial; those not given are 0. With them the file has columns NAME_std: "
+    "the standard deviation of a coordinate by the errors of start, coefficients and equations.",
+)
 @click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
 @click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
 @click.option(
@@ -81,7 +87,15 @@ Example:
     help="CSV file: t, coordinates, velocities.",
 )
 @_GROUP
-def simulate(model: str, initial: str, duration: str, rate: str, output: str, group: str | None) -> None:
+def simulate(
+    model: str,
+    initial: str,
+    initial_std: str | None,
+    duration: str,
+    rate: str,
+    output: str,
+    group: str | None,
+) -> None:
     """Simulate a model without external forces.
 
     MODEL is a model.json of discover. If the motion cannot be followed to the end (it blows up, or the mass
@@ -93,13 +107,20 @@ def simulate(model: str, initial: str, duration: str, rate: str, output: str, gr
     times = _sample_times(duration, rate)
     found = _loaded(model, group)
     with blame("--initial"):
-        q0, qdot0 = _initial_state(assignments(initial), found.coordinates)
+        q0, qdot0, missing = _initial_state(assignments(initial), found.coordinates)
+    if missing:
+        click.echo(f"note: {', '.join(missing)} not given in --initial: 0", err=True)
+    std = None
+    if initial_std is not None:
+        with blame("--initial-std"):
+            std = _initial_state(assignments(initial_std), found.coordinates)[:2]
     if found.fit.status != "ok":
         warn_of_doubts("the model", found)
     if found.prescribed:
         names = ", ".join(found.prescribed)
         warn(f"the motion of {names} was prescribed: it is uniform here; in Python, give its acceleration")
-    run = found.simulate(q0, qdot0, times)
+    with blame("--initial-std"):
+        run = found.simulate(q0, qdot0, times, start_std=std)
     if not run.complete:
         raise DataError(
             f"the motion stops: {run.reason}; nothing was written; with this start, "
@@ -139,16 +160,19 @@ def _initial_state(given: dict[str, float], coordinates: tuple[str, ...]):
         if name not in names:
             raise InputError(f"{quoted(name)} is not in the model; it has {', '.join(names)}")
     missing = [name for name in names if name not in given]
-    if missing:
-        click.echo(f"note: {', '.join(missing)} not given in --initial: 0", err=True)
-    return [given.get(c, 0.0) for c in coordinates], [given.get(v, 0.0) for v in velocities]
+    return [given.get(c, 0.0) for c in coordinates], [given.get(v, 0.0) for v in velocities], missing
 
 
 def _csv(coordinates: tuple[str, ...], run) -> str:
-    header = ",".join(["t", *coordinates, *(f"{name}_dot" for name in coordinates)])
-    rows = zip(run.t.tolist(), run.q.tolist(), run.qdot.tolist(), strict=True)
-    lines = (",".join(map(repr, [t, *q, *qdot])) for t, q, qdot in rows)
-    return "\n".join([header, *lines]) + "\n"
+    import numpy as np
+
+    header = ["t", *coordinates, *(f"{name}_dot" for name in coordinates)]
+    columns = [run.t[:, None], run.q, run.qdot]
+    if run.std is not None:
+        header += [f"{name}_std" for name in coordinates]
+        columns.append(run.std)
+    lines = (",".join(map(repr, row)) for row in np.hstack(columns).tolist())
+    return "\n".join([",".join(header), *lines]) + "\n"
 
 
 @click.command(

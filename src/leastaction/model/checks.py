@@ -18,6 +18,7 @@ from leastaction.kinds import is_list, is_mapping
 from leastaction.library import make_term, parse_expression
 from leastaction.model.groups import Groups
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
+from leastaction.simulation.law import Law
 
 if TYPE_CHECKING:
     from leastaction.model.diagnostics import Diagnostics
@@ -29,6 +30,7 @@ __all__ = [
     "checked_fields",
     "checked_inputs",
     "checked_start",
+    "checked_start_std",
     "checked_states",
     "checked_times",
     "held_out",
@@ -234,6 +236,26 @@ def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
         return np.broadcast_to(times, shape)
     except ValueError:
         raise InputError(f"t has shape {times.shape}; expected {shape}, a time for each state") from None
+
+
+def checked_start_std(value: ArrayLike, n_dof: int, law: Law) -> np.ndarray:
+    """Standard deviations of q and q̇ at the start of a simulation that is to state its error, (2, n_dof)."""
+    if law.openness is None:
+        raise InputError(
+            "start_std asks for the error of the motion, but the model lacks the standard error of a "
+            "coefficient or a physics weight; leave start_std out, or take the model from a discovery"
+        )
+    given = real_array(value, "start_std")
+    try:
+        std = np.broadcast_to(given, (2, n_dof)).copy()
+    except ValueError:
+        std = np.full((2, n_dof), np.nan)
+    if not (np.isfinite(std) & (std >= 0.0)).all():
+        raise InputError(
+            f"start_std is {quoted(given.tolist())}; expected standard deviations of q0 and qdot0: finite, "
+            f"at least 0, of shape (2, {n_dof})"
+        )
+    return std
 
 
 def checked_start(coordinates: Sequence[str], value: ArrayLike, label: str) -> np.ndarray:

@@ -27,6 +27,7 @@ import numpy as np
 from leastaction.library.jets import Jets, Points
 from leastaction.model.checks import angles_in
 from leastaction.model.notation import rounded
+from leastaction.model.numbers import covariance_of, values_of
 from leastaction.model.term import Z95
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.significance import chi_square_cutoff
@@ -34,7 +35,7 @@ from leastaction.selection.significance import chi_square_cutoff
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["Offer", "SimpleConstants", "covariance_of", "find_simple_constants", "values_of"]
+__all__ = ["Offer", "SimpleConstants", "find_simple_constants"]
 
 _WINDOW = math.log(4.0)
 _SAME = 1e-9  # relative: degrees that do not depend on the state
@@ -210,24 +211,6 @@ def _offer(question: _Question, expected: float) -> Offer | None:
     interval = q.estimate, q.standard_error, q.lower, q.upper
     shown = text if sign > 0 else f"-{text}"
     return Offer(q.subject, q.reference, *interval, sign * _NUMBERS[text], shown, expected)
-
-
-def values_of(model: LagrangianModel) -> np.ndarray:
-    """Coefficients of L and of ψ, then the shape parameters."""
-    terms = [term.coefficient for term in (*model.terms, *model.dissipation)]
-    return np.array([*terms, *(shape.value for shape in model.shapes)])
-
-
-def covariance_of(model: LagrangianModel) -> np.ndarray:
-    """Of coefficients and shape parameters, zero where known; without one, errors count as independent."""
-    both = (*model.terms, *model.dissipation)
-    errors = np.array([*(t.standard_error for t in both), *(s.standard_error for s in model.shapes)])
-    out = np.diag(np.nan_to_num(errors) ** 2)
-    if model.covariance is not None:
-        free = [k for k, term in enumerate(both) if not term.known]
-        free += range(len(both), len(errors))
-        out[np.ix_(free, free)] = model.covariance
-    return out
 
 
 def _direct(model: LagrangianModel) -> list[_Question]:

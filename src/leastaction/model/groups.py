@@ -17,8 +17,10 @@ from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import Kind
+from leastaction.model.numbers import openness_of
 from leastaction.model.term import ModelTerm, as_float
 from leastaction.simulation.forecast import lengths_of
+from leastaction.simulation.law import Law
 from leastaction.simulation.results import ForecastResult
 
 if TYPE_CHECKING:
@@ -306,6 +308,13 @@ class Grouped:
             own = data.select([k for k, label in enumerate(labels) if label == name])
             parts.append(law.validate(own, horizon, window=window, tolerance=lengths[2]))
         return parts[0].with_(parts[1:], data)
+
+    @cached_property
+    def _open_law(self) -> Law:
+        """What simulations and forecasts run, and what the data leave open of it."""
+        model = cast("LagrangianModel", self)
+        law = model.mechanics
+        return Law(law.acceleration, law.prescribed, law.timed, openness_of(model))
 
     def own_trials(self, count: int) -> list[int]:
         """Of so many trials that the model was found from those that obey it: all, or the first group."""

@@ -26,7 +26,8 @@ from leastaction.model.shown import ShownModel
 from leastaction.model.symmetries import Symmetry, find_symmetries
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, weighted_sum
 from leastaction.simulation.forecast import forecast
-from leastaction.simulation.integrate import follow, simulate
+from leastaction.simulation.integrate import force_function, simulate
+from leastaction.simulation.law import follow, spread_of
 from leastaction.simulation.results import ForecastResult, SimulationResult
 from leastaction.threads import single_threaded
 
@@ -245,6 +246,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         forces: Any = None,
         *,
         inputs: Mapping[str, ArrayLike] | None = None,
+        start_std: ArrayLike | None = None,
         **limits: Any,
     ) -> SimulationResult:
         """Integrate one motion by an adaptive method of degree 8 (DOP853).
@@ -256,11 +258,12 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         t : array_like, shape (n_times,)
             Times in seconds, strictly increasing.
         forces : array_like, shape (n_times, n_dof), or callable, optional
-            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; accelerations of coordinates that are
-            `prescribed`.
+            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; of `prescribed` coordinates, q̈.
         inputs : mapping of str to array_like, shape (n_times,), optional
-            Where coordinates that are `prescribed` are at `t`; they start there, and need no force. Smooth
-            numbers: noise would become noise of accelerations.
+            Where coordinates that are `prescribed` are at `t`, without noise; they start there, without force.
+        start_std : array_like, shape (2, n_dof) or broadcastable to it, optional
+            Standard deviations of `q0` and `qdot0`, 0 if exact. With them the result states `std`, that of q,
+            from 128 motions with errors of start, coefficients and equations (white noise as in the fit).
         **limits
             ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
 
@@ -273,7 +276,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Raises
         ------
         InputError
-            For wrong shapes, times or numbers.
+            For wrong shapes, times or numbers, or if the model has no errors that `start_std` asks for.
 
         Examples
         --------
@@ -288,9 +291,14 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         if inputs:
             places = checks.checked_inputs(self.coordinates, self.prescribed, inputs)
             q0, qdot0, forces = follow(places, q0, qdot0, t, forces)
+        std = None if start_std is None else checks.checked_start_std(start_std, self.n_dof, self._open_law)
         limits = {"mass_matrix": self.mechanics.mass_matrix, "timed": self.timed, **limits}
         run = simulate(self.mechanics.acceleration, q0, qdot0, t, forces, **limits)
-        return replace(run, coordinates=self.coordinates, angles=self.angles)
+        run = replace(run, coordinates=self.coordinates, angles=self.angles)
+        if std is not None:
+            pushed = force_function(forces, np.asarray(t, dtype=float), self.n_dof)
+            run = replace(run, std=spread_of(self._open_law, run, qdot0, std, pushed))
+        return run
 
     @single_threaded()
     def validate(
@@ -340,8 +348,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         if groups is not None:
             run = self.forecast_groups(data, groups, (horizon, window, tolerance))
         else:
-            law, lengths = self.mechanics, (horizon, window, tolerance)
-            run = forecast(law.acceleration, data, self.noise_std, *lengths, law.prescribed, law.timed)
+            run = forecast(self._open_law, data, self.noise_std, horizon, window, tolerance)
         return replace(run, angles=self.angles)
 
     def _states(self, t: ArrayLike | None, **arrays: ArrayLike | None) -> list[Any]:

@@ -17,8 +17,8 @@ from leastaction.kinds import is_list
 from leastaction.library import make_term, shape_symbol
 from leastaction.mechanics.equations import Mechanics, state_symbols
 from leastaction.model.checks import checked_start
-from leastaction.model.constants import covariance_of, values_of
 from leastaction.model.modes import Matrices
+from leastaction.model.numbers import covariance_of, principal, values_of
 from leastaction.model.term import as_float
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class RestLaw:
         self.numbers = values_of(model)
         both = (*model.terms, *model.dissipation)
         lacking = any(math.isnan(x.standard_error) for x in (*both, *model.shapes))
-        self.directions = None if lacking and model.covariance is None else _principal(covariance_of(model))
+        self.directions = None if lacking and model.covariance is None else principal(covariance_of(model))
         names, n_lagrangian = names_in_terms(self.names), len(model.terms)
         v = state_symbols(self.names)[1]
         widths = [w for found in model.fit.findings for w in _widths(found.values)]
@@ -172,15 +172,6 @@ def _vanishes(expr: sp.Expr) -> bool:
         return abs(float(expr)) < 1e-9
     except TypeError:  # not real
         return False
-
-
-def _principal(covariance: np.ndarray) -> np.ndarray:
-    """Columns d with Σ d dᵀ the covariance."""
-    sizes = np.sqrt(np.diag(covariance))
-    scale = np.where(sizes > 0.0, sizes, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    kept = values > 1e-12
-    return scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
 
 
 def checked_forces(law: RestLaw, forces: ArrayLike | None) -> np.ndarray:

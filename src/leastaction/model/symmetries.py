@@ -27,8 +27,8 @@ from leastaction.library.invariance import Change, Invariance, exchanges, revers
 from leastaction.library.jets import Jets
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.checks import angles_in
-from leastaction.model.constants import covariance_of
 from leastaction.model.notation import latex_number, latex_symbols
+from leastaction.model.numbers import covariance_of
 from leastaction.selection.significance import chi_square_cutoff, normal_cutoff
 
 if TYPE_CHECKING:

@@ -141,6 +141,18 @@ class Axes:
 
         self._add(_BEHIND, draw)
 
+    def strip(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: Colour) -> None:
+        """Shade what lies between two lines, as far as both are known; the limits do not follow it."""
+        there = np.isfinite(low) & np.isfinite(high)
+        ends = np.concatenate([x[there], x[there][::-1]]), np.concatenate([low[there], high[there][::-1]])
+
+        def draw(frame: Frame) -> str:
+            far = 4.0 * self.height  # a line that leaves the plot need not go on for ever
+            y = np.clip(frame.y(ends[1]), -far, far)
+            return path(line_path(frame.x(ends[0]), y, close=True), f"fill:var(--{colour});opacity:.22")
+
+        self._add(_FILL, draw)
+
     def rule(self, y: float, colour: Colour, width: float, *, dashes: str = "") -> None:
         """Draw a line across the plot."""
         self._know(np.array([]), np.array([y]))

@@ -78,6 +78,9 @@ def forecast_title(result: ForecastResult) -> str:
         return text
     if ratio < 1.5:
         return f"{text}: as an exact model would be"
+    if np.isfinite(result.coverage).any():
+        inside = percent(float(np.nanmin(result.coverage)))
+        return f"{text}; {inside} of the samples lie in the model's 95 % band"
     times = f"{ratio:.0f}" if 10 <= ratio < 1e4 else plain(ratio, 2)
     return f"{text}: {times} times as far as an exact model would be"
 

@@ -266,6 +266,7 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         "forecast": {
             "result": result,
             "title": captions.forecast_title(result),
+            "banded": bool(np.isfinite(result.coverage).any()),
             "panels": panels,
             "rows": tables.forecast_rows(result, notation, units),
             "trials": rows[:_MOST_ROWS],

@@ -316,6 +316,7 @@ def forecast_rows(result: ForecastResult, notation: Notation, units: Sequence[st
             "expected": plain(float(result.expected_rms[i]), full=True),
             "noise": plain(float(result.rms_over_noise[i])),
             "std": percent(float(result.rms_over_std[i])),
+            "inside": percent(float(result.coverage[i])),
         }
         for i, name in enumerate(result.coordinates)
     ]

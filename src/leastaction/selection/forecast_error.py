@@ -16,6 +16,7 @@ from leastaction.estimation.groups import laws
 from leastaction.mechanics.equations import Mechanics
 from leastaction.selection.settings import SELECTION
 from leastaction.simulation.forecast import forecast
+from leastaction.simulation.law import Law
 
 __all__ = ["forecast_error"]
 
@@ -45,14 +46,7 @@ def _errors(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) ->
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
-    result = forecast(
-        mechanics.acceleration,
-        data,
-        fit.weights.position_std,
-        horizon,
-        window,
-        prescribed=problem.prescribed,
-        timed=mechanics.timed,
-    )
+    run = Law(mechanics.acceleration, problem.prescribed, mechanics.timed)
+    result = forecast(run, data, fit.weights.position_std, horizon, window)
     errors = np.array([trace.rms / result.std for trace in result.traces])
     return errors[~np.isnan(errors)]

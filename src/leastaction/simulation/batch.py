@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from leastaction.simulation.integrate import rk4
+from leastaction.simulation.law import MEMBERS, Drawn, Law, standard_deviation
 
-__all__ = ["Acceleration", "Start", "StartResult", "run_starts"]
-
-Acceleration = Callable[..., np.ndarray]
+__all__ = ["Start", "StartResult", "run_starts"]
 
 # Bounds the memory of one batch.
 _MAX_BATCH = 400
@@ -20,6 +19,8 @@ _MAX_HALVINGS = 4
 _FAR = 1e6
 # Squares of larger numbers are of no use.
 _HUGE = 1e100
+# Bounds the memory of what is drawn at once.
+_MOST_DRAWN = 2**21
 # Finite differences: step relative to the size of the motion.
 _STEP = 1e-5
 
@@ -41,30 +42,33 @@ class Start:
 
 @dataclass(frozen=True, eq=False)
 class StartResult:
-    """Motion `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended."""
+    """Motion `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended.
+
+    ``spread``, (n_samples, n_dof), is the standard deviation of the motion by all that the law leaves open;
+    None where this is not known.
+    """
 
     q: np.ndarray
     variance: np.ndarray
     status: str
     reason: str
+    spread: np.ndarray | None = None
 
 
 def run_starts(
-    acceleration: Acceleration,
+    law: Law,
     starts: Sequence[Start],
     state: np.ndarray,
     sigma: np.ndarray,
     scale: np.ndarray,
     window: float,
     horizon: float,
-    timed: bool = False,
 ) -> list[StartResult]:
     """Fit and run all starts.
 
     Parameters
     ----------
-    acceleration : callable
-        Vectorised; NaN where it is not defined.
+    law : Law
     starts : sequence of Start
     state : ndarray, shape (n_starts, 2 n_dof)
         First guess of q, q̇ at the begin of the windows.
@@ -72,13 +76,11 @@ def run_starts(
         Noise, and size of the motion.
     window, horizon : float
         Seconds.
-    timed : bool
-        Whether the acceleration takes the time as its last argument.
     """
     out: list[StartResult] = []
     for a in range(0, len(starts), _MAX_BATCH):
         chunk = slice(a, a + _MAX_BATCH)
-        batch = _Batch(acceleration, starts[chunk], sigma, scale, window, horizon, timed)
+        batch = _Batch(law, starts[chunk], sigma, scale, window, horizon)
         # A motion that diverges is an answer here: it must not warn, nor disturb the others.
         with np.errstate(all="ignore"):
             out += batch.run(state[chunk])
@@ -86,11 +88,9 @@ def run_starts(
 
 
 class _Batch:
-    def __init__(
-        self, acceleration, starts, sigma, scale, window: float, horizon: float, timed: bool
-    ) -> None:
-        self.clock = np.array([start.begin for start in starts]) if timed else None
-        self.acceleration, self.starts = acceleration, starts
+    def __init__(self, law: Law, starts, sigma, scale, window: float, horizon: float) -> None:
+        self.clock = np.array([start.begin for start in starts]) if law.timed else None
+        self.law, self.starts = law, starts
         self.sigma, self.scale = sigma, scale
         self.window, self.horizon = window, horizon
         self.n_dof = sigma.size
@@ -136,7 +136,10 @@ class _Batch:
         return state
 
     def _results(self, state, q, alive, resolved) -> list[StartResult]:
-        variance = self._variance(state)
+        self.n_steps //= 2  # for differences of motions these were enough
+        covariance, jacobian = self._state_error(state)
+        variance = self._variance(state, covariance)
+        spread = self._spread(state, covariance, jacobian)
         far = self._far(q)
         out = []
         for s, start in enumerate(self.starts):
@@ -149,7 +152,8 @@ class _Batch:
             elif not resolved[s]:
                 status, reason = "unresolved", "the integration has not converged at the smallest step"
             values = np.where(np.abs(q[s, :size]) <= _FAR * self._range(), q[s, :size], np.nan)
-            out.append(StartResult(values, variance[s, :size], status, reason))
+            wide = None if spread is None else spread[s, :size]
+            out.append(StartResult(values, variance[s, :size], status, reason, wide))
         return out
 
     def _range(self) -> np.ndarray:
@@ -160,18 +164,22 @@ class _Batch:
         valid = np.arange(self.t.shape[1]) < np.array([start.t.size for start in self.starts])[:, None]
         return np.asarray((valid[..., None] & ~(np.abs(q) <= _FAR * self._range())).any(axis=(1, 2)))
 
-    def _flow(self, state: np.ndarray, share: float) -> np.ndarray:
+    def _flow(self, state: np.ndarray, share: float, drawn: Drawn | None = None) -> np.ndarray:
         """Motions (n_variants, n_starts, n_samples, n_dof) from (n_variants, n_starts, 2 n_dof).
 
         They are followed over `share` of the window, by RK4 with joint steps, and read off between these by
-        cubic Hermite interpolation.
+        cubic Hermite interpolation.  Each variant obeys the law, or one of those that are `drawn`.
         """
         n, h = self.n_dof, self.window / self.n_steps
         n_steps = int(np.ceil(self.n_steps * share - 1e-9))
         nodes = h * np.arange(n_steps + 1)
         forces = (lambda times: self._forces(times)[:, None]) if self.driven else None
         begin = state[..., :n], state[..., n:]
-        q, v = rk4(self.acceleration, *begin, nodes, substeps=1, forces=forces, clock=self.clock)
+        run = self.law.acceleration
+        if drawn is not None:
+            run, known = drawn.acceleration, forces
+            forces = lambda times: drawn.errors[: times.size] + (known(times) if known else 0.0)  # noqa: E731
+        q, v = rk4(run, *begin, nodes, substeps=1, forces=forces, clock=self.clock)
         k = np.clip((self.t / h).astype(int), 0, n_steps - 1)
         u = np.clip(self.t / h - k, 0.0, 1.0)[..., None, None]
         start = np.arange(len(self.starts))[:, None]
@@ -241,14 +249,48 @@ class _Batch:
                 break
         return state
 
-    def _variance(self, state: np.ndarray) -> np.ndarray:
-        """Variance (n_starts, n_samples, n_dof) in σ² that the error of the fitted state causes."""
+    def _state_error(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Covariance (n_starts, 2 n_dof, 2 n_dof), in `unit`, of the fitted states, and the Jacobian."""
         *_, jacobian = self._linearised(state, 1.0)
         normal = np.swapaxes(jacobian, 1, 2) @ jacobian
         diagonal = np.einsum("sii->si", normal)
         ridge = 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        covariance = np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size))
+        return np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size)), jacobian
+
+    def _variance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+        """Variance (n_starts, n_samples, n_dof) in σ² that the error of the fitted state causes."""
         q = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
         # (n_starts, n_samples, n_dof, 2 n_dof)
         slope = np.moveaxis((q[1:] - q[:1]) / (_STEP * self.sigma), 0, -1)
         return np.einsum("spij,sjk,spik->spi", slope, covariance, slope)
+
+    def _spread(self, state: np.ndarray, covariance: np.ndarray, jacobian: np.ndarray) -> np.ndarray | None:
+        """Standard deviation (n_starts, n_samples, n_dof) of the motion by all that the law leaves open.
+
+        Motions are drawn: numbers of the law by their covariance, errors of the equations, noise of the
+        samples in the window.  The state of each is fitted as that of the forecast, to first order; then it
+        runs free.  What deviates far does so by all the equations, which bound it.
+        """
+        openness = self.law.openness
+        if openness is None:
+            return None
+        share, rng = 1.0 + self.horizon / self.window, np.random.default_rng(0)
+        q = self._flow(state[None], share)[0]
+        gain = covariance @ np.swapaxes(jacobian, 1, 2)
+        seen = np.isfinite(self.q) & (self.t <= self.window * (1 + 1e-9))[..., None]
+        squares, lost = np.zeros_like(self.q), np.zeros(self.q.shape)
+        n_steps = int(np.ceil(self.n_steps * share - 1e-9))
+        steps = np.full(n_steps, self.window / self.n_steps)
+        at_once = max(1, _MOST_DRAWN // (n_steps * q[:, 0].size))
+        for first in range(0, MEMBERS, at_once):
+            drawn = openness.draw(min(at_once, MEMBERS - first), steps, len(self.starts), rng)
+            begun = np.broadcast_to(state, (drawn.size, *state.shape))
+            noise = rng.standard_normal((drawn.size, *q.shape))
+            off = (self._flow(begun, 1.0, drawn) - q) / self.sigma + noise
+            off = np.where(seen, np.nan_to_num(off), 0.0).reshape(drawn.size, len(state), -1)
+            shifts = np.einsum("sjm,ksm->ksj", gain, off) * self.unit
+            away = self._flow(begun - shifts, share, drawn) - q
+            near = np.isfinite(away)
+            squares += (np.where(near, away, 0.0) ** 2).sum(axis=0)
+            lost += (~near).sum(axis=0)
+        return standard_deviation(squares, lost, MEMBERS)

@@ -15,7 +15,8 @@ from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
-from leastaction.simulation.batch import Acceleration, Start, StartResult, run_starts
+from leastaction.simulation.batch import Start, StartResult, run_starts
+from leastaction.simulation.law import Law
 from leastaction.simulation.results import ForecastResult
 
 __all__ = ["ForecastResult", "ForecastTrace", "forecast", "lengths_of"]
@@ -24,6 +25,7 @@ Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_ti
 
 # A coordinate needs this many samples in the window for the initial state to be more than a guess.
 _LEAST_SAMPLES = 4
+_Z95 = 1.96
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,10 @@ class ForecastTrace:
         the model could be fitted to the window.
     reason : str
         Empty if ok.
+    std : ndarray, shape (n_times, n_dof), optional
+        Standard deviation of measured − forecast as the model states it: noise, and the errors of initial
+        state, coefficients and equations carried along. None if the model has no standard errors; inf where
+        more than one drawn motion in twenty diverges.
     """
 
     trial: str
@@ -63,24 +69,25 @@ class ForecastTrace:
     valid_time: float
     status: str
     reason: str = ""
+    std: np.ndarray | None = None
+
+    @property
+    def reach(self) -> np.ndarray | None:
+        """Half of the 95 % band, 1.96 `std`."""
+        return None if self.std is None else _Z95 * self.std
 
 
 def forecast(
-    acceleration: Acceleration,
+    law: Law,
     data: Trajectories,
     noise_std: np.ndarray,
     horizon: float | None = None,
     window: float | None = None,
     tolerance: float = 0.4,
-    prescribed: Sequence[int] = (),
-    timed: bool = False,
 ) -> ForecastResult:
     """Run the forecasts of `LagrangianModel.validate`, which says what the arguments mean.
 
-    `acceleration` is vectorised, ``acceleration(q, qdot, forces)`` -> array of the shape of q, where
-    `forces` has the shape of q or broadcasts to it.  Those on coordinates that are `prescribed` are the
-    accelerations of their smoothed measurements.  Where it is `timed`, the acceleration takes the time as its
-    last argument.
+    Forces on coordinates that are prescribed are the accelerations of their smoothed measurements.
     """
     horizon, window = lengths_of(data, horizon, window)
     if not _positive(tolerance):
@@ -98,13 +105,13 @@ def forecast(
     if curves:
         begins = [(curves[start.trial], np.array([start.begin])) for start in starts]
         state = np.array([np.concatenate([curve(t, nu)[0] for nu in (0, 1)]) for curve, t in begins])
-    if curves and prescribed:
-        starts = [_moved(start, curves[start.trial], list(prescribed)) for start in starts]
+    if curves and law.prescribed:
+        starts = [_moved(start, curves[start.trial], list(law.prescribed)) for start in starts]
     sigma = np.where(noise_std > 0, noise_std, estimated)
     # Data without noise, or a coordinate at rest, must not divide by zero.
     tiny = np.finfo(float).tiny
     sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
-    results = run_starts(acceleration, starts, state, sigma, np.fmax(std, sigma), window, horizon, timed)
+    results = run_starts(law, starts, state, sigma, np.fmax(std, sigma), window, horizon)
     limit = tolerance * std + 3.0 * sigma
     traces = [_trace(data, s, r, sigma, limit, window, horizon) for s, r in zip(starts, results, strict=True)]
     std = np.fmax(std, tiny)
@@ -217,4 +224,5 @@ def _trace(
         valid_time=0.0 if result.status == "failed" else valid,
         status=result.status,
         reason=result.reason,
+        std=None if result.spread is None else np.hypot(result.spread[after], sigma),
     )

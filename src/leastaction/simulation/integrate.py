@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import DOP853
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from leastaction.errors import InputError
@@ -24,13 +24,11 @@ Event = Callable[[float, np.ndarray, np.ndarray], float]
 
 # A state beyond this is taken as diverging; still far from overflow, so that products stay finite.
 _BLOW_UP = 1e12
-# Of the spline through an input, whose second derivative is smooth.
-_DEGREE = 5
 # A mass matrix whose reciprocal condition number is below this is taken as singular.
 _SINGULAR = 1e-12
 
 
-def _check_times(t) -> np.ndarray:
+def check_times(t) -> np.ndarray:
     times = np.array(t, dtype=float)
     if times.ndim != 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; expected (n_times,) with at least one time")
@@ -79,7 +77,7 @@ def rk4(
     >>> bool(abs(q[-1, 0] - np.cos(1.0)) < 1e-8)
     True
     """
-    t = _check_times(t)
+    t = check_times(t)
     if int(substeps) != substeps or substeps < 1:
         raise InputError(f"substeps={substeps!r}; expected a whole number of at least 1")
     q, v = np.broadcast_arrays(np.asarray(q0, dtype=float), np.asarray(qdot0, dtype=float))
@@ -176,7 +174,7 @@ def simulate(
     >>> simulate(lambda q, qdot, forces: -q, [1.0], [0.0], t, events=events).reason
     'event q = 0 at t = 1.5708'
     """
-    t = _check_times(t)
+    t = check_times(t)
     q0, qdot0 = np.array(q0, dtype=float), np.array(qdot0, dtype=float)
     if q0.ndim != 1 or q0.shape != qdot0.shape or not (np.isfinite(q0).all() and np.isfinite(qdot0).all()):
         raise InputError(
@@ -184,7 +182,7 @@ def simulate(
         )
     if max_steps < 1:
         raise InputError(f"max_steps={max_steps!r}; expected at least 1")
-    force = _force_function(forces, t, q0.size)
+    force = force_function(forces, t, q0.size)
     watch = _Watch(mass_matrix, _named_events(events), q0.size, timed)
 
     def accelerate(time: float, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
@@ -194,57 +192,8 @@ def simulate(
         return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
 
 
-def follow(
-    inputs: Mapping[int, ArrayLike],
-    q0: np.ndarray,
-    qdot0: np.ndarray,
-    t: ArrayLike,
-    forces: ArrayLike | Callable[[float], Any] | None,
-) -> tuple[np.ndarray, np.ndarray, Callable[[float], np.ndarray]]:
-    """Start and forces with which some coordinates move as given, where their force is their acceleration.
-
-    Parameters
-    ----------
-    inputs : mapping of int to array_like, shape (n_times,)
-        Numbers of coordinates, and where they are at `t`; joined by a spline of degree five.
-    q0, qdot0, t, forces
-        See `simulate`; the start of those coordinates has no say.
-
-    Raises
-    ------
-    InputError
-        If there are not as many numbers as times, or not all are finite.
-
-    Examples
-    --------
-    >>> t = np.linspace(0.0, 1.0, 11)
-    >>> q0, qdot0, forces = follow({0: t**2}, np.zeros(2), np.zeros(2), t, None)
-    >>> q0, qdot0.round(9), forces(0.5).round(9)
-    (array([0., 0.]), array([0., 0.]), array([2., 0.]))
-    """
-    times, q0, qdot0 = _check_times(t), q0.copy(), qdot0.copy()
-    others = _force_function(forces, times, q0.size)
-    curves = {}
-    for k, values in inputs.items():
-        samples = np.asarray(values, dtype=float)
-        if samples.shape != times.shape or not np.isfinite(samples).all():
-            raise InputError(
-                f"an input has shape {samples.shape}; expected finite numbers of shape {times.shape}, as t"
-            )
-        curves[k] = make_interp_spline(times, samples, k=min(_DEGREE, times.size - 1))
-        q0[k], qdot0[k] = samples[0], float(curves[k](times[0], 1))
-
-    def moved(time: float) -> np.ndarray:
-        given = others(time)
-        out = np.zeros(q0.size) if given is None else np.array(given)
-        for k, curve in curves.items():
-            out[k] = curve(time, 2)
-        return out
-
-    return q0, qdot0, moved
-
-
-def _force_function(forces, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
+def force_function(forces: Any, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
+    """Forces (n_dof,) at a time, from samples or a function; None where there are none."""
     if forces is None:
         return lambda time: None
     if callable(forces):

@@ -48,6 +48,8 @@ class SimulationResult(Shown):
         Time the integration reached (for an event: the time of the event).
     coordinates, angles : tuple of str
         Names of the coordinates, and which of them are angles, as far as they are known.
+    std : ndarray, shape (n_times, n_dof), optional
+        Standard deviation of q, where it was asked for: see `LagrangianModel.simulate`.
     """
 
     t: np.ndarray
@@ -59,6 +61,7 @@ class SimulationResult(Shown):
     stop_time: float = float("nan")
     coordinates: tuple[str, ...] = ()
     angles: tuple[str, ...] = ()
+    std: np.ndarray | None = None
 
     @property
     def complete(self) -> bool:
@@ -83,8 +86,7 @@ class SimulationResult(Shown):
         Raises
         ------
         InputError
-            If the number of axes is wrong; also, as an ImportError too, if Matplotlib is not installed (extra
-            ``plot``).
+            If the number of axes is wrong, or Matplotlib is not installed (then an ImportError, too).
 
         Examples
         --------
@@ -109,7 +111,7 @@ class SimulationResult(Shown):
         Returns
         -------
         pandas.DataFrame
-            Columns ``t``, the coordinates, and their rates ``<coordinate>_dot``.
+            Columns ``t``, the coordinates, ``<coordinate>_dot``, and where it is known ``<coordinate>_std``.
 
         Raises
         ------
@@ -125,7 +127,8 @@ class SimulationResult(Shown):
         ['t', 'x', 'x_dot']
         """
         columns = {"t": self.t}
-        for ending, values in (("", self.q), ("_dot", self.qdot)):
+        parts = {"": self.q, "_dot": self.qdot, **({} if self.std is None else {"_std": self.std})}
+        for ending, values in parts.items():
             columns |= {f"{c}{ending}": values[:, i] for i, c in enumerate(self._names)}
         return data_frame(columns)
 
@@ -167,12 +170,13 @@ class ForecastResult(Shown):
     --------
     >>> from leastaction.data.trajectories import Trajectory
     >>> from leastaction.simulation.forecast import forecast
+    >>> from leastaction.simulation.law import Law
     >>> t = np.linspace(0.0, 10.0, 201)
     >>> data = Trajectories([Trajectory(t, np.cos(t), coordinates=["x"])])
-    >>> spring = forecast(lambda q, qdot, forces: -q, data, np.array([0.01]))
+    >>> spring = forecast(Law(lambda q, qdot, forces: -q), data, np.array([0.01]))
     >>> spring.n_starts, spring.valid_time, bool(spring.rms_over_std < 0.001)
     (9, 1.0, True)
-    >>> free = forecast(lambda q, qdot, forces: 0 * q, data, np.array([0.01]))
+    >>> free = forecast(Law(lambda q, qdot, forces: 0 * q), data, np.array([0.01]))
     >>> bool(free.rms > 10 * free.expected_rms)
     True
     """
@@ -211,6 +215,17 @@ class ForecastResult(Shown):
     def valid_time(self) -> float:
         """Median of the starts, in seconds."""
         return float(np.median([trace.valid_time for trace in self.traces]))
+
+    @cached_property
+    def coverage(self) -> np.ndarray:
+        """Share of samples within 1.96 `std` of the forecast, (n_dof,): 95 % if errors are stated rightly."""
+        known = [(t, t.reach) for t in self.traces if t.reach is not None]
+        parts = [(abs(t.forecast - t.measured) <= reach, t.measured) for t, reach in known]
+        if not parts:
+            return np.full(len(self.coordinates), np.nan)
+        inside, measured = (np.concatenate(x) for x in zip(*parts, strict=True))
+        with np.errstate(invalid="ignore"):
+            return inside.sum(axis=0) / np.isfinite(measured).sum(axis=0)
 
     @property
     def n_starts(self) -> int:
@@ -273,6 +288,7 @@ class ForecastResult(Shown):
             "expected_rms": _plain(self.expected_rms),
             "rms_over_noise": _plain(self.rms_over_noise),
             "rms_over_std": _plain(self.rms_over_std),
+            "coverage": _plain(self.coverage),
             "valid_time": self.valid_time,
             "n_starts": self.n_starts,
             "n_diverged": self.n_diverged,
