@@ -260,7 +260,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         forces : array_like, shape (n_times, n_dof), or callable, optional
             Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; of `prescribed` coordinates, q̈.
         inputs : mapping of str to array_like, shape (n_times,), optional
-            Where coordinates that are `prescribed` are at `t`, without noise; they start there, without force.
+            Where `prescribed` coordinates are at `t`, without noise; they start there, and need no force.
         start_std : array_like, shape (2, n_dof) or broadcastable to it, optional
             Standard deviations of `q0` and `qdot0`, 0 if exact. With them the result states `std`, that of q,
             from 128 motions with errors of start, coefficients and equations (white noise as in the fit).
