@@ -10,7 +10,7 @@ import pytest
 import leastaction as la
 from helpers import findings_of, record
 from leastaction import systems
-from leastaction.cli.options import force_offsets
+from leastaction.cli.values import force_offsets
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.structure import Structure
 from leastaction.library import Library
