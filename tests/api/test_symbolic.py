@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.integrate import solve_ivp
 
 import leastaction as la
 from helpers import findings_of
@@ -37,6 +38,27 @@ def test_the_law_is_found_from_names_alone(name, tmp_path):
     assert all(a.cost > b.cost for a, b in pairwise(curve))
     model.save(tmp_path / "model.json")
     assert la.load(tmp_path / "model.json").to_dict() == model.to_dict()
+
+
+@pytest.mark.thorough
+def test_a_distance_to_an_unknown_point_grows_from_names_alone():
+    """1/sqrt((x-0.6)**2+(y+0.3)**2+0.25) beside a spring: no plain term of the grammar can say it."""
+    t, rng, runs = np.arange(0.0, 8.0, 0.02), np.random.default_rng(3), []
+
+    def rates(_, state):
+        x, y, u, v = state
+        pull = ((x - 0.6) ** 2 + (y + 0.3) ** 2 + 0.25) ** -1.5
+        return [u, v, -x - pull * (x - 0.6), -y - pull * (y + 0.3)]
+
+    for start in ([1.2, 0.0, 0.0, 0.6], [-0.8, 0.5, 0.4, -0.3], [0.1, -1.0, -0.7, 0.2]):
+        q = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-10, atol=1e-10).y[:2].T
+        runs.append(la.Trajectory(t, q + rng.normal(0.0, 2e-3, q.shape), coordinates=["x", "y"]))
+    model = la.discover(runs, la.Library.symbolic(["x", "y"]), known={"x_dot**2": 0.5})
+    assert model.fit.status == "ok", model.fit.warnings
+    assert len(model.terms) == 5
+    found = {shape.name: shape for shape in model.shapes}
+    for name, truth in {"p": 0.6, "r": -0.3, "h": 0.5}.items():
+        assert abs(abs(found[name].value) - abs(truth)) < 4.5 * found[name].standard_error
 
 
 def test_what_is_undefined_along_the_data_is_left_out_and_said():

@@ -6,12 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import leastaction as la
 from helpers import free_motions
 from leastaction.diagnosis import families, smooth_changes
+from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.fit import Fit
 from leastaction.findings import find
+from leastaction.selection.search import run_search
+from leastaction.selection.search_state import begin_search
 
 POWERS = ["x_dot**2", "x", "x**2", "x**3", "x**4"]
 STARTS = (0.5, 0.9, 1.6)
@@ -69,7 +73,7 @@ def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers)
 def helped():
     """What a search of powers for a Morse oscillator was asked for, and what it tried."""
     asked: list[tuple[Any, ...]] = []
-    tried: dict[str, list[Any]] = {"places": [], "searched_with": []}
+    tried: dict[str, list[Any]] = {"best_families": [], "searched_with": []}
     real = families._helpful
     with pytest.MonkeyPatch.context() as patch:
 
@@ -86,8 +90,12 @@ def helped():
 
 
 def recorded(function, kept: list[Any]):
+    """A function that keeps its answers; families come one after another and are listed."""
+    all_at_once = function is families.best_families
+
     def run(*args):
-        kept.append(function(*args))
+        found = function(*args)
+        kept.append(list(found) if all_at_once else found)
         return kept[-1]
 
     return run
@@ -98,7 +106,7 @@ def recorded(function, kept: list[Any]):
     [
         (None, None),
         ("equations_hold", lambda fit: False),
-        ("doubts_about_the_form", lambda fit, relevance: [find("form-open", kind="potential", open=0.2)]),
+        ("doubts_about_the_form", lambda *_, **__: [find("form-open", kind="potential", open=0.2)]),
         ("value", lambda fit: 0.0),
     ],
     ids=["all are met", "equations do not hold", "form still open", "no likelier"],
@@ -112,6 +120,37 @@ def test_nothing_is_named_where_no_family_helps(condition, answer, helped, monke
     if condition is not None:
         monkeypatch.setattr(families, condition, answer)
     assert (families._helpful(*asked) is None) == (condition is not None)
+
+
+# -------------------------------------- several coordinates: a short law instead of its long imitation
+def orbits(potential_slope, starts, noise: float = 1e-3) -> la.Trajectories:
+    """Motions of a point of mass one in the plane under a central force."""
+    t, rng, out = np.arange(0.0, 8.0, 0.02), np.random.default_rng(5), []
+
+    def rates(_, state):
+        r = np.hypot(state[0], state[1])
+        return [state[2], state[3], *(-potential_slope(r) * state[:2] / r)]
+
+    for start in starts:
+        states = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-10, atol=1e-10).y.T
+        out.append(
+            la.Trajectory(t, states[:, :2] + rng.normal(0.0, noise, (t.size, 2)), coordinates=["x", "y"])
+        )
+    return la.Trajectories(out)
+
+
+@pytest.mark.thorough
+def test_a_long_law_of_several_coordinates_is_compared_with_a_short_one():
+    """A well, 3 exp(-r**2/2) in L, that many powers imitate."""
+    starts = [(1.1, 0.0, 0.2, 0.9), (0.4, 0.6, -1.0, 0.4), (-0.9, 0.8, 0.3, 0.1)]
+    runs = orbits(lambda r: 3.0 * r * np.exp(-0.5 * r**2), starts)
+    library = la.Library.mechanical(["x", "y"])
+    search = run_search(begin_search(build_problem(runs, Request(library, {"x_dot**2": 0.5}))))
+    (finding,) = families.simpler_form(search)
+    assert finding.values["family"] == ("exp(-{a}*(x**2+y**2))",)
+    assert finding.values["free_terms"] < finding.values["instead_of"]
+    (number,) = finding.values["numbers"]
+    assert float(number.removeprefix("a = ")) == pytest.approx(0.5, rel=0.05)
 
 
 # ---------------------------- time: a law that depends on it is named as such, and only such a law
@@ -198,7 +237,7 @@ def test_for_the_true_law_the_gain_is_no_more_than_chance():
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
                 "leastaction.diagnosis.verdict.doubts_about_the_form",
-                lambda fit, relevance: held.append(fit) or [],
+                lambda fit, *_, **__: held.append(fit) or [],
             )
             la.discover(runs, ["x_dot**2", "x**2"], known={"x_dot**2": 0.5})
         for change in smooth_changes.smooth_changes(held[0]):

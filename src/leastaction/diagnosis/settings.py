@@ -81,6 +81,11 @@ class DiagnosisSettings:
     the study `unlisted` calls wrong. Of its seen laws 18 of 21 that were ok and wrong pass it, of 111
     correct results none. Half: 2 of 9 right results are doubtful; twice: one right result more is ok."""
 
+    form_bound: float = 1.64
+    """Standard deviations of the accelerations that have to stay within `form_open`, over smooth changes of
+    both energies of one coordinate, where a law looks like an imitation: a bound that an error passes once in
+    twenty. Derived. Half, twice: HALFTWICE."""
+
     bumps_alone: int = 8
     """Bumps along a coordinate that smooth changes of L consist of. Half: no effect; twice: 2 of 9 right
     results are doubtful, one wrong one is ok."""

@@ -3,7 +3,7 @@
 Where a library lacks the law, its terms imitate it along the data, and leave nothing that a test of any one
 term must find.  So L is tried with a sum of bumps added,
 
-    δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum,
+    δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum, or both,
 
 with centres over the recorded motion.  All a_k are free: the quadratic model of the likelihood about the fit
 says by how much −2 log L falls, which for the true law is χ² with as many degrees of freedom, and what the
@@ -12,7 +12,7 @@ best a_k, and those nearly as good, would make of the accelerations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 
@@ -33,6 +33,7 @@ __all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
 _VISITS = 20_000  # points of the motion that are looked at: its range and its centres need no more
 _ENDS = (0.01, 0.99)  # quantiles of the motion that the centres span
 _DEPENDENT = 1e-7  # of the greatest eigenvalue: directions that hardly differ from others
+_BOTH = "potential and kinetic"
 _POINTS = 400  # along the motion, at which accelerations are compared
 
 
@@ -43,7 +44,7 @@ class SmoothChange:
     Attributes
     ----------
     kind : str
-        "potential" or "kinetic".
+        "potential", "kinetic", or "potential and kinetic".
     gain : float
         By how much −2 log likelihood would fall.
     freedom : int
@@ -65,29 +66,33 @@ class SmoothChange:
         return float(np.hypot(self.shift, self.spread))
 
 
-def doubts_about_the_form(fit: Fit, relevance: float) -> list[Finding]:
-    """A change that explains the data better, or accelerations that the data leave open."""
-    changes = smooth_changes(fit)
+def doubts_about_the_form(fit: Fit, relevance: float, *, bound: bool = False) -> list[Finding]:
+    """A change that explains the data better, or accelerations that the data leave open.
+
+    With ``bound`` changes of both energies of one coordinate count, too, and may leave its accelerations open
+    by 5 % with a confidence of 95 %.
+    """
+    changes = [change for change in smooth_changes(fit) if bound or change.kind != _BOTH]
+    limits = {_BOTH: DIAGNOSIS.form_open / DIAGNOSIS.form_bound} if bound else {}
     out: list[Finding] = []
     for change in changes:
         least = chi_square_cutoff(change.freedom, len(changes)) + fit.relevant_gain(relevance)
         if change.gain > least and change.shift > DIAGNOSIS.form_matters:
             figures = {"gain": change.gain, "freedom": change.freedom, "shift": change.shift}
             out.append(find("form-imitated", kind=change.kind, **figures, family=[], numbers=[]))
-        elif change.open > DIAGNOSIS.form_open:
+        elif change.open > limits.get(change.kind, DIAGNOSIS.form_open):
             out.append(find("form-open", kind=change.kind, open=change.open))
     return out[:1]
 
 
 def smooth_changes(fit: Fit) -> list[SmoothChange]:
-    """Changes of the potential and, of one coordinate, of the kinetic energy."""
+    """Changes of the potential and, of one coordinate, of the kinetic energy and of both."""
     if not (fit.converged and np.isfinite(fit.evidence)):
         return []
-    potential = list(_bumps(fit, DIAGNOSIS.bumps_alone, ""))
-    kinds = {"potential": potential}
+    kinds = {"potential": list(_bumps(fit, DIAGNOSIS.bumps_alone, ""))}
     if len(fit.problem.coordinates) == 1:
         kinds["kinetic"] = list(_bumps(fit, DIAGNOSIS.bumps_each, f"{fit.problem.coordinates[0]}_dot**2*"))
-    return [_change(fit, kind, terms) for kind, terms in kinds.items() if terms]
+    return list(_changes(fit, {kind: terms for kind, terms in kinds.items() if terms}))
 
 
 def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
@@ -111,21 +116,31 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
                 yield template.at(width | {f"c{i}": c for i, c in zip(group, centre, strict=True)})
 
 
-def _change(fit: Fit, kind: str, terms: list[Term]) -> SmoothChange:
-    problem = fit.problem
-    base = [problem.terms[m] for m in fit.structure] + _tangents(fit)
-    candidates = problem.candidates.of([*base, *terms])
+def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange]:
+    """Of each kind, and of all together where there are several; all are scored at once."""
+    base = [fit.problem.terms[m] for m in fit.structure] + _tangents(fit)
+    candidates = fit.problem.candidates.of([*base, *(t for terms in kinds.values() for t in terms)])
     quadratic = fit.score(candidates)
     scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
     matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
-    before, own = _explained(matrix[: len(base), : len(base)], gradient[: len(base)])
-    after, root = _explained(matrix, gradient)
-    shift, spread = _accelerations(
-        fit, candidates, -scale * (root @ (root.T @ gradient)), scale[:, None] * root
-    )
-    worst = int(np.argmax(np.nan_to_num(np.hypot(shift, spread), posinf=0.0)))
-    freedom = max(root.shape[1] - own.shape[1], 1)
-    return SmoothChange(kind, after - before, freedom, float(shift[worst]), float(spread[worst]))
+    change, size = _accelerations(fit, candidates)
+    own = list(range(len(base)))
+    before, root = _explained(matrix[np.ix_(own, own)], gradient[own])
+    places, end = dict[str, list[int]](), len(base)
+    for kind, terms in kinds.items():
+        places[kind] = list(range(end, end + len(terms)))
+        end += len(terms)
+    if len(kinds) > 1:
+        places[_BOTH] = list(range(len(base), end))
+    for kind, more in places.items():
+        part = [*own, *more]
+        after, wider = _explained(matrix[np.ix_(part, part)], gradient[part])
+        step, moves = -wider @ (wider.T @ gradient[part]), change[..., part] * scale[part]
+        shift = np.sqrt(np.mean((moves @ step) ** 2, axis=0)) / size
+        spread = np.sqrt(np.mean(np.sum((moves @ wider) ** 2, axis=2), axis=0)) / size
+        worst = int(np.argmax(np.nan_to_num(np.hypot(shift, spread), posinf=0.0)))
+        freedom = max(wider.shape[1] - root.shape[1], 1)
+        yield SmoothChange(kind, after - before, freedom, float(shift[worst]), float(spread[worst]))
 
 
 def _tangents(fit: Fit) -> list[Term]:
@@ -143,18 +158,15 @@ def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatAr
     return float(np.sum((root.T @ gradient) ** 2)), root
 
 
-def _accelerations(
-    fit: Fit, candidates: EulerLagrange, step: FloatArray, root: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(n_dof,) root mean square of the change of q̈, and of its standard deviation, relative to q̈."""
+def _accelerations(fit: Fit, candidates: EulerLagrange) -> tuple[FloatArray, FloatArray]:
+    """(n_points, n_dof, n_candidates) change of q̈ with each coefficient, and (n_dof,) size of q̈.
+
+    Prescribed coordinates do not change.
+    """
     points, n = fit.points(_POINTS), fit.problem.candidates.n_dof
     physics, index = fit.grid.physics(fit.structure)
     mass = physics.columns.mass_matrix(points, fit.coefficients[index])
-    change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))  # (points, dof, columns)
+    change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))
+    change[:, list(fit.problem.prescribed)] = 0.0
     size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
-    size = np.maximum(size, 1e-300)
-    shift = np.sqrt(np.mean((change @ step) ** 2, axis=0)) / size
-    spread = np.sqrt(np.mean(np.sum((change @ root) ** 2, axis=2), axis=0)) / size
-    places = list(fit.problem.prescribed)
-    shift[places] = spread[places] = 0.0
-    return shift, spread
+    return change, np.maximum(size, 1e-300)

@@ -18,7 +18,6 @@ import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
-from leastaction.diagnosis.wider_search import Offer, offered, searched_with
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.shape_ranges import frequency_range, shape_ranges
@@ -26,6 +25,7 @@ from leastaction.findings import Finding, find
 from leastaction.identifiers import TIME, names_in_terms
 from leastaction.library import Term, make_term, shape_names, time_symbol
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.selection.families import Offer, offered, searched_with
 from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, shape_fit, weak_start
 from leastaction.selection.strategies.frequency_scan import best_number

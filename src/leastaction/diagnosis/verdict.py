@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.diagnosis.competing import free_scales, rival_warnings
 from leastaction.diagnosis.effects import Effects
-from leastaction.diagnosis.families import lacking_family, named_family
+from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
@@ -25,6 +25,7 @@ from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
+from leastaction.selection.families import looks_imitated
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
@@ -145,10 +146,11 @@ def _form(search: Search, exact: bool) -> list[Finding]:
     that is imitated it explains much.
     """
     relevance = search.relevance if exact else max(search.relevance, DIAGNOSIS.part_of_error)
-    doubts = doubts_about_the_form(search.found, relevance)
+    doubts = doubts_about_the_form(search.found, relevance, bound=exact and looks_imitated(search.found))
     imitated = [d for d in doubts if d.code == "form-imitated"]
     if not search.found.problem.candidates.grouped:  # a search for a family has one law for all trials
         imitated = [named_family(d, search) for d in imitated]
+        imitated = imitated or (simpler_form(search) if exact and not doubts else [])
     return imitated or (doubts if exact else [])
 
 

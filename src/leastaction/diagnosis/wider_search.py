@@ -7,9 +7,7 @@ again.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from types import ModuleType
+from dataclasses import replace
 
 import numpy as np
 import sympy as sp
@@ -20,49 +18,15 @@ from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.shape_ranges import ShapeRange
 from leastaction.findings import Finding
-from leastaction.library import Term
+from leastaction.selection.families import searched_with
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, weak_start
 
-__all__ = ["MOST_SAMPLES", "Offer", "begun_anew", "offered", "search_afresh", "searched_with"]
+__all__ = ["MOST_SAMPLES", "begun_anew", "search_afresh"]
 
 MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
-
-
-@dataclass(frozen=True)
-class Offer:
-    """Terms with unknown numbers that belong together.
-
-    Attributes
-    ----------
-    terms : sequence of Term
-        With the best of their numbers.
-    ranges : mapping of str to ShapeRange
-        Where to look for better ones.
-    worth : float
-        By how much −2 log likelihood falls with them, less what they cost or chance gives.
-    """
-
-    terms: Sequence[Term]
-    ranges: Mapping[str, ShapeRange]
-    worth: float
-
-
-def offered(search: Search, offer: Offer) -> Search:
-    """A search on the grid of the fit that has an offer among its candidates."""
-    before = search.found.problem
-    problem = replace(before.wider(offer.terms), ranges={**before.ranges, **offer.ranges})
-    return restarted(replace(search, report=silent), search.found.grid.posed(problem))
-
-
-def searched_with(search: Search, *strategies: ModuleType) -> Search:
-    """What a few strategies find, one after another."""
-    for strategy in strategies:
-        search = strategy.run(search)
-    return search
 
 
 def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit | None:

@@ -144,6 +144,13 @@ CODES: dict[str, Message] = {
         "{open:.1f%}",
         "record longer, or with less noise",
     ),
+    "simpler-form": Message(
+        "warning",
+        "a law with {family} explains the motion with higher evidence (log evidence {gain:.0f} higher), in "
+        "{free_terms} terms instead of {instead_of}; the terms found seem to imitate it",
+        imitated_remedy,
+        on_command_line=partial(imitated_remedy, on_command_line=True),
+    ),
     # shape parameters
     "shape-undetermined": Message(
         "warning",

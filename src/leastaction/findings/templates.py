@@ -305,7 +305,7 @@ def zero_offset(f: dict[str, Any]) -> str:
 _STRUCTURES = {
     "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
     "not among the candidates": (
-        *("missing-term", "time-dependent", "form-imitated", "wrong-known-coefficient"),
+        *("missing-term", "time-dependent", "form-imitated", "simpler-form", "wrong-known-coefficient"),
         *("energy-fed-in", "negative-dissipation", "swapped-forces"),
     ),
     "not determined by these data": (

@@ -1,0 +1,240 @@
+"""Laws with unknown numbers that nobody offered: a dictionary of families, and searches with the best.
+
+Over one position the families are exponentials, wells, barriers, softened distances and powers.  Over several
+they are exponentials of all positions and of their differences, with one rate, and functions of the distance
+to the origin, to one unknown point or to three.  Angles have none: their waves are in every library.
+
+For the numbers κ of a family a profile of the weak form is computed, and the families that it finds the
+simplest laws with are searched with.  Of one coordinate all families are first scored on the quadratic model
+of the likelihood about a fit, and the profile is left to those whose gain is worth their price.  Of several
+the many terms that imitate a law leave its own terms nothing to gain, so the profile is computed beside short
+candidates only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import ModuleType
+
+import numpy as np
+
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.shape_ranges import ShapeRange, shape_ranges, shape_starts
+from leastaction.library import Term, make_term, shape_names
+from leastaction.library.grammar import size_of
+from leastaction.selection.likelihood_refinement import gains_beside, penalty
+from leastaction.selection.progress import silent
+from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.strategies import shape_fit, weak_start
+from leastaction.selection.strategies.shape_start import places
+
+__all__ = ["Offer", "best_families", "looks_imitated", "offered", "searched_with"]
+
+_STARTS = 64  # numbers tried of a family with several shape parameters
+_PROFILED = 5  # families of one coordinate whose numbers are looked for on the weak form
+_LOWEST = 0.5  # power of a coordinate that changes its sign, which a search begins with
+_SEARCHED = 2  # families that are searched with
+_CENTRES = 3  # unknown points that are placed together
+_PLAIN = 3  # terms that a potential of the positions may have without being suspected
+_SHORT = 2  # size of the candidates beside which the families of several coordinates are profiled
+
+# of one coordinate X, in L and times X_dot**2
+_LINE = (
+    ("exp(-{a}*X)",),
+    ("exp(-{a}*X)", "exp(-2*{a}*X)"),
+    ("exp(-((X-{p})/{w})**2)",),
+    ("sqrt((X-{p})**2+{h}**2)",),
+    ("1/sqrt((X-{p})**2+{h}**2)",),
+    ("log((X-{p})**2+{h}**2)",),
+    ("cos({k}*X)", "sin({k}*X)"),
+)
+_EACH = _LINE[:2]  # of each of several positions
+_POSITIVE = (("X**{n}",), ("X**{n}", "X**{m}"))
+_BOTH_SIGNS = (("abs(X)**{n}",),)
+_ORIGIN = ("(R)**{n}", "exp(-{a}*sqrt(R))", "exp(-{a}*(R))")  # of the squared distance R to the origin
+# of the squared distance R to an unknown point
+_CENTRE = ("1/sqrt(R+{h}**2)", "sqrt(R)", "log(R+{h}**2)", "exp(-(R)/{w}**2)")
+_POINT = ("p", "r", "s")  # how the coordinates of an unknown point are called
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Terms with unknown numbers that belong together.
+
+    Attributes
+    ----------
+    terms : sequence of Term
+        With the best of their numbers, or with some.
+    ranges : mapping of str to ShapeRange
+        Where to look for better ones.
+    worth : float
+        By how much −2 log likelihood falls with them, less what they cost or chance gives; 0: not known.
+    """
+
+    terms: Sequence[Term]
+    ranges: Mapping[str, ShapeRange]
+    worth: float = 0.0
+
+    def added(self, problem: Problem) -> Problem:
+        """A problem with the offer among its candidates."""
+        return replace(problem.wider(self.terms), ranges={**problem.ranges, **self.ranges})
+
+
+def offered(search: Search, offer: Offer) -> Search:
+    """A search that has found nothing yet, on the grid of the fit, with an offer among its candidates."""
+    on = replace(search, grid=search.found.grid, report=silent).posed(offer.added)
+    return replace(on, curve=on.grid.smooth(), fit=None, feeding=())
+
+
+def searched_with(search: Search, *strategies: ModuleType) -> Search:
+    """What a few strategies find, one after another."""
+    for strategy in strategies:
+        search = strategy.run(search)
+    return search
+
+
+def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
+    """Searches with the families that promise most, each with what it found, one after another.
+
+    With ``kinetic`` the families are masses that depend on the coordinate, of one coordinate.  Distances to
+    unknown points cost the most to place: they come last, and only where the equations do not hold.
+    """
+    fit = search.found
+    if not (fit.converged and np.isfinite(fit.evidence)):
+        return
+    states = _states(fit)
+    positions = [name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning]
+    if len(fit.problem.coordinates) == 1:
+        some = _families(fit, _of_one(positions, states), kinetic)
+        offers = sorted((_scored(fit, *family) for family in some), key=lambda offer: -offer.worth)
+        posed = [offered(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
+        yield from _searched(posed, fit)
+        return
+    short = _short(fit)
+    rounds, holds = [_of_several(positions, states)], equations_hold(fit)
+    if 1 < len(positions) <= len(_POINT) and not holds:
+        rounds.append(_of_distances(positions))
+    for texts in rounds:
+        offers = [_unscored(*family) for family in _families(fit, texts)]
+        posed = [offered(search, offer).posed(short) for offer in offers]
+        # a good imitation hardly differs from the law on the weak form
+        yield from _searched(posed, fit, 2 * _SEARCHED if holds else _SEARCHED)
+
+
+def looks_imitated(fit: Fit) -> bool:
+    """Whether a law may imitate a shorter one: a long potential, or masses that depend on positions."""
+    positions = {name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning}
+    rates = {f"{name}_dot" for name in positions}
+    terms = [fit.problem.terms[k] for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]
+    names = [{str(symbol) for symbol in term.expr.free_symbols} for term in terms]
+    masses = [some for some in names if some & rates and some & positions and some <= positions | rates]
+    return sum(some <= positions for some in names) > _PLAIN or bool(masses)
+
+
+def _searched(posed: Sequence[Search], fit: Fit, most: int = _SEARCHED) -> Iterator[Search]:
+    """Search with the families whose places are the best."""
+    points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
+    for _, at in sorted(points, key=lambda pair: pair[0])[:most]:
+        yield _whole(searched_with(at, weak_start, shape_fit), fit.problem.excluded)
+
+
+def _short(fit: Fit) -> Callable[[Problem], Problem]:
+    """What leaves a problem its short candidates, and those of a structure that hold rates or angles.
+
+    Polynomials of higher degree, roots and inverses of positions are left out: they would imitate a family.
+    """
+    problem = fit.problem
+    positions = {name for name in problem.coordinates if name not in problem.candidates.turning}
+    out: list[int] = []
+    free: list[int] = problem.free.tolist()
+    for k in free:
+        expr = problem.terms[k].expr
+        symbols = [symbol for symbol in expr.free_symbols if str(symbol) in positions]
+        needed = k in fit.structure and len(symbols) < len(expr.free_symbols)
+        short = size_of(expr) <= _SHORT and expr.is_polynomial(*symbols)
+        if not (needed or short or problem.terms[k].kind == "dissipation"):
+            out.append(k)
+    return lambda problem: problem.excluding(out)
+
+
+def _whole(search: Search, excluded: frozenset[int]) -> Search:
+    """The search with all candidates back in but those that were excluded before."""
+    fit = search.found
+    whole = search.posed(lambda problem: replace(problem, excluded=excluded))
+    return replace(whole, fit=replace(fit, grid=whole.grid))
+
+
+def _states(fit: Fit) -> dict[str, np.ndarray]:
+    """Coordinates and velocities along the motion, by name."""
+    names = fit.problem.coordinates
+    symbols = [*names, *(f"{name}_dot" for name in names)]
+    return dict(zip(symbols, map(np.asarray, fit.points().columns), strict=False))
+
+
+def _families(
+    fit: Fit, texts: Iterable[list[str]], kinetic: bool = False
+) -> Iterator[tuple[list[Term], Mapping[str, ShapeRange]]]:
+    """Families as terms, with ranges of their numbers; without those whose names are taken."""
+    states = _states(fit)
+    factor = f"{fit.problem.coordinates[0]}_dot**2*" if kinetic else ""
+    for family in texts:
+        terms = [make_term(factor + text, list(states)) for text in family]
+        if {*shape_names(terms)} & {*fit.problem.ranges}:
+            continue
+        ranges = shape_ranges(terms, states, {})
+        if any("abs(" in text for text in family):  # infinite where the coordinate changes its sign
+            ranges = {n: replace(found, low=_LOWEST, bounded=True) for n, found in ranges.items()}
+        yield terms, ranges
+
+
+def _of_one(positions: Sequence[str], states: Mapping[str, np.ndarray]) -> Iterator[list[str]]:
+    """Families in words: of one coordinate, unless it is an angle."""
+    for name in positions:
+        powers = _POSITIVE if states[name].min() > 0.0 else _BOTH_SIGNS
+        yield from ([text.replace("X", name) for text in texts] for texts in (*_LINE, *powers))
+
+
+def _of_several(positions: Sequence[str], states: Mapping[str, np.ndarray]) -> Iterator[list[str]]:
+    """Of each of several positions, of their distance to the origin, and exponentials with one rate."""
+    for name in positions:
+        powers = _POSITIVE if states[name].min() > 0.0 else ()
+        yield from ([text.replace("X", name) for text in texts] for texts in (*_EACH, *powers))
+    if len(positions) > 1:
+        gaps = [f"({a}-{b})" for a, b in pairwise(positions)]
+        yield [f"exp({sign}{{a}}*{u})" for u in (*positions, *gaps) for sign in ("", "-")]
+        square = "+".join(f"{name}**2" for name in positions)
+        yield from ([text.replace("R", square)] for text in _ORIGIN)
+
+
+def _of_distances(positions: Sequence[str]) -> Iterator[list[str]]:
+    """Of the distance to an unknown point, or to several."""
+    letters = [letter if letter not in positions else f"{letter}0" for letter in _POINT]
+
+    def distance(number: str) -> str:
+        pairs = zip(positions, letters, strict=False)
+        return "+".join(f"({name}-{{{letter}{number}}})**2" for name, letter in pairs)
+
+    for text in _CENTRE:
+        yield [text.replace("R", distance(""))]
+    yield [_CENTRE[0].replace("R", distance(str(k + 1))) for k in range(_CENTRES)]
+
+
+def _unscored(terms: list[Term], ranges: Mapping[str, ShapeRange]) -> Offer:
+    """A family with numbers in the middle of their ranges."""
+    middle = {name: found.at(0.5) for name, found in ranges.items()}
+    return Offer([term.at(middle) for term in terms], ranges)
+
+
+def _scored(fit: Fit, terms: list[Term], ranges: Mapping[str, ShapeRange]) -> Offer:
+    """The numbers with which −2 log likelihood falls the most, and by how much, less what they cost."""
+    starts = list(shape_starts(ranges, _STARTS))
+    base = [fit.problem.terms[m] for m in fit.structure]
+    plain: Mapping[str, float] = {}
+    numbers = [*[plain] * len(base), *(start for start in starts for _ in terms)]
+    gains = gains_beside(fit, fit.problem.candidates.of([*base, *terms * len(starts)], numbers), len(terms))
+    best = int(np.argmax(gains))
+    worth = float(gains[best]) - penalty(fit.grid) * (len(terms) + len(ranges))
+    return Offer([term.at(starts[best]) for term in terms], ranges, worth)

@@ -1,0 +1,44 @@
+"""Grow terms with unknown numbers where the grammar's plain terms do not explain the data.
+
+Only for libraries that are grown from names (`Library.symbolic`): whoever offers candidates is told of a
+family that would help, and decides.  A law with a family takes the place of the one that was found if its
+equations hold and it is likelier by the evidence, less the price of its terms and of their numbers.
+
+Cost: a profile of the weak form for each family, beside few candidates, and two searches with the best.
+Families of distances, which cost the most, are tried only where the equations do not hold; the others also
+where more than three terms make up the potential of the positions, or masses depend on them, as in imitations
+of exponentials and powers. Skipped otherwise, and where a library has no description lengths.
+Without it exponentials and distances to unknown points are not found from names alone.
+"""
+
+from __future__ import annotations
+
+from leastaction.selection.families import best_families, looks_imitated
+from leastaction.selection.likelihood_refinement import value
+from leastaction.selection.search_state import Search, equations_hold, explains
+from leastaction.selection.strategies import finer_knots, shape_fit
+
+__all__ = ["run"]
+
+_MOST_SAMPLES = 50_000  # on more, places take too long
+
+
+def run(search: Search) -> Search:
+    """The law with the family that explains the data best, or the search as it was."""
+    fit = search.found
+    if search.problem.lengths is None or fit.problem.trajectories.n_samples > _MOST_SAMPLES:
+        return search
+    if explains(fit, value(fit)) and not looks_imitated(fit):
+        return search
+    search.report("families", {})
+    for at in best_families(search):
+        if value(at.found) <= value(fit):
+            continue
+        found = shape_fit.run(finer_knots.run(at))
+        if found.found.converged and equations_hold(found.found):
+            return _adopted(search, found)
+    return search
+
+
+def _adopted(search: Search, found: Search) -> Search:
+    return found.now(found.found, report=search.report, first=search.first)
