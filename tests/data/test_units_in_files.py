@@ -239,8 +239,8 @@ def test_what_the_user_says_wins(file):
     np.testing.assert_array_equal(said[0].q[:, 0], 10.0 * K)
     np.testing.assert_allclose(said[0].forces[:, 0], K / 100, rtol=1e-15)
     assert [str(f) for f in said.findings] == [
-        "the times in 'time_ms' were converted from us to seconds, as asked for, not in ms",
-        "phi was taken to be in rad, as asked for, not in deg",
+        "the times in 'time_ms' were converted from us to seconds, as requested, instead of ms",
+        "phi was read as rad, as requested, instead of deg",
         "force of phi was converted from Nmm to N m",
     ]
     seconds = io.read(path, {"phi": "phi [deg]"}, "time_ms", time_unit="s", units="as-written")
@@ -538,7 +538,7 @@ def test_a_workbook(workbook):
     np.testing.assert_array_equal(runs[0].q[:, 1], np.where(K == 2, np.nan, K / 1e3))
     np.testing.assert_array_equal(runs[0].forces[:, 0], K)
     assert codes(runs) == ["first-sheet", "units-row", "time-unit", "converted-units", "converted-units"]
-    assert str(runs.findings[0]) == "the sheet 'first' was read, and no other: second"
+    assert str(runs.findings[0]) == "only the sheet 'first' was read; the others are second"
 
 
 def test_dates_in_a_workbook(workbook):
