@@ -241,7 +241,8 @@ def imitated_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
         example = "--term 'exp(-{a}*x)'" if on_command_line else "exp(-{a}*x)"
         return f"offer other candidates; write unknown numbers in braces, as in {example}"
     how = f", {_term_options(f['family'])}" if on_command_line else ""
-    return fill(f"add {{family}} to the candidates{how}; the data are consistent with {{numbers}}", f)
+    numbers = fill("; the data are consistent with {numbers}", f)
+    return fill("add {family} to the candidates", f) + how + numbers
 
 
 def friction(f: dict[str, Any]) -> str:
@@ -335,7 +336,7 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
     structure = next((words for words, some in _STRUCTURES.items() if codes & {*some}), "determined")
     followed = next((finding.values for finding in found if finding.code == "forecasts"), None)
     if structure == "determined" and "equations-off" in codes and followed is None:
-        structure = "in doubt, because the equations do not hold"
+        structure = "in doubt, since the equations do not hold"
     left = [
         fill("{equation_error:.2g%} of the forces (", finding.values) + ", ".join(finding.subject) + ")"
         for finding in found
