@@ -25,8 +25,10 @@ extensions = [
     "sphinx_design",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
+    "generated_pages",
     "mathml",
     "program_output",
+    "versions",
 ]
 exclude_patterns = ["_build", "_ext", "gallery/*.ipynb", "gallery/*.md5"]
 suppress_warnings = ["config.cache"]  # the gallery's settings hold a class, which cannot be pickled
@@ -73,7 +75,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "gallery",
     "filename_pattern": r"\.py$",
-    "within_subsection_order": "gallery_sequence.Sequence",
+    "within_subsection_order": "generated_pages.Sequence",
     "abort_on_example_error": True,
     "only_warn_on_example_error": False,
     "capture_repr": (),

@@ -1,4 +1,4 @@
-"""Records of runs → the tables, as Markdown and as an HTML page.
+"""Records of runs → the tables, as Markdown.
 
     python -m reproduction.collate --results reproduction/results --output reproduction/tables
 
@@ -16,7 +16,7 @@ import click
 
 import leastaction as la
 from reproduction._findings import Finding, findings
-from reproduction._render import Page, Section, html, markdown
+from reproduction._render import Page, Section, markdown
 from reproduction._results import Results, read
 from reproduction._speed import speed
 from reproduction._tables import ablation, experiments, group_tables
@@ -113,9 +113,8 @@ def main(results: Path, output: Path, remarks: Path) -> None:
     paper = json.loads((HERE / "paper.json").read_text(encoding="utf-8"))
     words = json.loads(remarks.read_text(encoding="utf-8")) if remarks.exists() else {}
     whole = page(found, paper, words)
-    for path, text in ((output / "tables.md", markdown(whole)), (output / "tables.html", html(whole))):
-        la.io.write_text(path, text)
-        click.echo(path)
+    la.io.write_text(output / "tables.md", markdown(whole))
+    click.echo(output / "tables.md")
     for finding in unexplained(whole.sections):
         click.echo(f"no remark for {finding.key}", err=True)
     for name in mixed_settings(found):
