@@ -1,7 +1,7 @@
 """Numbers of docs/choose.md, examples of docs/limits.md, the picture of README.md, figures of docs/method.md.
 
-    python benchmarks/pages.py choose limits picture method
-    PYTHONPATH=tests python benchmarks/pages.py app    # the screens of docs/app.md
+python benchmarks/pages.py choose limits picture method
+PYTHONPATH=tests python benchmarks/pages.py app    # the screens of docs/app.md
 """
 
 from __future__ import annotations
@@ -258,7 +258,7 @@ def draw_fit() -> Drawn:
         (110.0, "forecast", f"smoothing spline (rms error {off['smoothed']:.0f} %)"),
         (400.0, "fit", f"joint fit (rms error {off['joint']:.1f} %)"),
     ]
-    said = f"acceleration: error {off['smoothed']:.1f} % with a smoothing spline, {off['joint']:.1f} % jointly"
+    said = f"error {off['smoothed']:.1f} % with a smoothing spline, {off['joint']:.1f} % jointly"
     return axes, key, said
 
 
@@ -286,46 +286,49 @@ def draw_selection() -> Drawn:
         (340.0, "measured", "other structures of the chosen size"),
     ]
     said = (
-        f"ΔBIC {bic[1]:.0f} with one more term, {min(p.bic for p in others):.0f} for the next structure of the "
-        f"same size, of {len(LIBRARY)} candidates"
+        f"ΔBIC {bic[1]:.0f} with one more term, {min(p.bic for p in others):.0f} for the next structure of "
+        f"the same size, of {len(LIBRARY)} candidates"
     )
     return axes, key, said
 
 
-# ------------------------------------------------------------------------------------ the screens of docs/app.md
+# --------------------------------------------------------------------------------- the screens of docs/app.md
 SCREENS = {name: ROOT / f"docs/_static/app-{name}.png" for name in ("data", "candidates", "result")}
 
 
 def app() -> None:
-    """Photograph the app on the measured double pendulum; needs the extra ``app``, Playwright and Chromium."""
-    import app_helpers  # of tests/
+    """Photograph the app on the measured double pendulum; needs the extra ``test`` and Chromium."""
     from PIL import Image
     from playwright.sync_api import sync_playwright
 
-    with TemporaryDirectory() as folder, sync_playwright() as playwright:
-        with app_helpers.running_app(Path(folder)) as address:
-            browser = playwright.chromium.launch(
-                executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
-            )
-            page = browser.new_page(viewport={"width": 1280, "height": 820})
-            page.goto(address)
+    import app_helpers  # of tests/
 
-            def shoot(name: str, text: str) -> None:
-                page.get_by_text(text).first.wait_for(timeout=120_000)
-                page.wait_for_timeout(1500)
-                page.evaluate("window.scrollTo(0, 0)")
-                page.screenshot(path=SCREENS[name])
-                with Image.open(SCREENS[name]) as image:
-                    image.convert("RGB").quantize(128).save(SCREENS[name], optimize=True)
-                print(f"{SCREENS[name]}: {SCREENS[name].stat().st_size} bytes")
+    def shoot(page, name: str, text: str) -> None:
+        page.get_by_text(text).first.wait_for(timeout=120_000)
+        page.wait_for_timeout(1500)
+        page.evaluate("window.scrollTo(0, 0)")
+        page.screenshot(path=SCREENS[name])
+        with Image.open(SCREENS[name]) as image:
+            image.convert("RGB").quantize(128).save(SCREENS[name], optimize=True)
+        print(f"{SCREENS[name]}: {SCREENS[name].stat().st_size} bytes")
 
-            page.get_by_role("button", name="Double pendulum").first.click()
-            shoot("data", "What was measured")
-            page.get_by_role("button", name="Continue to the candidates").first.click()
-            shoot("candidates", "What may the Lagrangian be made of?")
-            page.get_by_role("button", name="Find the Lagrangian").first.click()
-            shoot("result", "How many terms?")
-            browser.close()
+    with (
+        TemporaryDirectory() as folder,
+        app_helpers.running_app(Path(folder)) as address,
+        sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 820})
+        page.goto(address)
+        page.get_by_role("button", name="Double pendulum").first.click()
+        shoot(page, "data", "What was measured")
+        page.get_by_role("button", name="Continue to the candidates").first.click()
+        shoot(page, "candidates", "What may the Lagrangian be made of?")
+        page.get_by_role("button", name="Find the Lagrangian").first.click()
+        shoot(page, "result", "How many terms?")
+        browser.close()
 
 
 if __name__ == "__main__":

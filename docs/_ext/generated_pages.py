@@ -51,6 +51,16 @@ class Sequence:
         return (_ORDER.index(name) if name in _ORDER else len(_ORDER), name)
 
 
+# Words of headings that say little.
+_COMMON = set(
+    re.findall(
+        r"\w+",
+        "library, noise to each coordinate's spread, 5 trajectories, and the of in is not where that with "
+        "against paper second table m mb their as ours method",
+    )
+)
+
+
 @dataclass(frozen=True)
 class _Page:
     setting: str  # a heading of the second level: library, noise, number of trajectories
@@ -59,13 +69,18 @@ class _Page:
 
     @property
     def name(self) -> str:
-        text = self.setting if self.title == self.setting else f"{self.setting} {self.title}"
-        return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+        """Name of the file: the words that tell pages apart, not the long headings."""
+        setting = _words(self.setting)
+        return "-".join(setting if self.title == self.setting else [*setting, *_words(self.title)[:4]])
 
     def markdown(self) -> str:
         """Return the page, with its setting below the title."""
         below = "" if self.title == self.setting else f"*{self.setting}.* "
         return f"# {self.title}\n\n{below}[All tables](../reproduction.md)\n\n{self.body.strip()}\n"
+
+
+def _words(heading: str) -> list[str]:
+    return [word for word in re.findall(r"[a-z0-9]+", heading.lower()) if word not in _COMMON]
 
 
 def pages(text: str) -> Iterator[_Page]:
@@ -106,8 +121,8 @@ class ReproductionTables(SphinxDirective):
             + (f" ({_short(page.setting)})" if page.title != page.setting else "")
             for page in single
         ]
-        toctree = ["", "```{toctree}", ":hidden:", "", *(f"reproduction/{page.name}" for page in found), "```"]
-        return _parsed(self, [*lines, *toctree])
+        names = [f"reproduction/{page.name}" for page in found]
+        return _parsed(self, [*lines, "", "```{toctree}", ":hidden:", "", *names, "```"])
 
 
 class ReproductionFigures(SphinxDirective):
@@ -117,8 +132,8 @@ class ReproductionFigures(SphinxDirective):
         records = json.loads(_FIGURES.read_text(encoding="utf-8"))
         lines = []
         for record in records.values():
-            address = f"../reproduction/figures/{record['file']}"
-            lines += [f"### {record['title']}", "", f"![{record['title']}]({address})", "", record["caption"], ""]
+            title, address = record["title"], f"../reproduction/figures/{record['file']}"
+            lines += [f"### {title}", "", f"![{title}]({address})", "", record["caption"], ""]
         return _parsed(self, lines)
 
 

@@ -12,8 +12,10 @@ import os
 import re
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sphinx.application import Sphinx
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 _MENU = """
 (() => {
@@ -36,8 +38,10 @@ _MENU = """
 
 
 def by_age(name: str) -> tuple[list[int], bool, str]:
-    """Sort key: numbers by value, a version under way behind the release before it."""
-    return [int(part) for part in re.findall(r"\d+", name)], name.replace(".", "").isdigit(), name
+    """Sort key: numbers by value; a release is newer than its own previews."""
+    release = re.match(r"\d+(?:\.\d+)*", name)
+    numbers = [int(part) for part in release[0].split(".")] if release else []
+    return numbers, bool(re.fullmatch(r"[\d.]+", name)), name
 
 
 def write_list(site: Path) -> list[str]:
@@ -46,9 +50,11 @@ def write_list(site: Path) -> list[str]:
     names = sorted(found, key=by_age, reverse=True)
     (site / "versions.js").write_text(f"window.documentedVersions = {json.dumps(names)};\n", encoding="utf-8")
     newest = f'<meta http-equiv="refresh" content="0; url={names[0]}/index.html">' if names else ""
-    head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>leastaction</title>{newest}</head>'
+    head = f'<html lang="en"><head><meta charset="utf-8"><title>leastaction</title>{newest}</head>'
     links = "".join(f'<li><a href="{name}/index.html">{name}</a></li>' for name in names)
-    (site / "index.html").write_text(f"{head}<body><ul>{links}</ul></body></html>\n", encoding="utf-8")
+    (site / "index.html").write_text(
+        f"<!doctype html>{head}<body><ul>{links}</ul></body></html>\n", encoding="utf-8"
+    )
     return names
 
 

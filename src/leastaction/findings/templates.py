@@ -184,8 +184,7 @@ def equations_off(f: dict[str, Any]) -> str:
 def equations_off_remedy(f: dict[str, Any], prescribed: str = "prescribed=['{subject}']") -> str:
     """What to check; the argument or option for motion caused by unmeasured forces."""
     text = (
-        "check for a missing term, friction or force, swapped columns, and a wrong sign or known "
-        "coefficient"
+        "check for a missing term, friction or force, swapped columns, and a wrong sign or known coefficient"
     )
     if f["cause_named"]:
         return f"{text}; see the likely cause below"
@@ -286,9 +285,7 @@ def undetermined(f: dict[str, Any]) -> str:
     """State that the data do not determine a shape parameter."""
     if "low" in f:
         where = "the shape parameter {subject} went to {value:.3g}, far outside the range in which the data "
-        return fill(
-            where + "can determine it ({low:.3g} to {high:.3g}): there its terms reduce to powers", f
-        )
+        return fill(where + "can determine it ({low:.3g} to {high:.3g}): there its terms reduce to powers", f)
     text = "these data barely determine the shape parameter {subject} ({value:.3g} ± {standard_error:.2g})"
     return fill(text, f)
 
