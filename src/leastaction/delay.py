@@ -44,26 +44,26 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate:
-    """What is known about the delay of the forces.
+    """An estimate of the delay of the forces.
 
     Attributes
     ----------
     delay : float
-        Seconds by which the forces act later than they are recorded; the likeliest one, also where it is not
+        Seconds by which the forces act later than recorded. The most likely value, even if it is not
         determined.
     standard_error : float
-        From the curvature of the likelihood; infinite where the delay is not determined.
+        From the curvature of the likelihood; infinite if the delay is not determined.
     determined : bool
-        Whether the data single out this delay.
+        Whether the data determine the delay.
     reason : str
-        If not, why not, and what would help.
+        If not, the reason, and what would help.
     delays, log_likelihood : (n_tried,) arrays
-        What was tried, in seconds, and its log likelihood less that of the best.
+        Delays tried, in seconds, and their log likelihood relative to the best.
     trajectories : Trajectories
-        The data with the forces shifted by `delay`, without the ends at which no force is known; the data as
-        they were where the delay is not determined.
+        The data with the forces shifted by `delay`, without the ends at which no force is known. The original
+        data if the delay is not determined.
     model : LagrangianModel
-        Found with the forces shifted by `delay`.
+        Model found with the forces shifted by `delay`.
     """
 
     delay: float

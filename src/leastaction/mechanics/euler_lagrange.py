@@ -323,7 +323,7 @@ class EulerLagrange:
 def euler_lagrange(
     library: Library, q: ArrayLike, qdot: ArrayLike, qddot: ArrayLike, t: ArrayLike | None = None
 ) -> np.ndarray:
-    """Put every candidate of a library through the Euler–Lagrange operator at given states.
+    """Apply the Euler–Lagrange operator to every candidate of a library at given states.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def euler_lagrange(
     q, qdot, qddot : array_like, shape (n_times, n_dof)
         Coordinates, velocities (1/s) and accelerations (1/s²).
     t : array_like, shape (n_times,), optional
-        Times in seconds, for candidates that hold the time.
+        Times in seconds, for candidates that depend on time.
 
     Returns
     -------
@@ -344,7 +344,7 @@ def euler_lagrange(
     ------
     InputError
         If the shapes do not match each other or the library, a shape parameter has no number, or a candidate
-        holds the time and there is no `t`.
+        depends on time and `t` is missing.
 
     Examples
     --------

@@ -157,7 +157,7 @@ def to_text(document: Mapping[str, Any]) -> str:
 
 
 def load(path: str | os.PathLike[str]) -> LagrangianModel:
-    """Read a model that `LagrangianModel.save` has written; everything in the file is checked.
+    """Read a model written by `LagrangianModel.save`. Everything in the file is checked.
 
     Raises
     ------
