@@ -129,7 +129,7 @@ def read_csv(
     ...     print(finding)
     the times in 'time_ms' were converted from ms to seconds
     theta was converted from deg to rad
-    the numbers were read with a decimal comma
+    numbers were read with a decimal comma
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
     layout = layout.measured_in(time_unit, units)

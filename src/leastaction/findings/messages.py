@@ -272,7 +272,7 @@ CODES: dict[str, Message] = {
     ),
     "converted-units": Message("note", converted_units),
     "units-row": Message("note", "the row below the header was read as units: {units}"),
-    "decimal-comma": Message("note", "the numbers were read with a decimal comma"),
+    "decimal-comma": Message("note", "numbers were read with a decimal comma"),
     "first-sheet": Message("note", "only the sheet '{sheet}' was read; the others are {others}"),
     "text-encoding": Message("note", "the text is not UTF-8 and was read as {encoding}"),
     "angle-unwrapped": Message("note", "{jumps} jumps of 2π were removed from {subject}"),
