@@ -30,9 +30,9 @@ class Page:
     origin: Sequence[tuple[str, str]] = field(default_factory=list)
 
 
-FINDINGS = "Where ours is not the best, and where the paper's method misses its published error"
+FINDINGS = "Cells that fall short"
 NOTHING = (
-    "Nowhere, among the methods run here and the published numbers; where the paper's method was run, it is "
+    "None: ours is the best among the methods run here and the published numbers, and the paper's method is "
     "within twice its published error."
 )
 

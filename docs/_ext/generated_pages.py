@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,7 +81,8 @@ class _Page:
 
 
 def _words(heading: str) -> list[str]:
-    return [word for word in re.findall(r"[a-z0-9]+", heading.lower()) if word not in _COMMON]
+    plain = unicodedata.normalize("NFKD", heading.lower()).encode("ascii", "ignore").decode()
+    return [word for word in re.findall(r"[a-z0-9]+", plain) if word not in _COMMON]
 
 
 def pages(text: str) -> Iterator[_Page]:
