@@ -250,7 +250,7 @@ class TestTables:
 
     def test_ratio_to_the_bound_is_a_root_mean_square(self):
         bound = table(
-            "Error against", [record(l2_over_crb=1.0), record(trial=1, l2_over_crb=7.0, exact=False)]
+            "Error relative", [record(l2_over_crb=1.0), record(trial=1, l2_over_crb=7.0, exact=False)]
         )
         (row,) = bound.rows
         assert (row[2].text, row[2].detail) == ("5.00", "1/2 exact")
