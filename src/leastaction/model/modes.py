@@ -76,7 +76,8 @@ class Mode:
     frequency : Estimate
         The same over 2π, in Hz.
     damping_ratio : Estimate
-        −Re(pole)/|pole|: 1 for a decaying real pole, −1 for a growing one, NaN for a pole at zero.
+        −Re(pole) over the magnitude of the pole: 1 for a decaying real pole, −1 for a growing one, NaN for a
+        pole at zero.
     shape : ndarray, shape (n_free,), complex
         Deflections of the coordinates relative to the largest, each in its own unit. The imaginary part is
         zero without damping and gyroscopic terms. Otherwise the argument is the phase of a coordinate.
