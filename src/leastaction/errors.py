@@ -18,7 +18,7 @@ class DataWarning(UserWarning):
 
 
 class StopSearch(Exception):
-    """Raise it in the ``progress`` function of `discover` to end the search with the best law so far.
+    """Raise this in the ``progress`` function of `discover` to end the search with the best law so far.
 
     Examples
     --------

@@ -188,7 +188,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             They are broadcast against each other, and so are `forces`.
         forces : array_like, shape (..., n_dof), optional
         t : array_like, shape (...), optional
-            Times in seconds; a model that is `timed` needs them.
+            Times in seconds, required for a `timed` model.
 
         Returns
         -------
