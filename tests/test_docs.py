@@ -164,7 +164,7 @@ def _of_page(page: str) -> list[str]:
     return [block for block in blocks if not any(other in block for other in _OTHERS)]
 
 
-OURS = [page.stem for page in PAGES if _of_page(page.stem)]
+OURS = [page.stem for page in PAGES if _of_page(page.stem) and page.stem != "index"]
 
 
 @pytest.fixture(scope="module")
@@ -203,6 +203,14 @@ def _commands() -> list[str]:
         text = page.read_text(encoding="utf-8").replace("\\\n", " ")
         found += re.findall(r"^(?:    |\$ (?:\.venv/bin/)?)(leastaction [^\n]+)", text, re.M)
     return found
+
+
+def test_the_home_page_shows_what_its_example_prints() -> None:
+    page = (DOCS / "index.md").read_text(encoding="utf-8")
+    code, shown = (re.search(rf"^```{kind}\n(.*?)^```", page, re.M | re.S)[1] for kind in ("python", "text"))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(code, "index.md", "exec"), {"__name__": "__main__"})
+    assert printed.getvalue() == shown
 
 
 @pytest.mark.parametrize("command", _commands())
