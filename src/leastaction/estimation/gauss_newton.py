@@ -254,7 +254,7 @@ def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, 
 
 def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np.ndarray, CurveFactor | None]:
     """Covariance of the coefficients and the factor of H; NaN and None where they cannot be computed."""
-    # the weights are estimated too: what the volume term seems to know of the scale, they forget
+    # the weights are estimated too: what the log-determinant term seems to know of the scale, they forget
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
     try:
         quadratic = normal.eliminate()
@@ -270,7 +270,7 @@ def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:
     weight rises in steps.
     """
     grid, held = at.observations.grid, replace(at.physics, free=np.zeros_like(at.physics.free))
-    # of what the volume term weighs in the whole, these trials have a share
+    # of what the log-determinant term weighs in the whole, these trials have a share
     weights = replace(weights, slack=grid.n_intervals / grid.total * weights.slack)
 
     def fitted(points: np.ndarray, share: float) -> JointFit:
