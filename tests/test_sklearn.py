@@ -129,6 +129,7 @@ def test_arguments_reach_discover(runs):
     assert (given["degree"], given["angles"], given["method"]) == (4, ["theta"], "gauss-newton")
 
 
+@pytest.mark.thorough
 def test_arrays_and_trajectories_give_the_same(runs, fitted):
     """One list of trajectories, given in every way that is promised."""
     q, t, forces = [r.q for r in runs], [r.t for r in runs], [r.forces for r in runs]
@@ -318,6 +319,7 @@ def test_grid_search_over_trajectories(runs):
     assert search.best_estimator_.model_.provenance["data"] == la.Trajectories(runs).digest()
 
 
+@pytest.mark.thorough
 def test_grid_search_chooses_the_library_that_forecasts_better():
     data = passive()
     q, t = [r.q for r in data], data[0].t

@@ -169,8 +169,7 @@ def discover(
     grouping = None if groups is None else Grouping.of(groups, trajectories)
     prescribed = _texts(prescribed)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
-    _refuse_slow_forces(slow, descent)
-    _refuse_groups(grouping, slow, descent)
+    _refuse_together(slow, grouping, descent)
     request = Request(
         library,
         known or {},
@@ -195,21 +194,33 @@ def discover(
             report=clock.report,
         )
         _check_columns(setup, search.grid)
-        if grouping is not None:
-            search = search_groups(setup, search, grouping)
-        else:
-            search = run_descent(search, settings) if descent else run_search(search)
-        _refuse_nothing(search.found)
-        clock.start("verify")
-        search = search if search.stopped else search.now(profiled(search.found))
-        alternatives = () if descent or search.stopped else find_alternatives(search.found, relevance)
-        verdict = verify(search, alternatives)
-        clock.stop()
-        given = _given(method, request, setup, search, settings if descent else None)
-        if grouping is not None:
-            given["groups"] = [grouping.names[place] for place in grouping.places]
-        shown = alternatives if grouping is None else ()
-        return assemble_model(setup, search, verdict, shown, given, clock.timings)
+        search = _search(setup, search, grouping, settings if descent else None)
+        given = _given(method, request, setup, search, settings if descent else None, grouping)
+        return _concluded(setup, search, given, clock)
+
+
+def _search(setup: Setup, search: Search, grouping: Grouping | None, descent: AdamOptions | None) -> Search:
+    """Find a structure by the method that was asked for."""
+    if grouping is not None:
+        search = search_groups(setup, search, grouping)
+    else:
+        search = run_search(search) if descent is None else run_descent(search, descent)
+    _refuse_nothing(search.found)
+    return search
+
+
+def _concluded(setup: Setup, search: Search, given: dict[str, Any], clock: Clock) -> LagrangianModel:
+    """The model of a search that has ended, with its verdict."""
+    clock.start("verify")
+    search = search if search.stopped else search.now(profiled(search.found))
+    if given["method"] == "adam" or search.stopped:
+        alternatives = ()
+    else:
+        alternatives = find_alternatives(search.found, search.relevance)
+    verdict = verify(search, alternatives)
+    clock.stop()
+    shown = () if "groups" in given else alternatives
+    return assemble_model(setup, search, verdict, shown, given, clock.timings)
 
 
 def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bool, whole: bool) -> Setup:
@@ -228,17 +239,15 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
     return replace(setup, findings=(*read, *setup.findings, *findings))
 
 
-def _refuse_slow_forces(slow: Mapping[int, float], descent: bool) -> None:
+def _refuse_together(slow: Mapping[int, float], grouping: Grouping | None, descent: bool) -> None:
+    """Refuse arguments that no method takes together."""
+    if grouping is not None and (slow or descent):
+        what = "method 'adam'" if descent else "a force_offset that changes"
+        raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
     if descent and slow:
         raise InputError(
             "method 'adam' takes forces as they are: a force_offset that changes needs the default"
         )
-
-
-def _refuse_groups(grouping: Grouping | None, slow: Mapping[int, float], descent: bool) -> None:
-    if grouping is not None and (slow or descent):
-        what = "method 'adam'" if descent else "a force_offset that changes"
-        raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
 
 
 def _refuse_nothing(fit: Fit) -> None:
@@ -251,7 +260,12 @@ def _refuse_nothing(fit: Fit) -> None:
 
 
 def _given(
-    method: str, request: Request, setup: Setup, search: Search, descent: AdamOptions | None
+    method: str,
+    request: Request,
+    setup: Setup,
+    search: Search,
+    descent: AdamOptions | None,
+    grouping: Grouping | None,
 ) -> dict[str, Any]:
     """What the user asked for, as the model's provenance keeps it."""
     angles = setup.library.angles if request.angles is None else request.angles
@@ -268,6 +282,7 @@ def _given(
         "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
         **({} if descent is None else {"adam": asdict(descent)}),
+        **({} if grouping is None else {"groups": [grouping.names[place] for place in grouping.places]}),
     }
 
 

@@ -78,6 +78,7 @@ def test_missing_spring_term_is_doubtful():
     assert [finding.subject for finding in findings_of(model, "equations-off")] == [("x",)]
 
 
+@pytest.mark.thorough
 def test_missing_term_does_not_hide_behind_noise():
     """Along the fitted curve the equations are off by 0.4 % of their forces, in truth by 12 %."""
     data = systems.generate("chaotic_pendulum", noise=0.1, trials=5, duration=20.0, seed=1000)

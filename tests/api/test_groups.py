@@ -76,6 +76,7 @@ def test_a_group_has_the_law_that_it_has_alone(model, payload):
         assert law.validate(payload.select(trials), 1.0).n_diverged == 0
 
 
+@pytest.mark.thorough
 def test_where_nothing_differs_none_is_named():
     """At most one false alarm in a thousand for each question: none in five recordings."""
     named = 0

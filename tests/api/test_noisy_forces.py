@@ -83,6 +83,7 @@ def noisy(share: float, seed: int) -> la.Trajectories:
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.3, 300), (1.0, 301), (1.0, 302)])
+@pytest.mark.thorough
 def test_noise_of_the_forces_does_not_bias_the_scale(share, seed):
     model = la.discover(noisy(share, seed), systems.compact_library("single_pendulum"))
     assert model.fit.status == "ok", model.fit.warnings

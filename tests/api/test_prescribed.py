@@ -168,6 +168,7 @@ def test_a_missing_coupling_is_doubted(data):
     assert missing.subject == ("x_dot*theta_dot*cos(theta)",)
 
 
+@pytest.mark.thorough
 def test_without_being_told_the_result_is_doubtful(data):
     library = la.Library([*KNOWN, *CRANE, "x_dot**2", "x**2"], NAMES)
     assert la.discover(data, library, KNOWN, ["theta_dot**2"]).fit.status == "doubtful"

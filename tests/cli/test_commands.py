@@ -30,6 +30,7 @@ from leastaction.cli import options as _options
 from leastaction.cli import program
 from leastaction.cli import show as _show
 from leastaction.cli import text as _text
+from leastaction.cli import values as _values
 from leastaction.model.term import FitSummary, ModelTerm
 
 COMMANDS = ("app", "completion", "discover", "show", "simulate", "validate", "export", "generate", "demo")
@@ -669,11 +670,11 @@ def test_errors_of_coefficients_end_at_their_second_digit():
 
 
 def test_parsers_of_options():
-    assert _options.name_list(" a, b ") == ["a", "b"]
-    assert _options.column_map("tau1,,tau3") == ["tau1", "", "tau3"]
-    assert _options.column_map("a=tau 1, b = x=y") == {"a": "tau 1", "b": "x=y"}
-    assert _options.assignments("theta=1, theta_dot=-.5e1") == {"theta": 1.0, "theta_dot": -5.0}
-    assert _options.known_coefficients(["cos(theta)=9.81", "x = 2"]) == {"cos(theta)": 9.81, "x": 2.0}
+    assert _values.name_list(" a, b ") == ["a", "b"]
+    assert _values.column_map("tau1,,tau3") == ["tau1", "", "tau3"]
+    assert _values.column_map("a=tau 1, b = x=y") == {"a": "tau 1", "b": "x=y"}
+    assert _values.assignments("theta=1, theta_dot=-.5e1") == {"theta": 1.0, "theta_dot": -5.0}
+    assert _values.known_coefficients(["cos(theta)=9.81", "x = 2"]) == {"cos(theta)": 9.81, "x": 2.0}
     options = _data_options("f.csv", "a,b", ",tau", "b")
     assert (options.forces, options.angles) == ({"b": "tau"}, ("b",))
     assert _text.shown("a\x1bb\n") == "a?b?"

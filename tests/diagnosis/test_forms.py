@@ -49,6 +49,7 @@ def _named(model: la.LagrangianModel) -> tuple[str, ...]:
     ],
     ids=["Morse", "soft Coulomb"],
 )
+@pytest.mark.thorough
 def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers):
     runs = free_motions(force, starts)
     doubtful = la.discover(runs, POWERS, known={"x_dot**2": 0.5})
@@ -140,6 +141,7 @@ def test_a_law_that_depends_on_time_is_named(force, texts, numbers):
     assert {term.written for term in model.terms if "t)" in term.written} == texts
 
 
+@pytest.mark.thorough
 def test_a_law_that_lacks_a_term_is_not_said_to_depend_on_time():
     """What is missing repeats with the motion, and so does a wave; it leaves a doubt about the form."""
     runs = free_motions(lambda x: -9.0 * x**3 * np.exp(-x * x) - 2.0 * np.sin(3.0 * x), (0.6, 1.0, 1.6))

@@ -131,6 +131,7 @@ def test_rates_that_are_not_measured_change_nothing():
     assert other.diagnostics.rate_noise_std == {}
 
 
+@pytest.mark.thorough
 def test_velocities_reach_the_bound_without_bias():
     """Standard errors shrink by the factor that the Cramér–Rao bound allows, and tell the truth."""
     system = systems.get("cart_spring_pendulum")
@@ -180,6 +181,7 @@ def thinned(item: Trajectory, keep_every: int) -> Trajectory:
     return item.changed(q=np.where(rows[:, None], item.q, np.nan))
 
 
+@pytest.mark.thorough
 def test_a_slow_camera_and_a_fast_gyroscope():
     """Positions twice a second show nothing of the motion; with fast velocities they are enough."""
     system = systems.get("cart_spring_pendulum")

@@ -148,6 +148,7 @@ def two_masses(q, v, f):
 
 
 @pytest.mark.parametrize("offered", [(), ("x_dot**2/2", "y_dot**2/2")])
+@pytest.mark.thorough
 def test_a_damper_between_two_coordinates_is_named(offered):
     library = la.Library.mechanical(["x", "y"], size="compact")
     doubts = Doubts(measured(two_masses, ["x", "y"], 0.03, 0.8), library, dissipation=offered)
@@ -234,6 +235,7 @@ def in_a_magnetic_field(q, v, f):
     return np.array([1.5 * v[1] - 4.0 * q[0] - 2.0 * q[0] ** 3, -1.5 * v[0] - 6.0 * q[1]])
 
 
+@pytest.mark.thorough
 def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():
     # no structure of the others is near enough to the law for one more term to lead there
     data = measured(in_a_magnetic_field, ["x", "y"], 0.05)
@@ -248,6 +250,7 @@ def test_what_is_linear_in_the_velocities_is_named_where_it_lacks():
     assert abs(found["x*y_dot"].coefficient - 1.5) < 4.0 * found["x*y_dot"].standard_error
 
 
+@pytest.mark.thorough
 def test_nothing_lacks_where_no_common_term_is_needed():
     data = systems.generate("double_well", noise=0.05, trials=4, duration=20.0, seed=2)
     library = ["x_dot**2", "x_dot**4", "x**4", "x**2", "x**6"]  # compact libraries stop at x**2
@@ -350,6 +353,7 @@ def test_free_runs_tell_a_right_model_from_a_wrong_one():
         (["cos(theta1)"], {"theta1_dot**2": 1.0}, "missing-term", "wrong-known-coefficient"),
     ],
 )
+@pytest.mark.thorough
 def test_the_likelier_of_a_wrong_coefficient_and_a_missing_term_is_named(candidates, known, named, not_named):
     data = systems.generate("double_pendulum", noise=0.01, trials=2, duration=6.0, rate=50.0, seed=0)
     kinetic = [t.text for t in systems.compact_library("double_pendulum") if "_dot" in t.text]

@@ -361,6 +361,7 @@ def _held(fit: Fit, values: dict[str, float]) -> float:
     )
 
 
+@pytest.mark.thorough
 def test_it_is_the_loss_of_likelihood_with_the_number_held():
     """The other number is found by trying many, without tangents."""
     terms = ["1/sqrt((x-{p})**2+{h}**2)"]

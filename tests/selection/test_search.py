@@ -60,7 +60,11 @@ def test_ten_coordinates_cost_little():
 
 
 # ------------------------------------------------------------------------- the fit that is reported
-@pytest.mark.parametrize("name", SET_UPS)
+# Every third in `make test`, all under other kernels.
+_FITTED = [pytest.param(n, marks=[pytest.mark.thorough] if k % 3 else []) for k, n in enumerate(SET_UPS)]
+
+
+@pytest.mark.parametrize("name", _FITTED)
 def test_a_report_equals_a_fresh_fit_of_its_structure(name):
     """Nothing of the search is left in its numbers."""
     search = searched(name)
@@ -229,6 +233,7 @@ def test_hundreds_of_candidates_take_seconds():
 
 
 @pytest.mark.parametrize("system", ["triple_pendulum", "double_pendulum"])
+@pytest.mark.thorough
 def test_law_of_a_recording_among_a_large_library(system):
     """Noise of one per cent, one trial: the forward search takes one to four terms too many."""
     wanted = systems.get(system)

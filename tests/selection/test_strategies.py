@@ -10,7 +10,7 @@ import pytest
 import leastaction as la
 from helpers import findings_of, record
 from leastaction import systems
-from leastaction.cli.options import force_offsets
+from leastaction.cli.values import force_offsets
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.structure import Structure
 from leastaction.library import Library
@@ -61,6 +61,7 @@ def test_every_problem_of_the_search_has_the_numbers(search, started):
     assert search.problem.shape_values != found  # values are not changed in place
 
 
+@pytest.mark.thorough
 def test_the_same_start_every_time(search, started):
     assert shape_start.run(search).problem.shape_values == started.problem.shape_values
 

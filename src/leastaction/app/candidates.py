@@ -8,7 +8,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from leastaction.cli.options import check_known, known_coefficients
+from leastaction.cli.values import check_known, known_coefficients
 from leastaction.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from leastaction.cli.failures import stoppable
-from leastaction.cli.options import (
-    DataOptions,
-    blame,
-    check_known,
-    data_options,
-    expression_list,
-    force_offsets,
-    known_coefficients,
-    method_options,
-    name_list,
-)
+from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.shape_options import (
     relevance_option,
@@ -34,6 +24,15 @@ from leastaction.cli.shape_options import (
 )
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import complete_file, complete_folder, shown
+from leastaction.cli.values import (
+    blame,
+    check_known,
+    expression_list,
+    force_offsets,
+    known_coefficients,
+    method_options,
+    name_list,
+)
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
@@ -187,18 +186,9 @@ def discover(
     doubtful.
     """
     folder = check_folder(output, OUTPUTS)
-    with blame("--option"):
-        chosen = method_options(settings)
-    share = relevance_share(relevance)
-    options = data()
-    with blame("--force-offset"):
-        offsets = force_offsets(force_offset) if force_offset else ()
-    with blame("--known"):
-        given = known_coefficients(known)
-    everything = options.read()
-    fitted, held_out = _split(everything, hold_out)
-    groups = {} if group is None else groups_of_trials(options, group, everything.names)
-    _check_groups(groups, fitted, held_out)
+    chosen, offsets, given = _numbers(settings, force_offset, known)
+    share, options = relevance_share(relevance), data()
+    fitted, held_out, groups = _recordings(options, hold_out, group)
     ranges = shape_ranges(shapes)
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
     with blame("--known"):
@@ -212,7 +202,7 @@ def discover(
             candidates,
             known=given,
             force_offset=offsets,
-            prescribed=list(dict.fromkeys([*options.inputs, *(name_list(prescribed) if prescribed else ())])),
+            prescribed=_moved_by_others(options, prescribed),
             robust=not keep_outliers,
             method=method,
             seed=seed,
@@ -227,10 +217,35 @@ def discover(
         forecast = _forecast(model, held_out, groups)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
-    if as_json:
-        _print_json(folder, model, forecast)
-    else:
-        _show(folder, model, forecast, quiet)
+    _tell(folder, model, forecast, "json" if as_json else "quiet" if quiet else "all")
+
+
+def _numbers(
+    settings: Sequence[str], force_offset: str | None, known: Sequence[str]
+) -> tuple[dict[str, object] | None, dict[str, float], dict[str, float]]:
+    """Options of the method, coordinates with an unknown force, known coefficients."""
+    with blame("--option"):
+        chosen = method_options(settings)
+    with blame("--force-offset"):
+        offsets = force_offsets(force_offset) if force_offset else {}
+    with blame("--known"):
+        return chosen, offsets, known_coefficients(known)
+
+
+def _recordings(
+    options: DataOptions, hold_out: Sequence[str], group: str | None
+) -> tuple[Trajectories, Trajectories | None, dict[str, str]]:
+    """Trials that are fitted, trials that are held out, and of each trial its group, if there are groups."""
+    everything = options.read()
+    fitted, held_out = _split(everything, hold_out)
+    groups = {} if group is None else groups_of_trials(options, group, everything.names)
+    _check_groups(groups, fitted, held_out)
+    return fitted, held_out, groups
+
+
+def _moved_by_others(options: DataOptions, prescribed: str | None) -> list[str]:
+    """Coordinates without an equation of their own: those of --input and of --prescribed."""
+    return list(dict.fromkeys([*options.inputs, *(name_list(prescribed) if prescribed else ())]))
 
 
 def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
@@ -239,6 +254,24 @@ def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: L
             "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
             f'coefficient, which sets the units of L, e.g. --known "{candidates[0].text}=1", or --forces'
         )
+
+
+def _tell(folder: Path, model: LagrangianModel, forecast: ForecastResult | None, form: str) -> None:
+    """Print the result: one JSON object, the paths alone, or everything."""
+    if form == "json":
+        _print_json(folder, model, forecast)
+        return
+    if form == "quiet":
+        if model.fit.status != "ok":
+            warn_of_doubts("the fit", model)
+    else:
+        show_model(model)
+        if forecast is not None:
+            say()
+            show_forecast(forecast)
+        say()
+    for name in OUTPUTS:
+        say(f"{name.partition('.')[0]}: {shown(folder / name)}")
 
 
 def _print_json(folder: Path, model: LagrangianModel, forecast: ForecastResult | None) -> None:
@@ -251,20 +284,6 @@ def _print_json(folder: Path, model: LagrangianModel, forecast: ForecastResult |
         "files": {name.partition(".")[0]: str(folder / name) for name in OUTPUTS},
     }
     say(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
-
-
-def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None, quiet: bool) -> None:
-    if quiet:
-        if model.fit.status != "ok":
-            warn_of_doubts("the fit", model)
-    else:
-        show_model(model)
-        if forecast is not None:
-            say()
-            show_forecast(forecast)
-        say()
-    for name in OUTPUTS:
-        say(f"{name.partition('.')[0]}: {shown(folder / name)}")
 
 
 def write_outputs(

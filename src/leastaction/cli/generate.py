@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from leastaction.cli.options import blame, number
 from leastaction.cli.output import check_file
 from leastaction.cli.show import say
 from leastaction.cli.text import complete_file, counted, shown
+from leastaction.cli.values import blame, number
 from leastaction.errors import InputError
 
 if TYPE_CHECKING:

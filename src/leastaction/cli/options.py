@@ -1,12 +1,9 @@
-"""Reads the values of options: lists, columns, numbers, and expressions with a value."""
+"""The argument DATA and the options that say what its columns mean."""
 
 from __future__ import annotations
 
-import math
-import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial, wraps
 from typing import TYPE_CHECKING, Any
@@ -15,155 +12,14 @@ import click
 
 from leastaction.cli.show import warn
 from leastaction.cli.text import complete_file
+from leastaction.cli.values import blame, column_map, name_list, number, pairs
 from leastaction.errors import DataWarning, InputError
 from leastaction.identifiers import quoted
 
 if TYPE_CHECKING:
-    from leastaction import Library, Trajectories
+    from leastaction import Trajectories
 
-__all__ = [
-    "DataOptions",
-    "assignments",
-    "blame",
-    "check_known",
-    "column_map",
-    "data_options",
-    "expression_list",
-    "force_offsets",
-    "known_coefficients",
-    "method_options",
-    "name_list",
-    "number",
-]
-
-_NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?")
-
-
-@contextmanager
-def blame(option: str) -> Iterator[None]:
-    """Begin the text of an InputError with the option at fault."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{option}: {error}") from None
-
-
-def number(text: str) -> float:
-    """Return a finite number; only plain decimal notation counts.
-
-    Raises
-    ------
-    InputError
-    """
-    text = text.strip()
-    value = float(text) if len(text) <= 100 and _NUMBER.fullmatch(text) else math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{quoted(text)} is not a finite number; write it as 9.81 or 1e-3")
-    return value
-
-
-def name_list(text: str) -> list[str]:
-    """Return the parts of ``a,b``, of which none may be empty or occur twice."""
-    names = [part.strip() for part in text.split(",")]
-    for name in names:
-        if not name:
-            raise InputError(f"{quoted(text)} has an empty name; separate names by single commas, e.g. a,b")
-        if names.count(name) > 1:
-            raise InputError(f"{quoted(name)} is given twice")
-    return names
-
-
-def expression_list(text: str) -> list[str]:
-    """Return the expressions of ``"EXPR, EXPR"``: no expression has a comma in it."""
-    parts = [part.strip() for part in text.split(",")]
-    if not all(parts):
-        raise InputError(f"{quoted(text)} has an empty expression; separate expressions by single commas")
-    return parts
-
-
-def column_map(text: str) -> dict[str, str] | list[str]:
-    """Return ``a=column,b=other`` as a dictionary, ``a,b`` as a list whose parts may be empty."""
-    parts = [part.strip() for part in text.split(",")]
-    marked = ["=" in part for part in parts]
-    if not any(marked):
-        return parts
-    if not all(marked):
-        raise InputError(f"{quoted(text)} mixes 'name=column' with names alone; write all in one way")
-    out: dict[str, str] = {}
-    for part in parts:
-        name, column = (side.strip() for side in part.split("=", 1))
-        if not name or not column:
-            raise InputError(f"{quoted(part)} is incomplete; write name=column")
-        if name in out:
-            raise InputError(f"{quoted(name)} is given twice")
-        out[name] = column
-    return out
-
-
-def _pairs(texts: Iterable[str], form: str, *, last: bool = False) -> Iterator[tuple[str, str]]:
-    """Split texts at their first ``=`` (or last one) into two sides, neither empty, no left side twice."""
-    seen: set[str] = set()
-    for text in texts:
-        parts = text.rpartition("=") if last else text.partition("=")
-        name, equals, value = (side.strip() for side in parts)
-        if not name or not equals or not value:
-            raise InputError(f"{quoted(text)} is not of the form {form}")
-        if name in seen:
-            raise InputError(f"{quoted(name)} is given twice")
-        seen.add(name)
-        yield name, value
-
-
-def assignments(text: str) -> dict[str, float]:
-    """Return the numbers of ``"theta=1, theta_dot=0"``."""
-    out: dict[str, float] = {}
-    for name, value in _pairs((part.strip() for part in text.split(",")), "name=number, e.g. theta=1"):
-        with blame(name):
-            out[name] = number(value)
-    return out
-
-
-def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
-    """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
-    pairs = _pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
-    return {expression: number(value) for expression, value in pairs}
-
-
-def check_known(known: Iterable[str], library: Library) -> None:
-    """Refuse known terms that are candidates neither of L nor of friction."""
-    for expression in known:
-        try:
-            library.index(expression)
-        except InputError as error:
-            try:
-                library.index(expression, "dissipation")
-            except InputError:
-                raise error from None
-
-
-def force_offsets(text: str) -> dict[str, float]:
-    """Return ``"A,B=SECONDS"`` as coordinate -> seconds in which its force may change, infinite if constant.
-
-    >>> force_offsets("x, theta=5")
-    {'x': inf, 'theta': 5.0}
-    """
-    from leastaction.identifiers import check_coordinate_names
-
-    parts = [part.partition("=") for part in name_list(text)]
-    names = check_coordinate_names([name.strip() for name, _, _ in parts])
-    seconds = [number(value) if sign else math.inf for _, sign, value in parts]
-    return dict(zip(names, seconds, strict=True))
-
-
-def method_options(texts: Iterable[str]) -> dict[str, object] | None:
-    """Return ``NAME=VALUE`` texts as name -> number, truth value or text; None without any."""
-    out: dict[str, object] = {}
-    for name, value in _pairs(texts, "NAME=VALUE, e.g. threshold=0.05"):
-        if value.lower() in ("true", "false"):
-            out[name] = value.lower() == "true"
-        else:
-            out[name] = number(value) if _NUMBER.fullmatch(value) else value
-    return out or None
+__all__ = ["DataOptions", "data_options"]
 
 
 @dataclass(frozen=True)
@@ -207,7 +63,7 @@ class DataOptions:
         rates = []
         for option in ("velocity", "acceleration"):
             with blame(f"--{option}"):
-                rates.append(dict(_pairs(given[option], "NAME=COLUMN, e.g. theta=gyro")))
+                rates.append(dict(pairs(given[option], "NAME=COLUMN, e.g. theta=gyro")))
                 _check_are_coordinates(rates[-1], names)
         with blame("--force-delay"):
             delay = 0.0 if given["force_delay"] is None else number(given["force_delay"])
@@ -280,7 +136,7 @@ def _units(text: str) -> dict[str, str] | str:
         if text.casefold() not in ("si", "as-written"):
             raise InputError(f"{quoted(text)} is neither SI nor as-written, nor of the form NAME=UNIT")
         return text
-    return dict(_pairs(text.split(","), "NAME=UNIT, e.g. theta=deg"))
+    return dict(pairs(text.split(","), "NAME=UNIT, e.g. theta=deg"))
 
 
 def _force_columns(text: str, names: Sequence[str]) -> dict[str, str]:
@@ -315,6 +171,59 @@ _DATA_PARAMETERS = (
 )
 
 
+_COLUMNS = (
+    click.option(
+        "--time",
+        default="t",
+        show_default=True,
+        metavar="COLUMN",
+        help="Column of the times: seconds, a unit in the name (time_ms, 't [us]'), or dates.",
+    ),
+    click.option(
+        "--time-unit",
+        metavar="UNIT",
+        help="Unit of the times, overriding the file: s, ms, us, ns, min or h.",
+    ),
+    click.option(
+        "--units",
+        default="SI",
+        show_default=True,
+        metavar="SI|as-written|A=UNIT",
+        help="SI: convert columns with a unit in or below their name (angle [deg]) to rad, m, N, N m. "
+        "as-written: keep all numbers. A=deg,B=mm: use these units, overriding the file.",
+    ),
+    click.option(
+        "--trial",
+        metavar="COLUMN",
+        help="Column with the name of the trial. Default: the column 'trial', if there is one.",
+    ),
+    click.option(
+        "--forces",
+        metavar="TAU1,TAU2",
+        help="Columns of the known generalised forces, in the order of the coordinates; or a=tau1.",
+    ),
+    click.option(
+        "--force-delay",
+        metavar="SECONDS",
+        help="Delay of the forces relative to their record; half a sampling interval if a controller holds "
+        "them between samples.",
+    ),
+    click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
+    click.option(
+        "--velocity",
+        multiple=True,
+        metavar="NAME=COLUMN",
+        help="A measured velocity, e.g. theta=gyro (not differences of positions). Repeatable.",
+    ),
+    click.option(
+        "--acceleration",
+        multiple=True,
+        metavar="NAME=COLUMN",
+        help="A measured second derivative of a coordinate. Repeatable.",
+    ),
+)
+
+
 def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Return a decorator that adds the argument DATA and the options that say what its columns mean.
 
@@ -330,59 +239,9 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             metavar="A,B",
             help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
         ),
-        click.option(
-            "--time",
-            default="t",
-            show_default=True,
-            metavar="COLUMN",
-            help="Column of the times: seconds, a unit in the name (time_ms, 't [us]'), or dates.",
-        ),
-        click.option(
-            "--time-unit",
-            metavar="UNIT",
-            help="Unit of the times, overriding the file: s, ms, us, ns, min or h.",
-        ),
-        click.option(
-            "--units",
-            default="SI",
-            show_default=True,
-            metavar="SI|as-written|A=UNIT",
-            help="SI: convert columns with a unit in or below their name (angle [deg]) to rad, m, N, N m. "
-            "as-written: keep all numbers. A=deg,B=mm: use these units, overriding the file.",
-        ),
-        click.option(
-            "--trial",
-            metavar="COLUMN",
-            help="Column with the name of the trial. Default: the column 'trial', if there is one.",
-        ),
-        click.option(
-            "--forces",
-            metavar="TAU1,TAU2",
-            help="Columns of the known generalised forces, in the order of the coordinates; or a=tau1.",
-        ),
-        click.option(
-            "--force-delay",
-            metavar="SECONDS",
-            help="Delay of the forces relative to their record; half a sampling interval if a controller "
-            "holds them between samples.",
-        ),
-        click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
-        click.option(
-            "--velocity",
-            multiple=True,
-            metavar="NAME=COLUMN",
-            help="A measured velocity, e.g. theta=gyro (not differences of positions). Repeatable.",
-        ),
-        click.option(
-            "--acceleration",
-            multiple=True,
-            metavar="NAME=COLUMN",
-            help="A measured second derivative of a coordinate. Repeatable.",
-        ),
+        *_COLUMNS,
+        *((_INPUT,) if coordinates_required else ()),
     )
-
-    if coordinates_required:
-        decorators += (_INPUT,)
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)

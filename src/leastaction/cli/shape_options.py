@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from leastaction.cli.options import blame, number
+from leastaction.cli.values import blame, number
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import click
 
 from leastaction.cli.discover import groups_of_trials
-from leastaction.cli.options import DataOptions, assignments, blame, data_options, number
+from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_file
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import complete_file, one_line, shown
+from leastaction.cli.values import assignments, blame, number
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
 from leastaction.identifiers import quoted

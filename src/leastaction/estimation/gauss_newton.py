@@ -149,11 +149,9 @@ def fit_joint(
     """
     here = linearisation or linearise(observations, physics, control_points, coefficients, weights)
     control_points = here.control_points
-    cost, damping, status = here.cost(weights), 0.0, "step limit"
+    cost, damping, status, step, idle = here.cost(weights), 0.0, "step limit", 0, 0
     if not np.isfinite(cost):
-        unknown = np.full((physics.n_free, physics.n_free), np.nan)
-        return JointFit(control_points, coefficients, unknown, here, np.nan, weights, "not finite", 0)
-    step = idle = 0
+        return _fitted(coefficients, here, None, weights, "not finite", 0)
     in_all = tolerance * shared(observations)
     moved = partial(_moved, observations, physics, weights)
     normal, here = here.normal(weights), here.lean()
@@ -197,10 +195,7 @@ def fit_joint(
             if (own < tolerance and predicted < in_all) or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
-    covariance, factor = _uncertainty(here, normal, weights)
-    status = "not finite" if factor is None else status
-    log_h = np.nan if factor is None else factor.logdet
-    return JointFit(control_points, coefficients, covariance, here, log_h, weights, status, step, factor)
+    return _fitted(coefficients, here, normal, weights, status, step)
 
 
 def shared(observations: Measurements) -> float:
@@ -252,15 +247,30 @@ def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, 
     return (shift, delta) if predicted >= least and own <= most else None
 
 
-def _uncertainty(here: Linearised, normal: System, weights: Weights) -> tuple[np.ndarray, CurveFactor | None]:
-    """Covariance of the coefficients and the factor of H; NaN and None where they cannot be computed."""
+def _fitted(
+    coefficients: np.ndarray,
+    here: Linearised,
+    normal: System | None,
+    weights: Weights,
+    status: str,
+    steps: int,
+) -> JointFit:
+    """The fit at its last point, with the covariance of the coefficients and the factor of H.
+
+    Where these cannot be computed, the status is "not finite"; without a normal matrix they are not tried.
+    """
     # the weights are estimated too: what the log-determinant term seems to know of the scale, they forget
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
-    try:
-        quadratic = normal.eliminate()
-        return symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
-    except np.linalg.LinAlgError:
-        return np.full(known_scale.shape, np.nan), None
+    covariance, factor = np.full(known_scale.shape, np.nan), None
+    if normal is not None:
+        try:
+            quadratic = normal.eliminate()
+            covariance, factor = symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
+        except np.linalg.LinAlgError:
+            status = "not finite"
+    log_h = np.nan if factor is None else factor.logdet
+    points = here.control_points
+    return JointFit(points, coefficients, covariance, here, log_h, weights, status, steps, factor)
 
 
 def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:

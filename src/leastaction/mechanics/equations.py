@@ -276,8 +276,26 @@ class Mechanics:
         parameters: Iterable[np.ndarray] = (),
     ) -> np.ndarray:
         """Return q̈; NaN where the mass matrix is exactly singular."""
-        mass, right = self.mass_and_right(q, qdot, parameters, t)
-        return _solve(mass, right if forces is None else right + forces)
+        if self.n_dof > 2:
+            mass, right = self.mass_and_right(q, qdot, parameters, t)
+            return _solve(mass, right if forces is None else right + forces)
+        # Simulations call this for a few states at a time: columns cost half of what matrices do.
+        out = np.empty(q.shape if forces is None else np.broadcast_shapes(q.shape, forces.shape))
+        with np.errstate(all="ignore"):
+            values = self._equations_function(*self._columns(q, qdot, t), *parameters)
+            right = values[self.n_dof**2 :]
+            if forces is not None:
+                right = [r + forces[..., i] for i, r in enumerate(right)]
+            if self.n_dof == 1:
+                solved, pivot = right, values[0]
+            else:
+                a, b, c, d = values[:4]
+                solved, pivot = [d * right[0] - b * right[1], a * right[1] - c * right[0]], a * d - b * c
+            if not np.all(pivot):
+                pivot = np.where(np.equal(pivot, 0), np.nan, pivot)
+            for i, value in enumerate(solved):
+                out[..., i] = value / pivot
+        return out
 
     def energy(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
         """Return q̇·∂L/∂q̇ − L, shape (...)."""
@@ -287,10 +305,6 @@ class Mechanics:
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
-    if right.shape[-1] == 1:
-        pivot = mass[..., 0]
-        with np.errstate(all="ignore"):
-            return np.where(pivot != 0, right / pivot, np.nan)
     try:
         return np.linalg.solve(mass, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
