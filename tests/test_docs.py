@@ -183,7 +183,11 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scipy_io = pytest.importorskip("scipy.io")
     run = driven[0]
     scipy_io.savemat(pendulum / "run.mat", {"t": run.t, "theta": run.q[:, 0], "tau": run.forces[:, 0]})
-    return {"coming_from": pendulum, "lab": pendulum, **dict.fromkeys(("start", "report", "choose"), cart)}
+    return {
+        "coming_from": pendulum,
+        "lab": pendulum,
+        **dict.fromkeys(("arms", "start", "report", "choose"), cart),
+    }
 
 
 @pytest.mark.parametrize("page", OURS)

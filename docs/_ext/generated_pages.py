@@ -28,6 +28,7 @@ _ORDER = (
     "cart_with_spring",
     "driven_double_pendulum",
     "robot_arm",
+    "seven_joint_arm",
     "closed_loop_arm",
     "oscillators",
     "magnetic_pendulum",
