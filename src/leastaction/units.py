@@ -117,7 +117,7 @@ def check(
     second = _unit(registry, time, "time")
     if time.strip() != "1" and not _same(second, registry.Unit("s"), scale=False):
         raise InputError(
-            f"the unit of time is {quoted(time)}, which is no time; expected one such as 's' or 'ms'"
+            f"the unit of time is {quoted(time)}, which is not a time; expected one such as 's' or 'ms'"
         )
     known = {sp.Symbol(c, real=True): _unit(registry, units[c], c) for c in coordinates}
     known |= {sp.Symbol(f"{c}_dot", real=True): known[sp.Symbol(c, real=True)] / second for c in coordinates}

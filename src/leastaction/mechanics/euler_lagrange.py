@@ -371,7 +371,7 @@ def _times(columns: EulerLagrange, t: ArrayLike | None, n_times: int) -> np.ndar
     if t is None:
         timed = [term.text for term in columns.terms if time_symbol in term.expr.free_symbols]
         if timed:
-            raise InputError(f"the candidate {timed[0]} holds the time; give t, one time for each state")
+            raise InputError(f"the candidate {timed[0]} depends on time; give t, one time for each state")
         return None
     times = np.asarray(t, dtype=float)
     if times.shape != (n_times,):

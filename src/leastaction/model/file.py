@@ -240,7 +240,7 @@ def fields(document: Any) -> dict[str, Any]:
         With the place in the document, what was expected and the cure.
     """
     if not is_mapping(document) or "schema" not in document:
-        raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
+        raise InputError("this is not a leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
     _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes", "groups"))
     coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)

@@ -276,9 +276,7 @@ def linearise(law: RestLaw, q: ArrayLike, forces: ArrayLike | None = None) -> Li
             held = np.zeros(len(given))
             held[law.free] = lacking
             hint = f", or hold it there by forces = {[float(f'{x:.4g}') for x in held]}"
-        raise InputError(
-            f"q = {quoted(given.tolist())} is no equilibrium; equilibria() finds those that there are{hint}"
-        )
+        raise InputError(f"q = {quoted(given.tolist())} is not an equilibrium; equilibria() finds them{hint}")
     return _about(law, found, push)
 
 

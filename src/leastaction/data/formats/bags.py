@@ -148,9 +148,10 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
         for coordinate, column in getattr(found, kind).items():
             if not column.endswith(f".{word}"):
                 joint = column.removesuffix(f".{_EFFORT}").removesuffix(f".{_VELOCITY}")
+                article = "an" if word == _EFFORT else "a"
                 raise InputError(
-                    f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is no {word}; "
-                    f"write {quoted(f'{joint}.{word}')}"
+                    f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is not "
+                    f"{article} {word}; write {quoted(f'{joint}.{word}')}"
                 )
     times = _times(messages, found.time, source)
     numbers = _numbers(messages, found, source)
