@@ -15,7 +15,7 @@ export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
 STUDIES := structure single calibration faults noise further unlisted names shapes
-.PHONY: help demo test test-kernels lint format docs gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
+.PHONY: help demo test test-kernels lint format docs docs-site package gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
   reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
@@ -27,6 +27,8 @@ help:
 	@echo "make lint           check style, types and the direction of imports"
 	@echo "make format         put the code into the style that lint checks"
 	@echo "make docs           build the documentation into docs/_build/html, gallery included (minutes)"
+	@echo "make docs-site      the same into site/VERSION, with a menu of all versions that lie in site/"
+	@echo "make package        build wheel and source distribution into dist/, and check and try them"
 	@echo "make gallery        run every script of examples/ as a test"
 	@echo "make bench          measure speed"
 	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
@@ -62,11 +64,28 @@ format: $(STAMPS)/lint
 
 # Everything anew: a page that an older version of the package has made must not stay. Warnings are errors.
 docs: $(STAMPS)/docs
-	rm -rf docs/_build docs/gallery
+	rm -rf docs/_build docs/gallery docs/reproduction
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sphinx \
 	  -q -n -W --keep-going -b html -d docs/_build/doctrees docs docs/_build/html
 	$(BIN)/python docs/check_pages.py docs/_build/html
 	@echo "open docs/_build/html/index.html"
+
+# Versions lie side by side; the pages of each read the list of all when they are opened.
+docs-site: export DOCS_SITE := 1
+docs-site: docs
+	version=$$($(BIN)/python -c 'import importlib.metadata as m; print(m.version("leastaction"))'); \
+	  mkdir -p site && rm -rf site/$$version && cp -R docs/_build/html site/$$version
+	$(BIN)/python docs/_ext/versions.py site
+
+# The wheel is built from the source distribution, so that shows gaps in either; then the wheel runs the smaller demo.
+package: $(STAMPS)/package
+	rm -rf dist build/package && mkdir -p build
+	$(BIN)/python -m build
+	$(BIN)/python -m twine check --strict dist/*
+	$(BIN)/python -m pip install -q --no-deps --no-index --target build/package dist/*.whl
+	cd build && export PYTHONPATH=$(CURDIR)/build/package && \
+	  ../$(BIN)/python -c 'import leastaction; assert "build/package" in leastaction.__file__' && \
+	  ../$(BIN)/python -m leastaction demo --system single --output package/demo-output
 
 gallery: $(STAMPS)/test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -m slow tests/test_docs.py
@@ -98,7 +117,7 @@ reproduce-smoke: $(STAMPS)/reproduction
 	$(BIN)/python -m reproduction.collate --results build/reproduction/results --output build/reproduction/tables
 
 clean:
-	rm -rf demo-output build dist docs/_build docs/gallery .pytest_cache .hypothesis .ruff_cache .import_linter_cache
+	rm -rf demo-output build dist docs/_build docs/gallery docs/reproduction .pytest_cache .hypothesis .ruff_cache .import_linter_cache
 	find src tests benchmarks examples docs reproduction runner studies -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 # A working environment is kept, whoever made it; a broken or too old one is made anew.
@@ -135,6 +154,10 @@ $(STAMPS)/test: $(STAMPS)/venv pyproject.toml
 
 $(STAMPS)/lint: $(STAMPS)/venv pyproject.toml
 	@$(call install,[lint])
+	@touch $(STAMPS)/core $@
+
+$(STAMPS)/package: $(STAMPS)/venv pyproject.toml
+	@$(call install,[package])
 	@touch $(STAMPS)/core $@
 
 $(STAMPS)/docs: $(STAMPS)/venv pyproject.toml

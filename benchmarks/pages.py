@@ -1,13 +1,16 @@
-"""The numbers of docs/choose.md, the examples of docs/limits.md, the picture of README.md and docs/index.md.
+"""Numbers of docs/choose.md, examples of docs/limits.md, the picture of README.md, figures of docs/method.md.
 
-python benchmarks/pages.py choose limits picture
+python benchmarks/pages.py choose limits picture method
+PYTHONPATH=tests python benchmarks/pages.py app    # the screens of docs/app.md
 """
 
 from __future__ import annotations
 
 import re
+import shutil
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -16,12 +19,14 @@ from leastaction import systems
 from leastaction.model.notation import rounded
 from leastaction.model.term import ModelTerm
 from leastaction.report.axes import Axes
+from leastaction.report.figures_model import path_axes
 from leastaction.report.series import Series
-from leastaction.report.svg import path, stroke, text
+from leastaction.report.svg import Colour, path, stroke, text
 from leastaction.simulation.forecast import ForecastResult
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs/_static/pendulum.svg"
+FIGURES = {name: ROOT / f"docs/_static/method-{name}.svg" for name in ("fit", "selection")}
 
 DOUBLE = systems.get("double_pendulum")
 LIBRARY = la.Library.mechanical(DOUBLE.coordinates, angles=DOUBLE.angles)
@@ -199,6 +204,133 @@ def draw_law(model: la.LagrangianModel) -> str:
     return "".join(parts)
 
 
+# ------------------------------------------------------------------------------ the figures of docs/method.md
+def method() -> None:
+    """Draw both figures, and print the numbers that their captions state."""
+    for name, (axes, key, said) in {"fit": draw_fit(), "selection": draw_selection()}.items():
+        body = str(axes.svg(name, said, said)).replace(
+            "<svg ", f'<svg x="10" y="42" width="{axes.width:g}" height="{axes.height:g}" ', 1
+        )
+        width, height = axes.width + 20, axes.height + 52
+        words = "".join(
+            path(f"M{x:g} 21h22", stroke(colour, 3.0)) + text(label, x + 28, 26, "row")
+            for x, colour, label in key
+        )
+        FIGURES[name].write_text(
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+            f'height="{height:g}" role="img">\n<!-- python benchmarks/pages.py method -->\n'
+            f'<style>{STYLE}</style>\n<rect x="0.5" y="0.5" width="{width - 1:g}" height="{height - 1:g}" '
+            f'rx="8" fill="var(--paper)" stroke="var(--grid)"/>\n{words}{body}</svg>\n',
+            encoding="utf-8",
+        )
+        print(f"{FIGURES[name]}: {FIGURES[name].stat().st_size} bytes; {said}")
+
+
+Drawn = tuple[Axes, list[tuple[float, Colour, str]], str]
+
+
+def draw_fit() -> Drawn:
+    """The acceleration from a smoothing spline, from the joint fit, and the truth."""
+    recording = dict(trials=2, duration=20.0, rate=20.0, seed=1)
+    pendulum = systems.get("single_pendulum")
+    data = systems.generate(pendulum, noise=0.1, **recording)
+    truth = systems.simulate_truth(pendulum, **recording)[0]
+    model = la.discover(data, systems.compact_library("single_pendulum"))
+    assert model.diagnostics is not None
+    t = truth.t
+    curves = {
+        "truth": truth.qddot[:, 0],
+        "smoothed": la.smooth(data)[0].qddot[:, 0],
+        "joint": model.diagnostics.curve(nu=2)[0][:, 0],
+    }
+    spread = curves["truth"].std()
+    off = {name: 100 * np.sqrt(np.mean((y - curves["truth"]) ** 2)) / spread for name, y in curves.items()}
+    axes = Axes((660.0, 260.0))
+    axes.line(t, curves["truth"], "measured", 5.0)
+    axes.line(t, curves["smoothed"], "forecast", 1.8)
+    axes.line(t, curves["joint"], "fit", 1.8)
+    shown = t <= 8.0
+    reach = 1.35 * float(np.abs(curves["truth"][shown]).max())
+    axes.limit(x=(0.0, 8.0), y=(-reach, reach))
+    axes.label("t (s)", "angular acceleration", y_unit="rad/s²")
+    key: list[tuple[float, Colour, str]] = [
+        (16.0, "measured", "truth"),
+        (110.0, "forecast", f"smoothing spline (rms error {off['smoothed']:.0f} %)"),
+        (400.0, "fit", f"joint fit (rms error {off['joint']:.1f} %)"),
+    ]
+    said = f"error {off['smoothed']:.1f} % with a smoothing spline, {off['joint']:.1f} % jointly"
+    return axes, key, said
+
+
+def draw_selection() -> Drawn:
+    """BIC of the best structure of each size, and of other structures of the chosen size."""
+    model = la.discover(systems.generate(DOUBLE, noise=0.05, trials=3, duration=10.0, seed=1), LIBRARY)
+    assert model.diagnostics is not None
+    best, others = {}, []
+    for point in model.diagnostics.path:
+        if point.n_terms in best:
+            others.append(point)
+        best.setdefault(point.n_terms, point)
+    axes = path_axes((660.0, 300.0))
+    sizes, bic = np.array(list(best)), np.array([point.bic for point in best.values()])
+    axes.line(sizes, bic, "fit", 1.5)
+    axes.dots(sizes, bic, "fit", 7.0)
+    axes.dots(np.array([p.n_terms for p in others]), np.array([p.bic for p in others]), "measured", 8.0)
+    chosen = np.array([point.chosen for point in best.values()])
+    axes.dots(sizes[chosen], bic[chosen], "forecast", 12.0, above=True)
+    axes.limit(x=(sizes[0] - 0.5, sizes[-1] + 0.5))
+    axes.label("number of free terms", "ΔBIC from the chosen structure")
+    key: list[tuple[float, Colour, str]] = [
+        (16.0, "forecast", "chosen"),
+        (120.0, "fit", "best structure of each size"),
+        (340.0, "measured", "other structures of the chosen size"),
+    ]
+    said = (
+        f"ΔBIC {bic[1]:.0f} with one more term, {min(p.bic for p in others):.0f} for the next structure of "
+        f"the same size, of {len(LIBRARY)} candidates"
+    )
+    return axes, key, said
+
+
+# --------------------------------------------------------------------------------- the screens of docs/app.md
+SCREENS = {name: ROOT / f"docs/_static/app-{name}.png" for name in ("data", "candidates", "result")}
+
+
+def app() -> None:
+    """Photograph the app on the measured double pendulum; needs the extra ``test`` and Chromium."""
+    from PIL import Image
+    from playwright.sync_api import sync_playwright
+
+    import app_helpers  # of tests/
+
+    def shoot(page, name: str, text: str) -> None:
+        page.get_by_text(text).first.wait_for(timeout=120_000)
+        page.wait_for_timeout(1500)
+        page.evaluate("window.scrollTo(0, 0)")
+        page.screenshot(path=SCREENS[name])
+        with Image.open(SCREENS[name]) as image:
+            image.convert("RGB").quantize(128).save(SCREENS[name], optimize=True)
+        print(f"{SCREENS[name]}: {SCREENS[name].stat().st_size} bytes")
+
+    with (
+        TemporaryDirectory() as folder,
+        app_helpers.running_app(Path(folder)) as address,
+        sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(
+            executable_path=shutil.which("chromium"), args=["--no-sandbox", "--disable-gpu"]
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 820})
+        page.goto(address)
+        page.get_by_role("button", name="Double pendulum").first.click()
+        shoot(page, "data", "What was measured")
+        page.get_by_role("button", name="Continue to the candidates").first.click()
+        shoot(page, "candidates", "What may the Lagrangian be made of?")
+        page.get_by_role("button", name="Find the Lagrangian").first.click()
+        shoot(page, "result", "How many terms?")
+        browser.close()
+
+
 if __name__ == "__main__":
     for name in sys.argv[1:] or ("choose", "limits"):
-        {"choose": choose, "limits": limits, "picture": picture}[name]()
+        {"choose": choose, "limits": limits, "picture": picture, "method": method, "app": app}[name]()

@@ -2,6 +2,8 @@
 
 Links to click on may lead anywhere; scripts, styles, images, fonts, frames and the like must lie in the
 folder, or the pages do not open from disk without a network.
+
+``check_pages.py --sentences PAGE.md ...`` prints sentences of more than 35 words.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+_LARGEST = 400_000  # bytes of a page: what nobody reads to its end; reports hold their figures themselves
 _TEMPLATES = {"webpack-macros.html"}  # the theme leaves it beside its styles; no page refers to it
 # What a browser loads by itself. A link is loaded if its rel says so.
 _LOADED = {
@@ -138,6 +141,33 @@ def check_script(text: str, path: Path) -> Iterator[str]:
     yield from (f"loads {call}" for call in _CALLS.findall(text))
 
 
+# Markdown that is no prose: front matter, code, comments, images, tables' rules.
+_NO_PROSE = re.compile(
+    r"\A---\n.*?^---$|^(`{3,}|:{3,}).*?$|^(?: {4}.*\n)+|<!--.*?-->|!\[[^\]]*\]\([^)]*\)|^\|[-| ]+\|$",
+    re.M | re.S,
+)
+_FENCED = re.compile(r"^(`{3,}).*?^\1$|^\$\$$.*?^\$\$$", re.M | re.S)
+_PARAGRAPH_ENDS = re.compile(r"\n\s*\n|\n(?=\s*(?:[*+-]|\d+\.|#|>)\s)|\n(?=\|)|\|")
+_SENTENCE_ENDS = re.compile(r"(?<=[.!?])[*)\"”]*\s+(?=[*(\"“]*[A-Z0-9θ`$\[])")
+
+
+def sentences(text: str) -> Iterator[str]:
+    """Yield the sentences of a page in Markdown; a formula, a name in code or a cell is one word or more."""
+    text = _NO_PROSE.sub("\n\n", _FENCED.sub("\n\n", text))
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", lambda link: link[1] or "Page", text)
+    text = re.sub(r"`[^`\n]+`|\$[^$\n]+\$", "Code", text)
+    for paragraph in _PARAGRAPH_ENDS.split(text):
+        yield from (" ".join(part.split()) for part in _SENTENCE_ENDS.split(paragraph) if part.strip())
+
+
+def long_sentences(text: str, most: int = 35) -> Iterator[tuple[int, str]]:
+    """Yield sentences of more words than that, with their number of words."""
+    for sentence in sentences(text):
+        words = sum(any(letter.isalnum() for letter in word) for word in sentence.split())
+        if words > most:
+            yield words, sentence
+
+
 _CHECKS = {".html": check_page, ".css": check_style, ".js": check_script, ".mjs": check_script}
 
 
@@ -148,10 +178,18 @@ def problems(folder: Path) -> Iterator[str]:
         if check and path.is_file() and path.name not in _TEMPLATES:
             for problem in check(path.read_text(encoding="utf-8", errors="replace"), path):
                 yield f"{path.relative_to(folder)}: {problem}"
+            size = path.stat().st_size
+            if path.suffix == ".html" and size > _LARGEST:
+                yield f"{path.relative_to(folder)}: has {size} bytes, more than {_LARGEST}"
 
 
 def main(arguments: list[str]) -> int:
-    """Print the problems of the folder; return 1 if there is one."""
+    """Print the problems of the folder, or the long sentences of pages; return 1 if there is one."""
+    if arguments[0] == "--sentences":
+        texts = {name: Path(name).read_text(encoding="utf-8") for name in arguments[1:]}
+        long = [f"{name}: {n} words: {s}" for name, text in texts.items() for n, s in long_sentences(text)]
+        print("\n".join(long) if long else "no sentence of more than 35 words")
+        return 1 if long else 0
     folder = Path(arguments[0])
     if not (folder / "index.html").exists():
         print(f"error: no pages in {folder}; build them with make docs", file=sys.stderr)

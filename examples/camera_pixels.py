@@ -2,9 +2,9 @@
 From camera pixels to a Lagrangian
 ==================================
 
-A camera films a pendulum, and a tracker reports the bob in whole pixels. Nobody measured where the pivot is
-in the picture, and the camera is not quite level. What is the length of the pendulum, how much friction is
-there, and how crooked is the camera?
+A camera films a pendulum, and a tracker reports the position of the bob in whole pixels. The position of the
+pivot in the picture is unknown, and the camera is not quite level. What is the length of the pendulum, how
+strong is the friction, and by how much is the camera tilted?
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 import leastaction as la
 
 # %%
-# The film, simulated: 60 frames a second, 640 × 480 pixels, a bob of 0.62 m of which the camera shows 500
-# pixels a metre. The camera is rolled by 1.5°. One frame in ten has no detection.
+# The film is simulated: 60 frames per second, 640 × 480 pixels, a pendulum of 0.62 m at 500 pixels per metre.
+# The camera is rolled by 1.5°. One frame in ten has no detection.
 
 LENGTH, FRICTION, ROLL = 0.62, 0.12, np.deg2rad(1.5)
 rng = np.random.default_rng(5)
@@ -44,9 +44,9 @@ films = [film(1.2, 0.0), film(-0.8, 1.0)]
 print(films[0][:5])
 
 # %%
-# **Pixels to angle.** The bob moves on a circle: fit it, and the centre is the pivot. The angle is then
-# measured from the vertical *of the picture*. Whether that is the vertical of the laboratory we leave to
-# the data.
+# **From pixels to an angle.** The bob moves on a circle. Fit the circle; its centre is the pivot. The angle
+# is measured from the vertical *of the picture*. The data will tell whether that is the vertical of the
+# laboratory.
 
 bob = np.concatenate(films)
 bob = bob[np.isfinite(bob).all(axis=1)]
@@ -59,8 +59,8 @@ data = la.Trajectories(la.Trajectory(t, theta, coordinates=["theta"]) for theta 
 print(data)
 
 # %%
-# **Angle to law.** L is found up to a factor; with ½ for ``theta_dot**2`` it is L / (m l²), so that the
-# coefficient of ``cos(theta)`` is g / l.
+# **From the angle to the law.** L is known up to a factor. With ½ for ``theta_dot**2`` it is L / (m l²), so
+# the coefficient of ``cos(theta)`` is g / l.
 
 library = la.Library(
     ["theta_dot**2", "theta_dot**2*cos(theta)", "cos(theta)", "sin(theta)", "cos(2*theta)", "theta**2"],
@@ -72,7 +72,7 @@ print(model.format_table())
 
 # %%
 # Gravity acts along the vertical of the laboratory: g/l · cos(θ − δ) = g/l · (cos δ cos θ + sin δ sin θ).
-# Both numbers come out with an error, the length as well as the roll of the camera.
+# Both the length and the roll of the camera are estimated, with standard errors.
 
 found = {term.expression: term.coefficient for term in model.terms}
 strength = np.hypot(found["cos(theta)"], found["sin(theta)"])
@@ -83,8 +83,8 @@ print(f"length {length:.4f} m (true {LENGTH}), roll {np.rad2deg(roll):.2f}° (tr
 print("\n".join(f"- {note}" for note in model.diagnostics.notes))
 
 # %%
-# Left, what the camera reports; right, half a second of it around a turning point, and the curve that obeys
-# the law. The steps are the whole pixels.
+# Left: the positions that the camera reports. Right: half a second around a turning point, with the curve
+# that obeys the law. The steps are whole pixels.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained", width_ratios=[1, 1.25])
 for pixels, colour in zip(films, ["tab:blue", "tab:orange"], strict=True):
@@ -108,6 +108,6 @@ right.legend(fontsize=9, loc="upper center")
 plt.show()
 
 # %%
-# **What to learn.** Turn what was recorded into coordinates with as little processing as possible: no
-# filter, no differences of frames. Geometry that you do not know (the pivot) has to be found first; a
-# constant offset of an angle may stay in, and comes out of the law as a sine beside the cosine.
+# **What to learn.** Convert recordings into coordinates with as little processing as possible. Do not filter,
+# and do not difference frames. Unknown geometry (the pivot) must be determined first. A constant offset of an
+# angle may remain: it appears in the law as a sine next to the cosine.

@@ -2,9 +2,9 @@
 A cart on a spring, with friction
 =================================
 
-A pendulum hangs from a cart, a spring holds the cart, and the cart's bearings have viscous friction. Both
-positions are recorded with 5 % noise. Is there friction, where, and how much? And what happens to the other
-coefficients when nobody asks for it?
+A pendulum hangs from a cart, a spring holds the cart, and the bearings of the cart have viscous friction.
+Both positions are recorded with 5 % noise. Is there friction, where, and how strong is it? And what happens
+to the other coefficients if friction is not among the candidates?
 """
 
 import matplotlib.pyplot as plt
@@ -19,9 +19,9 @@ print(data)
 print("true L:", truth.lagrangian)
 
 # %%
-# Gravity sets the scale: ``cos(theta)`` has the coefficient m g l, which a ruler and a balance tell. The
-# other candidates are generated from the kinds of the coordinates. For friction we offer viscous and dry,
-# at the cart and at the joint.
+# Gravity sets the scale: the coefficient of ``cos(theta)`` is m g l, which can be measured with a ruler and a
+# balance. The other candidates are generated from the types of the coordinates. We offer viscous and dry
+# friction at the cart and at the joint.
 
 library = la.Library.mechanical(["x", "theta"], angles=["theta"])
 friction = ["x_dot**2/2", "theta_dot**2/2", "abs(x_dot)", "abs(theta_dot)"]
@@ -30,16 +30,16 @@ print(library.summary())
 print(model.format_table())
 
 # %%
-# Now the same without candidates for friction. The fit does not fail, it bends: the missing force has to go
-# somewhere. The status says that this model should not be used, and the warning says why.
+# The same without friction candidates. The fit does not fail; it is biased, because other terms absorb the
+# missing force. The status says that the coefficients should not be used, and the warning says why.
 
 frictionless = la.discover(data, library, known={"cos(theta)": 9.81})
 print(frictionless.format_table())
 
 # %%
-# Left: the energy along the first recording. It is computed from the model with friction along the smooth
-# curve that was fitted together with it; no velocity was measured. What friction has taken is the integral
-# of c ẋ². Right: the coefficients found, relative to the true ones, with their 95 % intervals.
+# Left: the energy along the first recording. It is computed from the model with friction, along the curve
+# that was fitted together with it; no velocity was measured. The energy lost to friction is the integral of c
+# ẋ². Right: the coefficients relative to their true values, with 95 % intervals.
 
 (t, q, qdot) = (data[0].t, *(model.diagnostics.curve(nu=nu)[0] for nu in range(2)))
 energy = model.energy(q, qdot)
@@ -79,5 +79,5 @@ right.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2,
 plt.show()
 
 # %%
-# **What to learn.** Offer candidates for friction whenever the system is real: those that are not there are
-# left out, while a friction that nobody offered bends the other coefficients and makes them uncertain.
+# **What to learn.** Offer friction candidates for every real system. Absent friction is not selected, whereas
+# friction without a candidate biases the other coefficients and makes them uncertain.

@@ -2,10 +2,9 @@
 An arm identified while its controller runs
 ===========================================
 
-Robots are not identified with torques from a function generator: a controller tracks a motion, feeds the
-steps of its encoders back into the torques, and holds each torque until its next cycle. The logs then hold
-torques that jump and are as noisy as the encoders make them. They are good enough, if they are taken as what
-they are.
+Robots are usually identified under feedback. A controller tracks a motion, feeds the steps of its encoders
+back into the torques, and holds each torque until its next cycle. The logs therefore contain noisy torques
+that jump. They are good enough, if they are used as they are.
 """
 
 import matplotlib.pyplot as plt
@@ -15,8 +14,8 @@ import sympy as sp
 import leastaction as la
 
 # %%
-# The arm: two links that hang, the second angle measured from the first link, dry and viscous friction in
-# both joints. All trials are simulated at once: arrays have one row for each.
+# The arm has two links that hang down. The second angle is measured from the first link, and both joints have
+# dry and viscous friction. All trials are simulated at once, with one row per trial.
 
 truth = {
     "q1_dot**2": 0.5,
@@ -52,8 +51,9 @@ def step(q, v, torque, h):
 
 
 # %%
-# The controller runs at 200 Hz. It sees encoders of 4096 counts a turn, differentiates and filters them, and
-# tracks four sines a joint with a proportional and a derivative gain. Logged: counts and torques.
+# The controller runs at 200 Hz. It reads encoders with 4096 counts per turn, differentiates and filters them,
+# and tracks four sines per joint with a proportional and a derivative gain. The log contains counts and
+# torques.
 
 rate, count, trials, substeps = 200, 2 * np.pi / 4096, 4, 8
 t = np.arange(12 * rate + 1) / rate
@@ -78,7 +78,7 @@ data = la.Trajectories(
 print(data)
 
 # %%
-# Candidates: 42 for L, and friction of both kinds in both joints.
+# There are 42 candidates for L, and both kinds of friction in both joints.
 
 library = la.Library.mechanical(["q1", "q2"], angles=["q1", "q2"])
 friction = ["q1_dot**2/2", "q2_dot**2/2", "abs(q1_dot)", "abs(q2_dot)"]
@@ -88,8 +88,8 @@ for warning in first.fit.warnings:
     print("-", warning)
 
 # %%
-# The structure is right already and the law would forecast, so it is called usable, not ok, and the reason is
-# named: a torque that is held acts half a cycle later than its time stamp says. That is cured in one line (on
+# The structure is right and the model forecasts well, so it is usable, but not ok. The warning states the
+# reason: a torque that is held acts half a cycle later than its time stamp says. One line corrects this (on
 # the command line: ``--force-delay 0.0025``).
 
 held = la.delay.shift_forces(data, 0.5 / rate)
@@ -102,11 +102,11 @@ print(f"largest error of L: {max(abs(table.coefficient[k] / truth[k] - 1) for k 
 print("true friction:", true_friction)
 
 # %%
-# Some intervals of friction miss by a little: the sign of a velocity is smoothed, here and in the arm, but
-# not over the same velocities. An interval holds for the candidates that it was computed with.
+# Some intervals of friction miss the truth slightly. The sign of a velocity is smoothed here and in the arm,
+# but over different velocities. An interval is valid for the candidates with which it was computed.
 #
-# Above: the torque of the second joint as it was logged, and what the model says that the motion needed.
-# Below: friction in the joints, true and found. The first fit put the delay into it.
+# Above: the logged torque of the second joint, and the torque that the motion needed according to the model.
+# Below: friction in the joints, true and estimated. The first fit absorbed the delay in the friction.
 
 motion = held[0]
 smooth, speed, turning = (model.diagnostics.curve(nu=nu)[0] for nu in range(3))
@@ -136,6 +136,6 @@ axes[1].legend(frameon=False, fontsize=8)
 plt.show()
 
 # %%
-# **What to learn.** Do not filter torques, and do not switch the controller off: give the log as it is. The
-# noise of the torques is averaged and its size estimated, and when the times are off by half a cycle, the
-# result says so.
+# **What to learn.** Do not filter torques, and do not switch off the controller. Use the log as it is. The
+# fit averages the noise of the torques and estimates its size. If the time stamps are off by half a cycle,
+# the result says so.

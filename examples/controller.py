@@ -2,9 +2,9 @@
 A model exported into a controller
 ==================================
 
-A cart on a spring carries a pendulum. From recordings of free swings we find the model, write it out as a
-Python module that needs nothing but ``math``, and design with it a controller that pushes the cart so that
-the pendulum stands upside down.
+A cart on a spring carries a pendulum. From recordings of free swings we find the model and export it as a
+Python module that needs only ``math``. With it we design a controller that pushes the cart so that the
+pendulum stands upside down.
 """
 
 import tempfile
@@ -28,7 +28,7 @@ model = la.discover(data, library, known={"cos(theta)": 9.81}, dissipation=frict
 print(model.format_table())
 
 # %%
-# The module: plain functions of plain numbers. ``format="c"`` writes the same for a microcontroller.
+# The module has plain functions of plain numbers. ``format="c"`` writes the same for a microcontroller.
 
 folder = Path(tempfile.mkdtemp())
 text = la.export(model, "python", folder / "cart.py")
@@ -39,7 +39,7 @@ cart = module_from_spec(spec)
 spec.loader.exec_module(cart)
 
 # %%
-# **Where it can stand.** The equilibrium upside down is where the acceleration vanishes near θ = π.
+# **The equilibrium.** The pendulum can stand where the acceleration vanishes near θ = π.
 
 rest = fsolve(lambda q: cart.acceleration(q, [0.0, 0.0]), [0.5, np.pi])
 print("equilibrium: x = {:.4f} m, theta = {:.6f} rad".format(*rest))
@@ -51,8 +51,8 @@ def derivative(state, force):
 
 
 # %%
-# **The linear–quadratic regulator.** Linearise by central differences, solve the Riccati equation, and the
-# force on the cart is −K times the distance from the equilibrium.
+# **The linear–quadratic regulator.** Linearise by central differences and solve the Riccati equation. The
+# force on the cart is −K times the deviation from the equilibrium.
 
 upright, step = np.array([*rest, 0.0, 0.0]), 1e-5
 a = np.column_stack(
@@ -66,8 +66,8 @@ print("gain:", gain.round(1))
 print("poles with control:", np.linalg.eigvals(a - b * gain).round(2))
 
 # %%
-# **The test is the machine, not the model.** The true system, from which the data came, starts 0.35 rad
-# away from upright.
+# **Test on the machine, not on the model.** The true system, which generated the data, starts 0.35 rad from
+# upright.
 
 
 def closed_loop(t, state):
@@ -105,6 +105,6 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** The recordings never came near upside down with a controller in the loop, and yet the
-# model is good enough to stand there: it is the law, not a fit of the recorded region. Do check how far
-# your recordings reach, though: a spring that is a parabola where you looked need not be one elsewhere.
+# **What to learn.** The recordings never came near the upright position with a controller in the loop, and
+# yet the model is good enough to stabilise it. It is a law, not a fit of the recorded region. Still, check
+# how far your recordings reach: a spring that is a parabola in the recorded range may not be one elsewhere.

@@ -2,11 +2,11 @@
 A robot arm from its torques
 ============================
 
-Two motors drive a double pendulum; the table holds angles from encoders and torques from motor currents.
-This is where identification usually fails: friction in the gears is as large as the torques, nobody
-measured it, and least squares on filtered accelerations shrinks every parameter to a half or a third.
+Two motors drive a double pendulum. The table has angles from encoders and torques from motor currents.
+Identification often fails here: friction in the gears is as large as the torques and was not measured, and
+least squares on filtered accelerations shrinks every parameter to a half or a third.
 
-The recording is that of a laboratory robot (Wiebe et al., IEEE Robotics & Automation Magazine 2023,
+The recording is from a laboratory robot (Wiebe et al., IEEE Robotics & Automation Magazine 2023,
 BSD-3-Clause). The first angle is measured from hanging, the second relative to the first link.
 """
 
@@ -26,9 +26,8 @@ fitted = data.select([name for name in data.names if name not in held_out.names]
 print(fitted)
 
 # %%
-# The candidates are the shapes that two links in a plane can have, and some that they cannot. Dry
-# friction is ``abs`` of a joint's velocity. The torques are known, so L comes out in joules and no
-# coefficient has to be given.
+# The candidates are the terms that two planar links can have, and some that they cannot have. Dry friction is
+# ``abs`` of a joint's velocity. The torques are known, so L is in joules, and no coefficient has to be given.
 
 candidates = [
     *(f"q1_dot**2{g}" for g in ("", "*cos(q2)", "*sin(q2)", "*cos(q2)**2")),
@@ -41,16 +40,16 @@ model = la.discover(fitted, la.Library(candidates, ["q1", "q2"]), dissipation=fr
 print(model.format_table())
 
 # %%
-# Seven terms of L and dry friction in both joints: this is the structure that the builders of the robot
-# wrote down. Their coefficients are, in the same sequence, 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42
+# The result has seven terms of L and dry friction in both joints. This is the structure that the builders of
+# the robot derived. Their coefficients, in the same order, are 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42
 # and 1.09, with dry friction of 0.146 and 0.123 N m.
 #
-# The noise of the measured torques is averaged out before it can do harm (see "Measured forces" in the
-# docs' page on the method); otherwise all coefficients would come out two per cent larger.
+# The fit averages the noise of the measured torques (see "Machines" on the page about the method). Otherwise
+# all coefficients would be two per cent too large.
 #
-# The result is called usable, not ok: some per cent of the torques remain unexplained, because belts give,
-# gears stick and currents are not torques, but free runs follow the data. Where that is so, the coefficients
-# are those of the best short free runs along the fitted trials, and their intervals allow for what remains
+# The result is usable, not ok: some per cent of the torques remain unexplained, because belts stretch, gears
+# stick, and currents are not torques. But simulations follow the data. In such a case, the coefficients are
+# those with the smallest simulation error along the fitted trials, and their intervals allow for what remains
 # unexplained.
 
 print(model.fit.status)
@@ -60,8 +59,8 @@ for warning in model.fit.warnings:
     print("-", warning)
 
 # %%
-# What counts is whether it forecasts. We let both models run free for 0.4 s along the trials that were
-# kept aside, driven by the measured torques.
+# What counts is the forecast. We simulate both models for 0.4 s along the trials that were held out, driven
+# by the measured torques.
 
 published = la.LagrangianModel.from_dict(
     {
@@ -92,8 +91,8 @@ print("found:    ", ours.rms.round(3))
 print("published:", theirs.rms.round(3))
 
 # %%
-# The second joint over the first seconds of one trial. Every coloured piece is a forecast that starts
-# from the measured state and never looks at the data again.
+# The second joint over the first seconds of one trial. Every coloured piece is a forecast that starts from
+# the measured state and does not use the data afterwards.
 
 figure, axis = plt.subplots(figsize=(8, 3.5))
 measured = held_out.select("3")[0]
@@ -112,7 +111,6 @@ figure.tight_layout()
 plt.show()
 
 # %%
-# **What to learn.** Give friction a chance from the start, keep some trials aside, and believe free runs
-# rather than small residuals. Where vibrations of the machine make fine splines misleading, the search
-# notices that finer knots make the equations worse and starts again on the coarsest grid that shows the
-# motion.
+# **What to learn.** Offer friction from the start, hold out some trials, and trust forecasts more than small
+# residuals. If vibrations of the machine make fine splines misleading, the search notices that finer knots
+# make the equations worse, and starts again on the coarsest grid that resolves the motion.

@@ -2,9 +2,8 @@
 When the library lacks a term
 =============================
 
-A term that was not offered is not in the result. What a result must do is say so. A cart on a spring
-carries a pendulum; the spring becomes stiffer when it is stretched, and the candidates know of no such
-spring.
+A term that was not offered cannot be found. The result must then say so. A cart on a spring carries a
+pendulum; the spring stiffens when it is stretched, and the candidates do not include such a spring.
 """
 
 import matplotlib.pyplot as plt
@@ -31,21 +30,21 @@ lacking = la.discover(data, la.Library(without, ["x", "theta"], angles=["theta"]
 print(lacking.format_table())
 
 # %%
-# The numbers look sober, the intervals are narrow, and the model is wrong: the status is *doubtful*, and
-# the warnings name the equation that does not hold and, since x⁴ is a common term, what would mend it. A
-# script should test ``model.fit.status`` before it goes on.
+# The coefficients look plausible, the intervals are narrow, and the model is wrong. The status is *doubtful*.
+# The warnings name the equation that does not hold and, because x⁴ is a common term, the remedy. A script
+# should test ``model.fit.status`` before it continues.
 #
-# **And if the term is not a common one?** The warning says where to look: at the equation of x. Put the
-# curve that was fitted to the recordings, with its derivatives, into the found equations, and look at what
-# is left over as a force on the cart.
+# **What if the term is not a common one?** The warning names the equation to look at, that of x. Insert the
+# fitted curve and its derivatives into the equations, and plot the remaining force on the cart.
 
 q, qdot, qddot = (np.concatenate(lacking.diagnostics.curve(nu=nu)) for nu in range(3))
 rest = np.einsum("tij,tj->ti", lacking.mass_matrix(q), qddot - lacking.acceleration(q, qdot))
 x, x_dot, force = q[:, 0], qdot[:, 0], rest[:, 0]
 
 # %%
-# Against the velocity it is a cloud: it is not friction. Against the position it is a curve, and a cubic
-# one: a potential with a fourth power. Offered that, the discovery holds.
+# Plotted against the velocity, the remaining force is a cloud, so it is not friction. Plotted against the
+# position, it is a cubic curve, so the potential has a fourth power. With that candidate, the discovery
+# succeeds.
 
 complete = la.discover(data, la.Library(cart.library, ["x", "theta"], angles=["theta"]), known=cart.known)
 print(complete.format_table())
@@ -76,5 +75,5 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** "Doubtful" is an answer: the warnings name the equation, and the force that is left
-# over, drawn against each coordinate and each velocity, usually shows what kind of term to add.
+# **What to learn.** "Doubtful" is an answer. The warnings name the equation. The remaining force, plotted
+# against each coordinate and each velocity, usually shows what kind of term to add.

@@ -2,9 +2,9 @@
 Basins of attraction of a magnetic pendulum
 ===========================================
 
-An iron bob swings above three magnets. From five recordings with 10 % noise, without friction, we find the
-Lagrangian. Then we ask a question that no recording answers: if there were friction, at which magnet would
-the bob stop, for every place from which it is let go?
+An iron bob swings above three magnets. From five recordings with 10 % noise and without friction, we find the
+Lagrangian. Then we ask a question that no recording answers: with friction, at which magnet would the bob
+stop, for every starting position?
 """
 
 import matplotlib.pyplot as plt
@@ -20,8 +20,8 @@ model = la.discover(data, la.Library(truth.library, ["x", "y"]), known=truth.kno
 print(model.format_table())
 
 # %%
-# All starts at once: accelerations take arrays of any shape, so a Runge–Kutta step of degree 4 moves every
-# pixel together. The friction that the model does not have is handed over as an external force.
+# All starts are simulated at once: accelerations accept arrays of any shape, so one Runge–Kutta step of order
+# 4 moves every pixel. The model has no friction; it is added as an external force.
 
 FRICTION, STEP, DURATION, PIXELS = 0.25, 0.03, 24.0, 72
 side = np.linspace(-1.8, 1.8, PIXELS)
@@ -50,8 +50,8 @@ agree = true_basins == found_basins
 print(f"{100 * agree.mean():.1f} % of the starts end at the same magnet")
 
 # %%
-# The picture is fractal: in the mixed regions the smallest error decides. That most of the pixels agree
-# even there takes coefficients that are right to some thousandths.
+# The picture is fractal, and in the mixed regions the smallest error decides. Most pixels agree even there,
+# which requires coefficients accurate to a few thousandths.
 
 colours = ListedColormap(["#4477aa", "#ddcc77", "#cc6677"])
 figure, axes = plt.subplots(1, 3, figsize=(11, 4.1), sharex=True, sharey=True, layout="constrained")
@@ -70,5 +70,5 @@ axes[0].set_ylabel("y (m) at the start")
 plt.show()
 
 # %%
-# **What to learn.** A Lagrangian is more than a fit of the motions it came from: a force can be added to it
-# that was not there when the data were taken, and the global picture is still right.
+# **What to learn.** A Lagrangian is more than a fit of the recorded motions. You can add a force that was
+# absent when the data were taken, and the global picture is still right.

@@ -2,11 +2,11 @@
 A measured double pendulum
 ==========================
 
-Two links swing freely; optical encoders record both angles every 2 ms. From 18 pieces of that recording we
-find the Lagrangian and the friction, and with them we forecast the 8 pieces that were kept aside.
+Two links swing freely, and optical encoders record both angles every 2 ms. From 18 pieces of this recording
+we find the Lagrangian and the friction. With them we forecast the 8 pieces that were held out.
 
-The recording comes with the package (Kaheman et al., HardwareX 15, 2023, MIT licence). Angles are measured
-from upright, so both pendulums hang at π.
+The recording is included in the package (Kaheman et al., HardwareX 15, 2023, MIT licence). Angles are
+measured from upright, so both pendulums hang at π.
 """
 
 from importlib.resources import as_file, files
@@ -25,12 +25,12 @@ print(fitted)
 print(held_out)
 
 # %%
-# The candidates are what one writes down without knowing the answer: products of two velocities with
-# cosines and sines, the first harmonics of a potential, viscous friction and dry friction in both joints.
-# The friction of the second joint goes with the angle between the links.
+# The candidates are those that one would write down without knowing the answer: products of two velocities
+# with cosines and sines, the first harmonics of a potential, and viscous and dry friction in both joints. The
+# friction of the second joint depends on the angle between the links.
 #
-# Nothing drives the pendulum, so its motion fixes L only up to a factor. We set the coefficient of the
-# first squared velocity to one; everything else comes out relative to it.
+# Nothing drives the pendulum, so its motion determines L only up to a factor. We set the coefficient of the
+# first squared velocity to one. All other coefficients are relative to it.
 
 candidates = [
     "theta1_dot**2",
@@ -62,23 +62,23 @@ model = la.discover(fitted, library, known={"theta1_dot**2": 1.0}, dissipation=f
 print(model.format_table())
 
 # %%
-# The five terms are those of the textbook, and of the eleven other candidates none was needed. What the
-# discovery did to the data, and how much the equations leave unexplained, is in its notes:
+# The five terms are those of the textbook. None of the eleven other candidates was needed. The notes report
+# what the discovery did to the data, and how much the equations leave unexplained:
 
 for note in model.diagnostics.notes:
     print("-", note)
 
 # %%
-# A coefficient can look right and still be useless. The test that counts is to forecast motions that the
-# fit has not seen: each forecast starts from the state that fits half a second of data before it, and then
-# runs free for one second.
+# A coefficient can look right and still be useless. The decisive test is to forecast motions that the fit has
+# not seen. Each forecast starts from the state that best fits the half second of data before it, and
+# simulates one second.
 
 forecast = model.validate(held_out, horizon=1.0)
 print("rms error (rad):", forecast.rms.round(4), "in", len(forecast.traces), "forecasts")
 print("of the spread:  ", (forecast.rms / forecast.std).round(4))
 
 # %%
-# The largest and the smallest of these errors, and where the errors of all forecasts lie.
+# The largest and the smallest of these errors, and the distribution of all of them.
 
 worst_first = sorted(forecast.traces, key=lambda trace: -trace.rms.max())
 shown = [worst_first[0], worst_first[-1]]
@@ -103,8 +103,8 @@ axes[1, 0].set_ylabel("error (mrad)")
 plt.show()
 
 # %%
-# **What to learn.** Forecasts of a second that are off by some thousandths of a radian say more than any
-# standard error: this model can be used. Its intervals are narrow because there are 48 000 samples, and the
-# statement behind them is "if these are the terms"; the friction is the part of it to believe least.
+# **What to learn.** Forecasts over one second that are off by some thousandths of a radian say more than any
+# standard error: this model is fit for use. Its intervals are narrow because there are 48 000 samples, and
+# they are conditional on the terms. The friction is the least certain part.
 
 assert np.all(forecast.rms < 0.01)

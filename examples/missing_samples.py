@@ -2,9 +2,9 @@
 Missing and irregular samples
 =============================
 
-Cameras drop frames, markers are hidden behind a link, loggers share a bus and write when they can. Samples
-need not be on a grid, need not come at the same times for all coordinates, and need not be there. An empty
-cell in a table, or NaN in an array, is all there is to say about a missing sample.
+Cameras drop frames, links hide markers, and loggers share a bus. Samples need not be on a grid, need not be
+simultaneous for all coordinates, and may be missing. Mark a missing sample by an empty cell in a table, or by
+NaN in an array.
 """
 
 import matplotlib.pyplot as plt
@@ -17,8 +17,9 @@ truth = systems.get("double_pendulum")
 settings = {"noise": 0.02, "trials": 2, "duration": 10.0, "irregular": True, "seed": 4}
 
 # %%
-# Four versions of the same motions, sampled irregularly about 100 times a second, with more and more
-# samples lost, each coordinate on its own. The last one has some five samples a second of each angle.
+# Four versions of the same motions, sampled irregularly about 100 times per second. More and more samples are
+# missing, independently for each coordinate. The last version has about five samples per second of each
+# angle.
 
 lost = [0.0, 0.5, 0.8, 0.95]
 library = la.Library(truth.library, truth.coordinates, angles=truth.angles)
@@ -31,8 +32,8 @@ for fraction, data, model in zip(lost, recordings, models, strict=True):
     )
 
 # %%
-# What not to do: fill the gaps by interpolation first, so that the table looks complete. The filled values
-# are not measurements; their errors are neither small nor random.
+# What not to do: fill the gaps by interpolation, so that the table looks complete. The filled values are not
+# measurements, and their errors are neither small nor random.
 
 
 def filled(run):
@@ -48,10 +49,10 @@ interpolated = la.discover([filled(run) for run in recordings[1]], library)
 print(interpolated.format_table())
 
 # %%
-# Left: two seconds of the recording that has lost 80 %, and the curve that the fit put through it. Right:
-# the errors of the coefficients in per cent with their 95 % intervals, on a scale that is linear up to one
-# per cent. With ever fewer samples the intervals grow, as they should. With half of the samples lost and
-# filled in, the coefficients are off by three quarters, and the status says that something is wrong.
+# Left: two seconds of the recording with 80 % of the samples missing, and the fitted curve. Right: the errors
+# of the coefficients in per cent with 95 % intervals, on a scale that is linear up to one per cent. The fewer
+# samples, the wider the intervals, as they should be. With half of the samples filled in, the coefficients
+# are off by three quarters, and the status says that something is wrong.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.8), layout="constrained", width_ratios=[1, 1.2])
 run = recordings[2][0]
@@ -94,5 +95,5 @@ right.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0),
 plt.show()
 
 # %%
-# **What to learn.** Hand over what was measured, as it was measured. Each sample counts at its own time;
-# gaps cost accuracy, and the intervals say how much; filled gaps cost the result.
+# **What to learn.** Provide the measurements as they are. Each sample counts at its own time. Gaps cost
+# accuracy, and the intervals show how much. Filled gaps ruin the result.

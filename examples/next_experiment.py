@@ -2,8 +2,8 @@
 Planning the next experiment
 ============================
 
-Two structures explain the data equally well. Which single new recording would tell them apart? The models
-themselves know: simulate both from many starts, and go where they disagree most.
+Two structures explain the data equally well. Which single new recording would distinguish them? The models
+themselves tell you: simulate both from many starts, and choose the one where they disagree most.
 """
 
 import matplotlib.pyplot as plt
@@ -13,8 +13,8 @@ import leastaction as la
 from leastaction import systems
 
 # %%
-# A mass in the plane is held by springs that stiffen with distance from the centre. The first recordings
-# were made in the way that comes to mind: pulled along one axis and let go, then along the other.
+# Springs that stiffen with the distance from the centre hold a mass in the plane. The first recordings are
+# the obvious ones: pulled along one axis and released, then along the other.
 
 plane = systems.MechanicalSystem(
     name="plane",
@@ -52,8 +52,8 @@ model = la.discover(first, la.Library(candidates, ["x", "y"]), known=known)
 print(model.format_table())
 
 # %%
-# The warning says it: each spring may stiffen on its own (x⁴ + y⁴), or together ((x² + y²)²). The selection
-# path has the distance of the runners-up; below 10 it decides nothing.
+# The warning states the problem: each spring may stiffen on its own (x⁴ + y⁴), or both together ((x² + y²)²).
+# The trade-off curve lists the runners-up; a distance below 10 is not decisive.
 
 path = model.diagnostics.path
 chosen = next(point for point in path if point.chosen)
@@ -62,7 +62,7 @@ for point in path:
         print(f"{point.bic:8.1f}  {', '.join(point.expressions)}")
 
 # %%
-# Fit both structures, each alone, and let go at every place within reach, 1.5 m from the centre.
+# Fit each structure alone, and release the mass at every place within reach, 1.5 m from the centre.
 
 rivals = {}
 for quartic in ("x**4+y**4", "(x**2+y**2)**2"):
@@ -97,9 +97,9 @@ print(f"let go at x = {best[0]:.2f}, y = {best[1]:.2f}")
 print(f"the models differ there by {difference[place]:.0f} times the noise")
 
 # %%
-# Make that recording, and ask both models to forecast it. One comes close to the noise, with coefficients
-# that still are those of the poor first data; the other is far off. With all three recordings the question
-# is settled.
+# Make this recording, and forecast it with both models. One comes close to the noise, although its
+# coefficients still come from the poor first data. The other is far off. With all three recordings, the
+# question is settled.
 
 new = record(*best, "planned")
 for name, rival in rivals.items():
@@ -109,9 +109,8 @@ final = la.discover([*first, new], la.Library(candidates, ["x", "y"]), known=kno
 print(final.format_table())
 
 # %%
-# Left: rms difference of the rivals, in units of the noise, for every place where the mass can be let go;
-# the two first recordings were made where nothing was to be learnt. Right: the planned recording and what
-# each forecast.
+# Left: rms difference of the two models in units of the noise, for every starting position. The first two
+# recordings started where the models agree. Right: the planned recording and both forecasts.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.6), layout="constrained", width_ratios=[1.1, 1])
 image = left.pcolormesh(side, side, difference, cmap="viridis", shading="nearest", rasterized=True)
@@ -132,5 +131,5 @@ right.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3,
 plt.show()
 
 # %%
-# **What to learn.** When two structures cannot be told apart, more data of the same kind do not help. One
-# motion in which they differ does, and the models say which.
+# **What to learn.** If two structures cannot be distinguished, more data of the same kind do not help. One
+# motion in which they differ does, and the models tell you which.

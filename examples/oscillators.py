@@ -2,8 +2,9 @@
 Polynomial oscillators
 ======================
 
-Which polynomial is the potential? First a Duffing oscillator with two wells, then two oscillators with a
-coupling of fourth degree. Candidates are all monomials up to a degree that is too high on purpose.
+Which polynomial is the potential? We start with a Duffing oscillator with two wells and continue with two
+oscillators that have a coupling of fourth degree. The candidates are all monomials up to a degree that is too
+high on purpose.
 """
 
 import matplotlib.pyplot as plt
@@ -15,7 +16,7 @@ from leastaction import systems
 # %%
 # One coordinate, two wells
 # -------------------------
-# L = ½ẋ² + ½x² − ¼x⁴, and viscous friction that lets the motion settle in one of the wells.
+# L = ½ẋ² + ½x² − ¼x⁴, with viscous friction, so the motion settles in one of the wells.
 
 duffing = systems.MechanicalSystem(
     name="duffing",
@@ -37,7 +38,7 @@ print(model.format_table())
 # %%
 # Two coordinates
 # ---------------
-# A generated library of degree 6: with two lengths it has 27 monomials for the potential and 18 kinetic
+# A generated library of degree 6. With two lengths it has 27 monomials for the potential and 18 kinetic
 # terms.
 
 pair = systems.MechanicalSystem(
@@ -63,7 +64,7 @@ print(pair_library.summary())
 print(pair_model.format_table())
 
 # %%
-# Both potentials. A potential is −L at rest; the energy of the model at zero velocity is the same thing.
+# Both potentials. A potential is −L at rest, which is the energy of the model at zero velocity.
 
 x = np.linspace(-2.1, 2.1, 201)[:, None]
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained")
@@ -87,6 +88,6 @@ right.set(xlabel="x", ylabel="y", aspect="equal", title="found (blue) on true (g
 plt.show()
 
 # %%
-# **What to learn.** Offering degrees that are too high is harmless within the range of the motion: the
-# superfluous powers are left out. Outside of the recorded range (the histogram and the orange path) the
-# potential is an extrapolation, and nothing in the data can speak for it.
+# **What to learn.** Within the range of the motion, candidates of too high a degree do no harm: superfluous
+# powers are not selected. Outside the recorded range (the histogram and the orange path), the potential is an
+# extrapolation, and the data contain no information about it.

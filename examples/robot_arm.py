@@ -2,9 +2,9 @@
 A robot arm with two joints
 ===========================
 
-A planar arm is driven by torques at both joints. The second angle is measured from the first link, as
-encoders on gear motors do. We find its Lagrangian in newton metres (the torques set the scale), and use it
-for what identified robot models are used for: to compute the torques that a wanted motion needs.
+Torques drive both joints of a planar arm. The second angle is measured from the first link, as with encoders
+on gear motors. We find its Lagrangian in newton metres (the torques set the scale). Then we use it as
+identified robot models are used: to compute the torques for a desired motion.
 """
 
 import matplotlib.pyplot as plt
@@ -14,9 +14,8 @@ import leastaction as la
 from leastaction import systems
 
 # %%
-# The arm, in SI units: point masses m₁, m₂ at the ends of links l₁, l₂, angles from hanging, viscous
-# friction in both joints. The class takes the Lagrangian as text; it derives the equations of motion
-# itself.
+# The arm in SI units: point masses m₁, m₂ at the ends of links l₁, l₂, angles from hanging, viscous friction
+# in both joints. The class takes the Lagrangian as text and derives the equations of motion.
 
 m1, m2, l1, l2, g = 1.2, 0.8, 0.5, 0.4, 9.81
 
@@ -53,7 +52,7 @@ data = systems.generate(
 print(data)
 
 # %%
-# Candidates are generated: 42 for L, and friction of both kinds in both joints. No coefficient has to be
+# The candidates are generated: 42 for L, and both kinds of friction in both joints. No coefficient has to be
 # known.
 
 library = la.Library.mechanical(["q1", "q2"], angles=["q1", "q2"])
@@ -62,17 +61,17 @@ model = la.discover(data, library, dissipation=friction)
 print(model.format_table())
 
 # %%
-# All nine terms, and no others; compare with the truth:
+# The result has all nine terms, and no others. Compare with the truth:
 
 table = model.table()
 table["true"] = table.index.map({**arm.lagrangian, **arm.dissipation})
 print(table[["coefficient", "standard_error", "true"]].to_string(float_format="{:.5f}".format))
 
 # %%
-# **Torques for a wanted motion.** With the mass matrix M and the acceleration a(q, q̇) that the arm would
-# have without torques, the torque for a wanted q̈ is τ = M (q̈ − a). Both are methods of the model. The
-# wanted motion goes from hanging to a raised pose in a second, stays there, and returns; each leg is the
-# polynomial of fifth degree that starts and ends at rest.
+# **Torques for a desired motion.** With the mass matrix M and the acceleration a(q, q̇) without torques, the
+# torque for a desired q̈ is τ = M (q̈ − a). Both are methods of the model. The desired motion goes from
+# hanging to a raised pose in one second, stays there, and returns. Each leg is the polynomial of fifth degree
+# that starts and ends at rest.
 
 t = np.linspace(0.0, 4.0, 801)
 raised = np.array([1.3, -0.9])
@@ -89,8 +88,8 @@ q, qdot, qddot = ((a - b)[:, None] * raised for a, b in zip(up, down, strict=Tru
 torque = np.einsum("tij,tj->ti", model.mass_matrix(q), qddot - model.acceleration(q, qdot))
 
 # %%
-# Now play these torques to the *true* arm, open loop: nothing corrects an error. Beside it, the torques of
-# a model that was not offered any friction.
+# Apply these torques to the *true* arm in open loop, so that nothing corrects an error. For comparison, we
+# also apply the torques of a model without friction candidates.
 
 rigid = la.discover(data, library)
 without_friction = np.einsum("tij,tj->ti", rigid.mass_matrix(q), qddot - rigid.acceleration(q, qdot))
@@ -116,6 +115,6 @@ axes[1].legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0
 plt.show()
 
 # %%
-# **What to learn.** With measured torques nothing has to be known beforehand, and friction is told apart
-# from inertia as long as the excitation holds fast and slow movements. The model is good enough to steer
-# blindly for some seconds; a controller on top then has only the rest to do.
+# **What to learn.** With measured torques, no coefficient has to be known, and friction is distinguished from
+# inertia as long as the excitation contains fast and slow movements. The model is accurate enough for some
+# seconds of open-loop control. A controller only has to correct the rest.

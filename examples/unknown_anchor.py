@@ -2,9 +2,9 @@
 A spring whose anchor nobody measured
 =====================================
 
-A mass swings on a spring in a vertical plane, in front of a camera. The spring has a rest length, and it
-hangs on a nail above the picture. Its energy is ½k(ρ − ℓ)² with the distance ρ from the nail, whose
-coordinates stand under a root: no choice of coefficients replaces them. The nail and the law have to be
+A mass swings on a spring in a vertical plane, in front of a camera. The spring has a rest length and hangs on
+a nail above the picture. Its energy is ½k(ρ − ℓ)², where ρ is the distance from the nail. The coordinates of
+the nail are inside a square root, so no choice of coefficients can replace them. The nail and the law must be
 found together.
 """
 
@@ -17,8 +17,8 @@ import leastaction as la
 # %%
 # The experiment
 # --------------
-# 1 kg on a spring of 40 N/m, 0.6 m long at rest. In the coordinates of the camera, the nail is at
-# (0.31, 0.94) m. Three runs of 6 s; the noise is 1 % of the spread of each coordinate.
+# 1 kg on a spring of 40 N/m with a rest length of 0.6 m. In the coordinates of the camera, the nail is at
+# (0.31, 0.94) m. There are three recordings of 6 s; the noise is 1 % of the spread of each coordinate.
 
 MASS, STIFFNESS, LENGTH, GRAVITY = 1.0, 40.0, 0.6, 9.81
 NAIL = np.array([0.31, 0.94])
@@ -41,9 +41,9 @@ for start in ([0.9, 0.5, 0.0, 0.5], [-0.3, 0.4, 0.6, -0.8], [0.4, 0.0, 1.6, 0.0]
 # %%
 # Candidates
 # ----------
-# Ordinary terms, and one with two unknown numbers in braces: the distance from a point (p, r). Expanded, the
-# energy of the spring has parts that are quadratic and linear in x and y, which ordinary terms cover, and
-# −kℓρ, which only the distance covers. The mass was weighed, so ½ẋ² is known.
+# Common terms, and one with two unknown numbers in braces: the distance from a point (p, r). The energy of
+# the spring has parts that are quadratic and linear in x and y, which common terms cover, and −kℓρ, which
+# only the distance covers. The mass was weighed, so ½ẋ² is known.
 
 library = la.Library(
     [*la.Library.mechanical(["x", "y"]), "sqrt((x-{p})**2+(y-{r})**2)"],
@@ -54,8 +54,8 @@ model = la.discover(data, library, known={"x_dot**2": MASS / 2})
 print(model.format_table())
 
 # %%
-# The last rows are the nail, with its standard errors. The other constants follow from the coefficients: k
-# from that of x², and ℓ from that of the distance, which is kℓ.
+# The last rows are the coordinates of the nail, with standard errors. The other constants follow from the
+# coefficients: k from that of x², and ℓ from that of the distance, which is kℓ.
 
 for shape, true in zip(model.shapes, NAIL, strict=True):
     print(f"{shape.name} = {shape.value:.4f} ± {shape.standard_error:.4f} m (true: {true} m)")
@@ -65,7 +65,7 @@ length = coefficients["sqrt((x-{p})**2+(y-{r})**2)"] / stiffness
 print(f"stiffness {stiffness:.2f} N/m (true: {STIFFNESS}), rest length {length:.4f} m (true: {LENGTH})")
 
 # %%
-# The motions, the nail as found, and the potential of the model at rest.
+# The motions, the estimated nail, and the potential of the model at rest.
 
 x, y = np.meshgrid(np.linspace(-0.9, 1.5, 121), np.linspace(-0.9, 1.6, 121))
 q = np.stack([x, y], axis=-1)
@@ -91,7 +91,7 @@ axes.legend(loc="lower right", fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** A number inside a function is no coefficient, but it need not be known: write its name
-# in braces. It comes back with a standard error from the same fit as the law. Each number makes a term more
-# flexible, so offer few such terms, and record motions along which the term changes in a way that the others
-# cannot imitate: here the mass comes close to the nail and swings far to both sides of it.
+# **What to learn.** A number inside a function is not a coefficient, but it need not be known: write its name
+# in braces. The same fit that finds the law estimates it, with a standard error. Each such number makes a
+# term more flexible, so use few of them. Record motions along which the term changes in a way that the others
+# cannot imitate: here the mass comes close to the nail and swings far to both sides.

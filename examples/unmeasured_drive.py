@@ -2,9 +2,9 @@
 A drive that nobody measured
 ============================
 
-A crane: a trolley carries a load on a rope of 0.8 m. The trolley's position and the angle of the rope are
-recorded, the force of the motor is not. The equation of the trolley is of no use then, that of the load is
-all one needs to move it without swinging.
+A trolley of a crane carries a load on a rope of 0.8 m. The position of the trolley and the angle of the rope
+are recorded, but not the force of the motor. The equation of the trolley is therefore useless. The equation
+of the load is all that is needed to move it without swinging.
 """
 
 import matplotlib.pyplot as plt
@@ -41,9 +41,9 @@ for _ in range(4):
     recordings.append(la.Trajectory(t, q + noise * rng.normal(size=q.shape), coordinates=["x", "theta"]))
 
 # %%
-# The trolley also has friction of two kinds and a mass, of which nothing is said and nothing will be found:
-# ``prescribed`` leaves its equation out. No force is known, so one coefficient has to be: the load's
-# inertia, m l²/2, sets the scale.
+# The trolley also has a mass and two kinds of friction. We neither offer nor find them: ``prescribed``
+# excludes the equation of the trolley. No force is known, so one coefficient must be given. The inertia of
+# the load, m l²/2, sets the scale.
 
 library = la.Library.mechanical(["x", "theta"], angles=["theta"])
 inertia = {"theta_dot**2": 0.5 * load * rope**2}
@@ -52,15 +52,15 @@ print(model.format_table())
 print(*model.diagnostics.dropped[:3], sep="\n")
 
 # %%
-# Both coefficients are there: m l = 4 and m g l = 39.24. Their ratio to the inertia gives the rope, 0.8 m.
-# The equation has the trolley's acceleration in it,
+# Both coefficients are found: m l = 4 and m g l = 39.24. Their ratio to the inertia gives the length of the
+# rope, 0.8 m. The equation contains the acceleration of the trolley,
 
 (swing,) = model.equations_of_motion()
 print(swing)
 
 # %%
-# and that is what drives the model: where it takes forces, the entry of x is its acceleration. The last
-# recording was kept. Its trolley moves as it was measured, the rope as the model says.
+# and this acceleration drives the model: where the model takes forces, the entry of x is its acceleration.
+# The last recording was held out. Its trolley moves as measured, and the model predicts the rope.
 
 check = model.validate(recordings[3], horizon=4.0)
 print(check)
@@ -75,8 +75,8 @@ lower.legend(loc="upper right")
 plt.show()
 
 # %%
-# Now the use of it. A move of 2 m that speeds up and slows down for one period of the swing each leaves the
-# load at rest; the same move in less time does not.
+# Now we use the model. A move of 2 m that accelerates and decelerates for one period of the swing each leaves
+# the load at rest. The same move in less time does not.
 
 coefficient = {term.expression: term.coefficient for term in model.terms}
 length = coefficient["theta_dot**2"] * 2.0 / coefficient["x_dot*theta_dot*cos(theta)"]
@@ -98,6 +98,6 @@ axis.legend()
 plt.show()
 
 # %%
-# **What to learn.** Whatever moves a coordinate without being measured (a drive, a hand, the ground), name
-# the coordinate in ``prescribed``. Told nothing, the fit would look for the motor's force among the terms
-# of L, and the result would not be *ok*.
+# **What to learn.** If something unmeasured moves a coordinate (a drive, a hand, the ground), name the
+# coordinate in ``prescribed``. Otherwise the fit would try to express the force of the motor by terms of L,
+# and the result would not be *ok*.

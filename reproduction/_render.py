@@ -1,17 +1,14 @@
-"""Tables and findings as Markdown and as one HTML page that needs nothing else."""
+"""Tables and findings as Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-
-from jinja2 import Environment, FileSystemLoader
 
 from reproduction._findings import Finding
 from reproduction._tables import Cell, Table
 
-__all__ = ["Page", "Section", "html", "markdown"]
+__all__ = ["Page", "Section", "markdown"]
 
 
 @dataclass(frozen=True)
@@ -33,9 +30,9 @@ class Page:
     origin: Sequence[tuple[str, str]] = field(default_factory=list)
 
 
-FINDINGS = "Where ours is not the best, and where the paper's method misses its published error"
+FINDINGS = "Cells that fall short"
 NOTHING = (
-    "Nowhere, among the methods run here and the published numbers; where the paper's method was run, it is "
+    "None: ours is the best among the methods run here and the published numbers, and the paper's method is "
     "within twice its published error."
 )
 
@@ -66,11 +63,3 @@ def _markdown_cell(cell: Cell) -> str:
     text = f"**{cell.text}**" if cell.best else cell.text
     whole = f"{text} ({cell.detail})" if cell.detail and text else text + cell.detail
     return whole.replace("|", "\\|")
-
-
-def html(page: Page) -> str:
-    """The page as one file, for light and dark screens and for paper."""
-    loader = FileSystemLoader(Path(__file__).parent)
-    environment = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    template = environment.get_template("_page.html.j2")
-    return template.render(page=page, findings_title=FINDINGS, nothing=NOTHING) + "\n"

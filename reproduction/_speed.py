@@ -13,17 +13,17 @@ from reproduction.scoring import NEAR_BEST
 __all__ = ["speed"]
 
 _SPEED_NOTE = (
-    "Seconds of a method over seconds of ours on the same data, geometric mean over noise levels, trials "
-    "and libraries; above 1, ours is faster. For methods that iterate: the seconds until the error first "
-    "came within 5 % of its smallest, which nobody could know in practice; for others, all of them. Seconds "
-    "of the processor, one thread: the wall time of a quiet machine, comparable on a busy one, too. Only "
-    "pairs from the same kind of machine; below, how many."
+    "Processor time of a method divided by ours on the same data, geometric mean over noise levels, trials "
+    "and libraries. Above 1, ours is faster. For iterative methods it is the time until the error first "
+    "came within 5 % of its smallest value, which is unknown in practice; for others, the total. Processor "
+    "time with one thread is comparable on busy machines, too. Only pairs from the same kind of machine; in "
+    "brackets, their number."
 )
 _LEVEL_NOTE = (
-    "The same seconds of a method over those after which the law that ours then had was within 5 % of that "
-    "method's own smallest error, or better. Ours goes on from there: to its end takes what the table above "
-    "says. Below, the pairs in which ours came that far, and all pairs; those in which it did not are not in "
-    "the mean (data without noise, where exact accelerations or integrals leave rounding errors only)."
+    "The same time of a method, divided by the time after which the intermediate law of ours was within 5 % "
+    "of that method's smallest error, or better. Ours then continues to its end. In brackets, the pairs in "
+    "which ours came that far, and all pairs; the others are not in the mean (data without noise, where "
+    "exact accelerations or integrals leave only rounding errors)."
 )
 
 
@@ -40,8 +40,8 @@ def speed(results: Results) -> list[Table]:
         if own.get("course") and _error(theirs) is not None:
             level.append((*place, _level(theirs, own)))
     made = [
-        _speed_table(results, "Speed against ours", _SPEED_NOTE, whole),
-        _speed_table(results, "Speed until ours is as good", _LEVEL_NOTE, level),
+        _speed_table(results, "Speed relative to ours", _SPEED_NOTE, whole),
+        _speed_table(results, "Time until ours is as accurate", _LEVEL_NOTE, level),
     ]
     return [table for table in made if table]
 

@@ -69,10 +69,10 @@ def group_tables(results: Results, group: Group, paper: Mapping) -> list[Table]:
 
 
 _ACCURACY_NOTE = (
-    "ℓ2 error of the coefficients × 10⁻², mean over the trials; below, precision / recall in per cent. "
-    "The columns in italics are the paper's published numbers. Where a trial is missing or failed, the "
+    "ℓ2 error of the coefficients × 10⁻², mean over the trials; in brackets, precision / recall in per "
+    "cent. Columns in italics are the paper's published numbers. If a trial is missing or failed, the "
     "number of runs is given, and the cell cannot be the best. Methods that find equations of motion "
-    "without a Lagrangian have no such error; they are in the tables further down."
+    "without a Lagrangian have no such error; other tables include them."
 )
 
 
@@ -95,39 +95,39 @@ class _Kind:
 
 _KINDS = (
     _Kind(
-        "Error against the smallest that the data allow",
+        "Error relative to the Cramér–Rao bound",
         "l2_over_crb",
-        "ℓ2 error over the Cramér–Rao bound of the same data (noisy positions, true terms), root mean square "
-        "over the trials; below, in how many runs the terms were exactly the true ones. An estimate that "
-        "reaches the bound has about 1, in five trials anything from 0.4 to 1.6. Methods that are given "
-        "noisy velocities and accelerations beside the positions have more data than the bound knows of.",
+        "ℓ2 error divided by the Cramér–Rao bound of the same data (noisy positions, true terms), root mean "
+        "square over the trials; in brackets, the number of runs with exactly the true terms. An estimate "
+        "that reaches the bound has about 1, in five trials between 0.4 and 1.6. Methods that are also "
+        "given noisy velocities and accelerations have more data than the bound assumes.",
         detail=_exact,
         average=Results.rms,
     ),
     _Kind(
         "Equation error",
         "equation_error",
-        "Relative rms error of q̈ along two fresh motions of 20 s, each coordinate in units of its own rms; "
+        "Relative rms error of q̈ along two new motions of 20 s, each coordinate in units of its own rms; "
         "mean over the trials.",
     ),
     _Kind(
         "Forecast horizon, s",
         "forecast_horizon",
-        "How long a free run from the exact initial state of those motions stays within 10 % of each "
-        "coordinate's standard deviation; 20 s is the whole motion; mean over the trials.",
+        "Time for which a simulation from the exact initial state of these motions stays within 10 % of "
+        "each coordinate's standard deviation; 20 s is the whole motion; mean over the trials.",
         largest=True,
     ),
     _Kind(
         "Wall time, s",
         "wall_s",
-        "Of the method alone, one thread, mean over the trials; simulation and scoring are not in it. Below, "
-        "the seconds of the processor: less where other runs kept the machine busy.",
+        "Of the method only, one thread, without simulation and scoring; mean over the trials. In brackets, "
+        "the processor time, which is shorter if other runs kept the machine busy.",
         detail=lambda runs: f"CPU {number(runs.mean('cpu_s'))}",
     ),
     _Kind(
         "Peak memory, MB",
         "peak_mb",
-        "Of the whole process of a run, with Python and the packages it loads; mean over the trials.",
+        "Of the whole process of a run, with Python and the loaded packages; mean over the trials.",
     ),
 )
 
@@ -209,9 +209,9 @@ def _metric(results: Results, kind: _Kind) -> Table:
 
 
 _COVERAGE_NOTE = (
-    "How many of the 95 % intervals of true terms hold the true value, over all trials. The coefficients of "
-    "a run err together, so that these few runs say little; 200 runs of each system and level are in "
-    "studies/tables.md."
+    "Share of the 95 % intervals of true terms that contain the true value, over all trials. Errors of the "
+    "coefficients of a run are correlated, so these few runs say little; studies/tables.md has 200 runs of "
+    "each system and level."
 )
 
 
@@ -300,9 +300,9 @@ def ablation(results: Results, group: Group, paper: Mapping) -> Table | None:
 
 
 _EXPERIMENTS_NOTE = (
-    "ℓ2 error × 10⁻² and precision / recall, mean over the trials, of the paper's method as in the tables "
-    "above, and where it is told what nobody knows: from-truth begins at the true coefficients, true-terms "
-    "has no other candidates than the true terms. The settings are the same."
+    "ℓ2 error × 10⁻² and precision / recall of the paper's method, mean over the trials: as in the other "
+    "tables, and with information that a user does not have. from-truth starts at the true coefficients; "
+    "true-terms has only the true terms as candidates. The settings are the same."
 )
 
 

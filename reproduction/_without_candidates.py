@@ -25,28 +25,27 @@ _HEADS: dict[Column, str] = {
 _ASKED = [column for column in _HEADS if column not in (("ours", ""), ("operon", ""))]
 
 _NOTE = (
-    "Relative rms error of q̈ along two fresh motions, each coordinate in units of its own rms, mean "
-    "over the trials; below, for how many seconds a free run holds, both as in the tables above, and "
-    "what the method says of its result unless that is “ok”. The form of a Lagrangian is right where "
-    "its terms are the true ones; that of an expression is judged on data without noise, by an error "
-    f"below {100 * RIGHT:g} %: with noise, a right form with poor numbers cannot be told from an "
-    "imitation. All have the same trials. Operon and uDSR look for an expression q̈ᵢ(q, q̇, f) of each "
-    "coordinate, ours for a Lagrangian: of the compact candidates, or of candidates grown from the "
-    "names of the coordinates (--library symbolic). Operon has rates smoothed from the positions, or is "
-    "given exact velocities and accelerations plus noise of the level, as uDSR always is. uDSR is the "
-    "authors' code (PyTorch port), stopped after 45 s of the processor for each coordinate: as "
-    "released, its genetic programming changes nothing; repaired, it does; polynomial: with its token "
-    "of a cubic polynomial. An empty cell was not run. In italics ℓ2 × 10⁻² and precision / recall that "
-    "the paper publishes for uDSR: it says neither what the target of the regression was nor the "
-    "settings, and expressions of q̈ have no coefficients of a Lagrangian, so these numbers cannot be "
-    "checked here."
+    "Relative rms error of q̈ along two new motions, each coordinate in units of its own rms, mean over "
+    "the trials; in brackets, the horizon of a simulation in seconds, as in the other tables, and the "
+    "status of the result unless it is “ok”. The form of a Lagrangian is right if its terms are the true "
+    f"ones. The form of an expression is judged on data without noise, by an error below {100 * RIGHT:g} %: "
+    "with noise, a right form with inaccurate numbers cannot be distinguished from an imitation. All "
+    "methods have the same trials. Operon and uDSR search an expression q̈ᵢ(q, q̇, f) for each "
+    "coordinate; ours searches a Lagrangian, from the compact candidates or from candidates generated "
+    "from the names of the coordinates (--library symbolic). Operon has rates smoothed from the "
+    "positions, or is given exact velocities and accelerations plus noise of the level, as uDSR always "
+    "is. uDSR is the authors' code (PyTorch port), stopped after 45 s of processor time per coordinate. "
+    "As released, its genetic programming changes nothing; repaired, it does; polynomial: with its token "
+    "of a cubic polynomial. An empty cell was not run. In italics, ℓ2 × 10⁻² and precision / recall that "
+    "the paper publishes for uDSR. It states neither the target of the regression nor the settings, and "
+    "expressions of q̈ have no coefficients of a Lagrangian, so these numbers cannot be checked here."
 )
 _COST_NOTE = (
-    "Mean over the trials, all coordinates together, one thread; with the processes that a method starts."
+    "Mean over the trials, all coordinates together, one thread, including processes that a method starts."
 )
 _FOUND_NOTE = (
-    "First trial of each, at the smallest noise; of ours the terms of L that are not given. Long "
-    "expressions are cut; the records have them whole."
+    "First trial of each system at the smallest noise; for ours, the terms of L that are not given. Long "
+    "expressions are cut; the records have the complete ones."
 )
 
 
@@ -70,7 +69,7 @@ def _errors(runs: Results, columns: list[Column], group: Group, paper: Mapping) 
         printed = published(paper, group, "uDSR", system, noise)
         return [*cells, Cell(f"{printed[0]:.2f}", f"{printed[1]:g}/{printed[2]:g}") if printed else Cell("")]
 
-    table = _grid("Symbolic regression, and ours without candidates", _NOTE, runs, columns, fill)
+    table = _grid("Symbolic regression, and ours from names alone", _NOTE, runs, columns, fill)
     judged = [
         [right for right in map(is_right, cells) if right is not None] for cells in _of_cells(runs, columns)
     ]
@@ -83,7 +82,7 @@ def _cost(runs: Results, columns: list[Column]) -> Table:
     def fill(system: str, noise: float, ran: list[Results]) -> list[Cell]:
         return [Cell(number(r.mean("cpu_s")) if r.records else "") for r in ran]
 
-    return _grid("Their seconds of the processor", _COST_NOTE, runs, columns, fill)
+    return _grid("Processor time of symbolic regression, s", _COST_NOTE, runs, columns, fill)
 
 
 def _grid(title: str, note: str, runs: Results, columns: list[Column], fill: Callable) -> Table:

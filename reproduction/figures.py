@@ -1,6 +1,6 @@
 """Draw the figures: ``python -m reproduction.figures [--only NAME] [--output FOLDER] [--pixels N]``.
 
-Writes one file per figure, ``figures.json`` with the numbers in them, and ``captions.md``.
+Writes one file per figure, and ``figures.json`` with titles, captions and the numbers in them.
 """
 
 from __future__ import annotations
@@ -61,21 +61,10 @@ def _finite(value):
 
 
 def _write(records: dict, output: Path) -> None:
-    """Write the record of all figures, and their captions."""
-    present = {name: records[name] for name in NAMES if name in records}
+    """Write the record of all figures."""
+    present = {name: {"title": _TITLES[name], **records[name]} for name in NAMES if name in records}
     text = json.dumps(present, indent=2, ensure_ascii=False, allow_nan=False)
     (output / "figures.json").write_text(text + "\n", encoding="utf-8")
-    lines = ["# Figures", "", "Written by `python -m reproduction.figures`; do not edit."]
-    for name, record in present.items():
-        lines += [
-            "",
-            f"## {_TITLES[name]}",
-            "",
-            f"![{_TITLES[name]}]({record['file']})",
-            "",
-            record["caption"],
-        ]
-    (output / "captions.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

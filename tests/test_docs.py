@@ -12,6 +12,7 @@ import inspect
 import io
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import Any
 
 import click
 import pytest
+from click.testing import CliRunner
 
 import leastaction as la
 from benchmarks import pages
@@ -33,12 +35,16 @@ PAGES = sorted(DOCS.glob("*.md"))
 
 
 def _load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name.replace("/", "_"), DOCS / f"{name}.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    sys.modules[module.__name__] = module
     spec.loader.exec_module(module)
     return module
+
+
+CHECK = _load("check_pages")
 
 
 def _documented() -> set[str]:
@@ -148,7 +154,17 @@ def _examples() -> list[tuple[str, str]]:
     return found
 
 
-OURS = [(name, block) for name, block in _examples() if "import leastaction" in block]
+# Of docs/coming_from.md: what other tools want, which are not installed.
+_OTHERS = ("import pysindy", "from xlsindy", "from pysr")
+
+
+def _of_page(page: str) -> list[str]:
+    """The blocks of a page in sequence; later ones use the names of earlier ones."""
+    blocks = [block for name, block in _examples() if name.rpartition("-")[0] == page]
+    return [block for block in blocks if not any(other in block for other in _OTHERS)]
+
+
+OURS = [page.stem for page in PAGES if _of_page(page.stem) and page.stem != "index"]
 
 
 @pytest.fixture(scope="module")
@@ -167,15 +183,92 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scipy_io = pytest.importorskip("scipy.io")
     run = driven[0]
     scipy_io.savemat(pendulum / "run.mat", {"t": run.t, "theta": run.q[:, 0], "tau": run.forces[:, 0]})
-    return {"start": cart, "report": cart, "choose": cart, "coming_from": pendulum, "lab": pendulum}
+    return {
+        "coming_from": pendulum,
+        "lab": pendulum,
+        **dict.fromkeys(("arms", "start", "report", "choose"), cart),
+    }
 
 
-@pytest.mark.parametrize(("name", "block"), OURS, ids=[name for name, _ in OURS])
+@pytest.mark.parametrize("page", OURS)
 def test_examples_of_the_pages_run(
-    name: str, block: str, tables: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+    page: str, tables: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tables[name.rpartition("-")[0]])
-    exec(compile(block, name, "exec"), {"__name__": "__main__"})
+    monkeypatch.chdir(tables.get(page, tmp_path))
+    names = {"__name__": "__main__"}
+    for number, block in enumerate(_of_page(page)):
+        exec(compile(block, f"{page}-{number}", "exec"), names)
+
+
+def _commands() -> list[str]:
+    """Commands that readers copy, from README.md and the pages; what a page runs itself is not among them."""
+    found = []
+    for page in (ROOT / "README.md", *PAGES):
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        found += re.findall(r"^(?:    |\$ (?:\.venv/bin/)?)(leastaction [^\n]+)", text, re.M)
+    return found
+
+
+def test_the_home_page_shows_what_its_example_prints() -> None:
+    page = (DOCS / "index.md").read_text(encoding="utf-8")
+    code, shown = (re.search(rf"^```{kind}\n(.*?)^```", page, re.M | re.S)[1] for kind in ("python", "text"))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(compile(code, "index.md", "exec"), {"__name__": "__main__"})
+    assert printed.getvalue() == shown
+
+
+@pytest.mark.parametrize("command", _commands())
+def test_commands_of_the_pages_have_these_options(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are read, not run: their files are the reader's."""
+    name, *arguments = shlex.split(command, comments=True)[1:]
+    assert isinstance(program, click.Group)
+    chosen = program.commands[name]
+    monkeypatch.setattr(chosen, "callback", lambda **_: None)
+    chosen.main(arguments, prog_name=name, standalone_mode=False)
+
+
+def test_commands_of_the_readme_run(tables: dict[str, Path], tmp_path: Path) -> None:
+    """Its three files are those of three days."""
+    rows = (tables["lab"] / "run.csv").read_text(encoding="utf-8").splitlines()
+    trials = [[row[2:] for row in rows[1:] if row.startswith(f"{k},")] for k in (0, 1)]
+    for day, trial in zip(("monday", "tuesday", "friday"), (*trials, trials[0]), strict=True):
+        (tmp_path / f"{day}.csv").write_text("\n".join(["t,theta,tau", *trial]), encoding="utf-8")
+    ours = [c for c in _commands() if " found/" in c or "--output found" in c][:3]
+    assert [command.split()[1] for command in ours] == ["discover", "validate", "export"]
+    with contextlib.chdir(tmp_path):
+        for command in ours:
+            short = command.replace("--horizon 9", "--horizon 2")  # these recordings are short
+            done = CliRunner().invoke(program, shlex.split(short)[1:])
+            assert done.exit_code == 0, done.output
+    assert {"model.json", "report.html"} == {path.name for path in (tmp_path / "found").iterdir()}
+    assert (tmp_path / "model.c").exists()
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md", "docs/choose.md"])
+def test_sentences_are_short(page: str) -> None:
+    assert list(CHECK.long_sentences((ROOT / page).read_text(encoding="utf-8"))) == []
+
+
+def test_long_sentences_are_found() -> None:
+    long = "Word " * 40
+    code = f"```python\n{long}\n```"
+    text = f"# {long}\n\nShort. {long}end. Short again [a link](x.md).\n\n{code}\n\n| {long} | b |\n"
+    assert [words for words, _ in CHECK.long_sentences(text)] == [40, 41, 40]
+    assert CHECK.main(["--sentences", str(ROOT / "docs/start.md")]) == 0
+
+
+def test_large_pages_are_seen(tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("x" * 500_000, encoding="utf-8")
+    assert [line for line in CHECK.problems(tmp_path) if "has 500000 bytes" in line]
+
+
+def test_versions_are_listed_newest_first(tmp_path: Path) -> None:
+    versions = _load("_ext/versions")
+    for name in ("0.9.0", "0.10.0", "0.10.0.dev1"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "index.html").touch()
+    assert versions.write_list(tmp_path) == ["0.10.0", "0.10.0.dev1", "0.9.0"]
+    assert "url=0.10.0/index.html" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("name", "block"), _examples(), ids=[name for name, _ in _examples()])
@@ -239,8 +332,6 @@ def test_links_of_the_readme_lead_somewhere() -> None:
             titles = re.findall(r"^#+ (.+)$", (ROOT / name).read_text(encoding="utf-8"), re.M)
             assert anchor in {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
-
-CHECK = _load("check_pages")
 
 FOREIGN = [
     '<script src="https://cdn.example.org/a.js"></script>',

@@ -1,4 +1,4 @@
-"""What the package holds beside code: measured data, and thresholds that decide."""
+"""What the package holds beside code: measured data, thresholds that decide, files for releases."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import ast
 import dataclasses
 import inspect
 import itertools
+import re
+import tomllib
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -98,3 +100,55 @@ def test_other_numbers_say_what_they_are(name):
     """What decides is in the settings; what is left beside the code is bookkeeping, and says of what."""
     folder = Path(leastaction.__file__).parent / name.lower()
     assert not [line for path in sorted(folder.rglob("*.py")) for line in _undescribed(path)]
+
+
+# ------------------------------------------------------- files for releases: they agree with pyproject.toml
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_the_conda_recipe_has_the_same_requirements(project):
+    recipe = (ROOT / "packaging/recipe.yaml").read_text(encoding="utf-8")
+    run = recipe.partition("  run:\n")[2].partition("\n\n")[0]
+    found = {line.strip("- ").replace(" ", "") for line in run.splitlines()}
+    python = f"python{project['project']['requires-python']}"
+    assert found == {*project["project"]["dependencies"], python}
+
+
+def test_versions_and_licences_agree(project):
+    version = project["project"]["version"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    recipe = (ROOT / "packaging/recipe.yaml").read_text(encoding="utf-8")
+    assert f"\nversion: {version}\n" in citation
+    assert f'version: "{version}"' in recipe
+    assert all(name in recipe for name in project["project"]["license-files"])
+    assert f"license: {project['project']['license']}" in citation
+
+
+def test_release_files_name_what_exists(project):
+    included = project["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    assert not [name for name in included if not (ROOT / name.strip("/")).exists()]
+    extras = project["project"]["optional-dependencies"]
+    container = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    assert set(re.search(r"leastaction\[([\w,]+)\]", container)[1].split(",")) <= extras.keys()
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8")
+    for text in (workflow, (ROOT / ".ci/run").read_text(encoding="utf-8")):
+        targets = re.findall(r"^(?:.*run: )?make ([\w-]+)", text, re.M)
+        assert len(targets) > 4
+        assert not [name for name in targets if not re.search(rf"^{name}:", makefile, re.M)]
+    tested = set(re.findall(r"\"(3\.\d+)\"", workflow))
+    classified = {c.rpartition(" ")[2] for c in project["project"]["classifiers"] if " 3." in c}
+    assert tested == classified
+
+
+def test_the_paper_cites_what_its_bibliography_holds():
+    paper = (ROOT / "paper/paper.md").read_text(encoding="utf-8")
+    entries = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "paper/paper.bib").read_text(encoding="utf-8"), re.M))
+    assert set(re.findall(r"@([a-z]+\d{4})", paper)) == entries
+    for name in re.findall(r"\]\(([^)]+\.svg)\)", paper):
+        assert (ROOT / "paper" / name).exists()

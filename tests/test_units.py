@@ -165,7 +165,7 @@ def test_bad_arguments(monkeypatch):
         la.units.check(CART, SI | {"phi": "rad"})
     with pytest.raises(InputError, match="'y' is no coordinate"):
         la.units.check(CART, SI, {"y": "N"})
-    with pytest.raises(InputError, match="which is no time"):
+    with pytest.raises(InputError, match="which is not a time"):
         la.units.check(CART, SI, time="m")
     with pytest.raises(InputError, match="pass a model or a Library"):
         la.units.check("x**2", SI)

@@ -66,78 +66,76 @@ def discover(
     .. math:: \frac{d}{dt}\frac{\partial L}{\partial \dot q_i} - \frac{\partial L}{\partial q_i}
               + \frac{\partial \psi}{\partial \dot q_i} = f_i
 
-    by maximum likelihood for the curve q(t) and the coefficients together (Zhang & Sun 2026, solved as a
-    banded nonlinear least-squares problem), with the terms chosen by a search on the weak form and the
-    extended BIC.
+    by maximum likelihood for the curve q(t) and the coefficients jointly (Zhang & Sun 2026, solved as a
+    banded nonlinear least-squares problem). A search on the weak form and the extended BIC select the terms.
 
     Parameters
     ----------
     trajectories : Trajectory, Trajectories or iterable of Trajectory
-        Times in seconds, coordinates (NaN = missing), known generalised forces; measured velocities and
-        accelerations, if any, are fitted too, each with a noise of its own.
+        Times in seconds, coordinates (NaN = missing) and known generalised forces. Measured velocities and
+        accelerations, if any, are fitted too; the noise of each is estimated.
     library : Library or iterable of str
         Candidates of L.
     known : mapping of str to float, optional
-        Coefficients that are known. A system without known forces needs at least one: it sets the scale
-        of L.
+        Known coefficients. A system without known forces needs at least one, which sets the scale of L.
     dissipation : iterable of str
         Candidates ψ of the dissipation function; force −∂ψ/∂q̇. ``abs(x_dot)`` (Coulomb friction) is
         smoothed near zero velocity.
     method : {"gauss-newton", "adam"}
-        ``"adam"`` is the paper's own method, gradient descent with thresholding, for comparison: slower,
-        less accurate, with thresholds that depend on units, and without standard errors (NaN).
+        ``"adam"`` is the paper's own method, gradient descent with thresholding, for comparison. It is slower
+        and less accurate, its thresholds depend on units, and it gives no standard errors (NaN).
     angles : iterable of str, optional
         Coordinates from which jumps of 2π are removed; default: those of the library.
     force_offset : iterable of str, or mapping of str to float, optional
-        Coordinates on which a force of unknown size may act beside the known ones, such as the bias of an
-        actuator or of its sensor.  Constant: each adds the coordinate itself as a candidate of L, whose
-        coefficient is the force.  A mapping gives the seconds within which the force may change (infinite:
-        constant); it is then found in each trajectory as a cubic spline with knots so far apart
-        (``diagnostics.force_offset``).  Choose them longer than a few periods of the motion.
+        Coordinates on which an additional force of unknown size may act, such as the bias of an actuator or
+        of its sensor. By name, the force is constant: the coordinate itself becomes a candidate of L, and its
+        coefficient is the force. A mapping gives the time in seconds within which the force may change
+        (infinite: constant). It is then estimated in each trajectory as a cubic spline with this knot spacing
+        (``diagnostics.force_offset``). Choose a time longer than a few periods of the motion.
     prescribed : iterable of str
-        Coordinates that are measured, but moved by forces nobody knows: a trolley under its drive, a support
-        that is shaken, a joint without a torque sensor. Their own equations are not used, and what only they
-        contain (the trolley's mass) is not found; of the others everything is. In the model, the force on
-        such a coordinate is its acceleration.
+        Coordinates that are measured but moved by unknown forces: a trolley under its drive, a shaken
+        support, a joint without a torque sensor. Their own equations are not used, so terms that occur only
+        there (the trolley's mass) are not found. In the model, the force on such a coordinate is its
+        acceleration.
     robust : bool
-        Leave out samples that are more than five standard deviations off a smooth motion and alone there
-        (glitches of a camera, lost counts); a note says how many. Noise with heavy tails, more than 5 % of it
-        out there, is kept. Without outliers nothing changes. ``method="adam"`` keeps every sample.
+        Leave out isolated samples more than five standard deviations off a smooth motion (glitches of a
+        camera, lost counts); a note says how many. Heavy-tailed noise, with more than 5 % of the samples out
+        there, is kept. ``method="adam"`` keeps every sample.
     degree : int
         Degree of the splines, at least 3; by default 5, and 3 for ``method="adam"`` as in the paper.
     relevance : float
-        Share of the equation error's variance that a term must remove to stay. It matters on real hardware
-        only, where the library is never exact and every candidate would become significant with enough
-        data; 0 asks for significance alone.
+        Share of the equation error's variance that a term must remove in order to stay. It matters on real
+        hardware only, where the library is never exact and every candidate becomes significant with enough
+        data. With 0, significance alone decides.
     seed : int
-        Of the simulated noise that the search weighs supports with; of the collocation times with adam.
+        Seed of the simulated noise in the search, or of the collocation times of ``method="adam"``.
     shapes : mapping of str to (float, float), optional
         Ranges of shape parameters: unknown numbers inside candidates, named in braces, as in
-        ``exp(-{a}*x)`` or ``sqrt((x-{p})**2+(y-{r})**2)``. A parameter stays within its range; without
-        one, the data suggest where to look. Several terms may share a parameter.
+        ``exp(-{a}*x)`` or ``sqrt((x-{p})**2+(y-{r})**2)``. A parameter stays within its range. Without one,
+        the data suggest where to search. Several terms may share a parameter.
     groups : iterable, or mapping of str, optional
-        Of each trajectory the name of its group, in a row or by the trajectories' names: recordings with and
-        without a payload, at several temperatures, with other springs. Which coefficients differ between
-        them is found, and by how much: ``model.groups``; all others are shared. ``model`` itself has the
-        coefficients of the group that is named first, ``model.of_group(name)`` those of another. There is
-        no trade-off curve then. Not with slow forces, shape parameters or ``method="adam"``.
+        The group of each trajectory, in order or by the trajectories' names: recordings with and without a
+        payload, at several temperatures, with other springs. The discovery finds which coefficients differ
+        between groups, and by how much (``model.groups``); all others are shared. ``model`` has the
+        coefficients of the group that is named first, ``model.of_group(name)`` those of another. Groups
+        exclude a trade-off curve, slow forces, shape parameters and ``method="adam"``.
     options : AdamOptions or mapping, optional
-        Settings of ``method="adam"``; the default method has none.
+        Settings of ``method="adam"``. The default method has none.
     progress : callable, optional
-        Called as ``progress(stage, details)``, with plain numbers in ``details``; where a stage has an
-        intermediate law, its ``"coefficients"`` (term → value) and the number of free ``"terms"`` are there.
-        Raise `leastaction.StopSearch` to end a long search: the best law so far comes back, with the finding
-        ``stopped-early``.
+        Called as ``progress(stage, details)`` with plain numbers in ``details``. If a stage has an
+        intermediate law, they include its ``"coefficients"`` (term → value) and the number of free
+        ``"terms"``. Raise `leastaction.StopSearch` to end a long search; the best law so far is then
+        returned, with the finding ``stopped-early``.
     workers : int or distributed.Client, optional
-        Compute with so many processes, or with the workers of a Dask cluster; by default in this thread.
-        Processes share the trials of long recordings, which have more than 100,000 measured values, and a
-        program needs no ``if __name__ == "__main__":`` for them; a cluster shares those of shorter ones, too.
-        The result is the same. A worker that is lost costs time only.
+        Number of additional processes, or a client of a Dask cluster. By default, everything runs in this
+        thread. Processes share the trials of recordings with more than 100,000 measured values, and need no
+        ``if __name__ == "__main__":``. A cluster also shares shorter ones. The result is the same, even if a
+        worker is lost.
 
     Returns
     -------
     LagrangianModel
-        With ``fit.status`` "ok", "usable" or "doubtful"; numerical failure never raises.
+        With ``fit.status`` "ok", "usable" or "doubtful". A numerical failure never raises.
 
     Raises
     ------
@@ -148,9 +146,9 @@ def discover(
 
     Notes
     -----
-    Not guaranteed: that the truth is in the library; that two structures can be told apart by these data.
-    Intervals assume white Gaussian noise and a white equation error; where a machine moves in ways that the
-    library cannot explain, those of free runs take their place (`fit` is doubtful then, and a note says so).
+    Not guaranteed: that the truth is in the library, and that the data distinguish two structures. Intervals
+    assume white Gaussian noise and a white equation error. For machines whose equations hold only to some per
+    cent, intervals for misspecified models may replace them (a note says so).
 
     Examples
     --------

@@ -1,6 +1,6 @@
 """A model as CasADi functions, for optimal control and moving-horizon estimation.
 
-Needs ``pip install 'leastaction[casadi]'``. The same functions as a file that needs nothing of leastaction:
+Needs ``pip install 'leastaction[casadi]'``. The same functions as a file that is independent of leastaction:
 ``leastaction.export(model, "casadi")``.
 """
 

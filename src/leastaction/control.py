@@ -78,7 +78,7 @@ def linearize(
     name: str | None = None,
     t: float | None = None,
 ) -> control.StateSpace:
-    r"""Linear system of small deviations from a state, by exact derivatives.
+    r"""Linear system of small deviations from a state, from exact derivatives.
 
     With M q̈ = r + f, a deviation δ of q or q̇ changes the acceleration by
     M⁻¹ (∂r/∂x − (∂M/∂x) q̈) δ, and one of the forces by M⁻¹ δf.
@@ -87,13 +87,13 @@ def linearize(
     ----------
     model : LagrangianModel
     q : array_like, shape (n_dof,)
-        Where to linearise; an equilibrium if the result is to be a motion by itself.
+        State at which to linearise, usually an equilibrium.
     qdot, forces : array_like, shape (n_dof,), optional
-        Zero by default. A force that holds the system belongs here.
+        Zero by default. Include a force that holds the system in place.
     actuated, name
         As for `state_space`.
     t : float, optional
-        Time in seconds; a law that holds the time needs it, and the linear system is that of this instant.
+        Time in seconds, for a law that depends on time. The linear system is that of this instant.
 
     Returns
     -------

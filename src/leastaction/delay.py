@@ -1,11 +1,12 @@
 r"""Delay between the channels of the coordinates and those of the forces.
 
-Sensors filter, drives buffer, clocks differ: a force that is recorded at time t often acts at t + τ of the
-clock of the coordinates. With the wrong τ the equations do not hold, and the likelihood of the data falls. So
+Sensors filter, drives buffer, and clocks differ. A force recorded at time t often acts at t + τ of the clock
+of the coordinates. With a wrong τ the equations do not hold, and the likelihood of the data decreases. The
+estimate is
 
     τ̂ = argmax_τ max_{q, λ, σ, w} p(y | q, σ) p(q | λ, w, f(t − τ)),
 
-where terms and knots are held while τ varies, and are found anew at the best τ until nothing changes.
+where terms and knots are fixed while τ varies, and are determined again at the best τ until nothing changes.
 """
 
 from __future__ import annotations
@@ -44,26 +45,26 @@ _GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)
 
 @dataclass(frozen=True, eq=False)
 class DelayEstimate:
-    """What is known about the delay of the forces.
+    """An estimate of the delay of the forces.
 
     Attributes
     ----------
     delay : float
-        Seconds by which the forces act later than they are recorded; the likeliest one, also where it is not
+        Seconds by which the forces act later than recorded. The most likely value, even if it is not
         determined.
     standard_error : float
-        From the curvature of the likelihood; infinite where the delay is not determined.
+        From the curvature of the likelihood; infinite if the delay is not determined.
     determined : bool
-        Whether the data single out this delay.
+        Whether the data determine the delay.
     reason : str
-        If not, why not, and what would help.
+        If not, the reason, and what would help.
     delays, log_likelihood : (n_tried,) arrays
-        What was tried, in seconds, and its log likelihood less that of the best.
+        Delays tried, in seconds, and their log likelihood relative to the best.
     trajectories : Trajectories
-        The data with the forces shifted by `delay`, without the ends at which no force is known; the data as
-        they were where the delay is not determined.
+        The data with the forces shifted by `delay`, without the ends at which no force is known. The original
+        data if the delay is not determined.
     model : LagrangianModel
-        Found with the forces shifted by `delay`.
+        Model found with the forces shifted by `delay`.
     """
 
     delay: float
@@ -84,7 +85,7 @@ class DelayEstimate:
 def shift_forces(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory], delay: float, margin: float | None = None
 ) -> Trajectories:
-    """Let the forces act later, f(t − delay), by cubic splines through their samples.
+    """Shift the forces in time, f(t − delay), by cubic splines through their samples.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def shift_forces(
     delay : float
         In seconds; negative: earlier.
     margin : float, optional
-        What is cut off at both ends, in seconds. By default samples at whose times no force is known.
+        Time to cut off at both ends, in seconds. By default, the samples at which no force is known.
 
     Returns
     -------
@@ -139,20 +140,20 @@ def estimate(
     prescribed: Iterable[str] = (),
     progress: Callable[[str, dict], None] | None = None,
 ) -> DelayEstimate:
-    """Find by how much the forces act later than they are recorded.
+    """Estimate by how much the forces act later than recorded.
 
     Parameters
     ----------
     trajectories, library, known, dissipation, angles, prescribed, progress
         As for `leastaction.discover`; the trajectories must have forces.
     max_delay : float
-        Delays from −max_delay to max_delay are tried, in seconds. So much is cut off at both ends of every
+        Delays from −max_delay to max_delay are tried, in seconds. This time is cut off at both ends of every
         trial while delays are compared.
 
     Returns
     -------
     DelayEstimate
-        Look at ``determined`` before using it.
+        Check ``determined`` before using it.
 
     Raises
     ------
@@ -163,10 +164,9 @@ def estimate(
 
     Notes
     -----
-    One delay for all forces and trials. Not guaranteed: that what looks like a delay is one. A filter of the
-    force or the elasticity of a drive lags as well, and where the library lacks a term a shift may stand in
-    for it; ``model.fit`` tells whether the equations hold with the delay. The standard error is that of the
-    terms in ``model``.
+    There is one delay for all forces and trials. Not guaranteed: that an apparent delay is a delay. A filter
+    of the force or an elastic drive also lags, and a shift may compensate for a missing term. ``model.fit``
+    tells whether the equations hold with the delay. The standard error assumes the terms of ``model``.
 
     Examples
     --------

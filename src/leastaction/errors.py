@@ -6,11 +6,11 @@ __all__ = ["DataError", "DataWarning", "InputError", "MissingPackageError", "Sto
 
 
 class InputError(ValueError):
-    """Wrong use or bad input: the text names the value, what was expected and the cure."""
+    """Wrong use or bad input. The message names the value, what was expected, and the cure."""
 
 
 class DataError(ValueError):
-    """The input is well formed, but the data cannot support any model; the text says why."""
+    """The input is well formed, but the data cannot support any model. The message says why."""
 
 
 class DataWarning(UserWarning):
@@ -18,7 +18,7 @@ class DataWarning(UserWarning):
 
 
 class StopSearch(Exception):
-    """Raise it in the ``progress`` function of `discover` to end the search with the best law so far.
+    """Raise this in the ``progress`` function of `discover` to end the search with the best law so far.
 
     Examples
     --------

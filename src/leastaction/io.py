@@ -1,16 +1,16 @@
-"""Measured data in, files out: nothing else in the package touches the disk.
+"""Read measured data and write files. Nothing else in the package touches the disk.
 
-Every reader returns `Trajectories` and takes the same arguments: which columns are coordinates, time, forces,
-trial, and measured velocities and accelerations. Names of columns need not be valid names of coordinates:
+Every reader returns `Trajectories` and takes the same arguments: the columns of coordinates, time, forces,
+trial, and measured velocities and accelerations. Column names need not be valid coordinate names:
 ``coordinates`` may map one to the other, ``{"theta": "Angle (rad)"}``.
 
 Tables (CSV, Parquet, Excel, data frames) have one row for each time. In NPZ and MAT files every column is a
-variable of its own; or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the
-order of ``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA; times and
-forces must be there. A file without a trial column is one trial. Times increase within a trial.
+separate variable, or the coordinates are the columns of one matrix ``q`` of shape (n_times, n_dof), in the
+order of ``coordinates``, beside the time ``t``. A missing sample is an empty cell, NaN or NA. Times and
+forces must be complete. A file without a trial column is one trial. Times increase within a trial.
 
-A column may be named without its unit, ``theta`` for ``theta [deg]``. What a reader has done to the data, it
-says: `Trajectories.findings`.
+A column may be named without its unit, ``theta`` for ``theta [deg]``. `Trajectories.findings` reports every
+conversion.
 """
 
 from __future__ import annotations
@@ -62,47 +62,47 @@ def read_csv(
 
     The first line names the columns, the second may hold their units; lines before it that begin with ``#``
     are skipped (a header written by `numpy.savetxt` is found). Cells are separated by comma, semicolon or
-    tab; where they are not separated by commas, numbers may have a decimal comma. The text is UTF-8, UTF-16
+    tab. If they are not separated by commas, numbers may have a decimal comma. The text is UTF-8, UTF-16
     with its mark, or Windows-1252 (Latin-1), and may be compressed with gzip.
 
     Parameters
     ----------
     path : path, or iterable of paths
-        File to read; several files are trials of one system.
+        File to read. Several files are trials of one system.
     coordinates : sequence of str, or mapping of str to str
-        Coordinates, which are names of columns; or coordinate -> column.
+        Coordinates that are also column names, or a mapping coordinate -> column.
     time : str
-        Column of the times: seconds, another unit that the file names, or dates (``2024-05-01T12:00:00.25``),
-        which become seconds from the first one of the file.
+        Column of the times: seconds, another unit that the file states, or dates
+        (``2024-05-01T12:00:00.25``), which become seconds since the first date of the file.
     forces : mapping of str to str, or sequence of str, optional
-        Known generalised forces: coordinate -> column; or columns for the coordinates in order, None for a
-        coordinate that is not driven. There may be fewer than coordinates.
+        Known generalised forces: a mapping coordinate -> column, or columns for the coordinates in order,
+        None for a coordinate that is not driven. The list may be shorter than that of the coordinates.
     trial : str, optional
-        Column that tells the trials apart, as text. By default the column ``trial``, if there is one.
+        Column with the name of the trial. By default the column ``trial``, if there is one.
     angles : sequence of str
         Coordinates to unwrap (`Trajectories.unwrap`).
     velocities, accelerations : mapping of str to str, or sequence of str, optional
-        Columns of measured q̇ and q̈, in the same form as `forces`; samples may be missing. Only what a sensor
-        of its own measured: differences of the positions say nothing new.
+        Columns of measured q̇ and q̈, in the same form as `forces`. Samples may be missing. Use readings of
+        separate sensors only: differences of the positions add no information.
     time_unit : str, optional
-        Unit of the times: ``"s"``, ``"ms"``, ``"us"``, ``"ns"``, ``"min"`` or ``"h"``. It wins over what the
-        file says.
+        Unit of the times: ``"s"``, ``"ms"``, ``"us"``, ``"ns"``, ``"min"`` or ``"h"``. It overrides the file.
     units : {"SI", "as-written"}, or mapping of str to str
         ``"SI"``: columns with a unit in their name (``angle [deg]``, ``x / mm``, ``phi_deg``) or in the row
-        below the header are converted to rad, m, N, N m and their rates. ``"as-written"`` takes all numbers
-        as they are, times too. A mapping says the unit of a coordinate or column: ``{"theta": "deg"}``.
+        below the header are converted to rad, m, N, N m and their rates. ``"as-written"`` keeps all numbers
+        as they are, including times. A mapping sets the unit of a coordinate or column: ``{"theta": "deg"}``.
 
     Returns
     -------
     Trajectories
-        In the order of the files; `Trajectories.findings` says what was converted. The trajectory of a file
-        without a trial column has the file's name, without suffix. Of several files the trials are called
-        ``file/trial``, with a number where names are still the same; lengths and times may differ.
+        In the order of the files. `Trajectories.findings` lists what was converted. The trajectory of a file
+        without a trial column has the file's name without suffix. Trials of several files are called
+        ``file/trial``, with a number added to equal names. Lengths and times may differ.
 
     Raises
     ------
     InputError
-        If the file cannot be used: the text names file, line and column. If no path, or one twice, is given.
+        If the file cannot be used (the message names file, line and column), or no path or one twice is
+        given.
     DataError
         If a coordinate has fewer than 5 samples in a trial.
 
@@ -264,12 +264,12 @@ def from_frame(
     time_unit: str | None = None,
     units: Units = "SI",
 ) -> Trajectories:
-    """Take trajectories from a data frame: pandas, polars, Arrow, or another that narwhals knows.
+    """Read trajectories from a data frame: pandas, polars, Arrow, or any other that narwhals supports.
 
     Parameters
     ----------
     frame : DataFrame
-        One row for each time; a null is a missing sample.
+        One row for each time. A null is a missing sample.
     coordinates, time, forces, trial, angles, velocities, accelerations, time_unit, units
         As for `read_csv`.
 
@@ -307,7 +307,7 @@ def read(
     time_unit: str | None = None,
     units: Units = "SI",
 ) -> Trajectories:
-    r"""Read trajectories from a file, or several, whose suffix tells the kind.
+    r"""Read trajectories from one or several files, whose suffix determines the format.
 
     Parameters
     ----------
@@ -325,7 +325,7 @@ def read(
     Raises
     ------
     InputError, DataError
-        As for the reader of that kind; InputError for another suffix.
+        As for the reader of that format; InputError for an unknown suffix.
 
     Examples
     --------
@@ -351,14 +351,14 @@ def read_groups(
     time: str = "t",
     trial: str | None = None,
 ) -> tuple[str, ...]:
-    r"""Read which group each trial belongs to, for the ``groups`` of `leastaction.discover`.
+    r"""Read the group of each trial, for the ``groups`` of `leastaction.discover`.
 
     Parameters
     ----------
     path, coordinates, time, trial
-        As for `read`; the groups have the sequence of its trajectories.
+        As for `read`. The groups are in the order of its trajectories.
     column : str
-        Column with the name of the group, the same on every row of a trial.
+        Column with the name of the group, constant within a trial.
 
     Raises
     ------

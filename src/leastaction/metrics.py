@@ -1,4 +1,4 @@
-"""Scores of a discovered Lagrangian: errors, supports, forecasts, and the best error that data allow."""
+"""Scores of a discovered Lagrangian: errors, structure, forecasts, and the smallest possible error."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def l2_error(estimated, true, exclude: Iterable = ()) -> float:
     Parameters
     ----------
     estimated, true : mapping or array_like
-        Term -> coefficient (terms as text, blanks ignored, or any hashable), or two arrays in the same order.
-        A term that is missing counts as zero.
+        Mapping term -> coefficient (terms as text, blanks ignored, or any hashable), or two arrays in the
+        same order. A missing term counts as zero.
     exclude : iterable
-        Terms left out of both norms, e.g. those that were given.
+        Terms left out of both norms, e.g. known ones.
 
     Returns
     -------
@@ -96,15 +96,16 @@ def exact_support(estimated, true, exclude: Iterable = ()) -> bool:
 
 
 def forecast_horizon(t, predicted, true, tolerance, periodic: Sequence[int] = ()) -> float:
-    """Return how long a prediction stays within a tolerance of the truth.
+    """Return the time for which a prediction stays within a tolerance of the truth.
 
     Parameters
     ----------
     t : array_like, shape (n_times,)
     predicted : array_like, shape (m, n_dof)
-        On the first m times; where it is short of `t` (a simulation that stopped), or NaN, it has failed.
+        At the first m times. If it is shorter than `t` (a simulation that stopped) or NaN, it has failed
+        there.
     true : array_like, shape (n_times, n_dof)
-        NaN where unknown; those samples are passed over.
+        NaN if unknown; those samples are skipped.
     tolerance : float or array_like, shape (n_dof,)
         Largest error of each coordinate, in its unit.
     periodic : sequence of int
@@ -113,7 +114,7 @@ def forecast_horizon(t, predicted, true, tolerance, periodic: Sequence[int] = ()
     Returns
     -------
     float
-        Seconds from ``t[0]`` to the last time before the first failure; the whole duration if there is none.
+        Seconds from ``t[0]`` to the last time before the first failure, or the whole duration.
 
     Examples
     --------
@@ -177,10 +178,10 @@ def cramer_rao_bound(
 ) -> CramerRaoBound:
     """Return the Cramér–Rao bound for the coefficients of a system from noisy positions, and velocities.
 
-    What is measured has independent Gaussian noise of known size; the terms of the true model
-    are known but not their coefficients; the initial conditions are unknown and projected out. The motion
-    depends on both through the variational equations, which are exact and integrated piece by piece; the
-    pieces are joined by orthogonal transformations, so that chaos does not spoil the numbers.
+    The measurements have independent Gaussian noise of known size. The terms of the true model are known, but
+    not their coefficients. The initial conditions are unknown and projected out. The motion depends on both
+    through the variational equations, which are exact and integrated piece by piece. Orthogonal
+    transformations join the pieces, so that the result is accurate for chaotic motions.
 
     Parameters
     ----------
@@ -190,12 +191,12 @@ def cramer_rao_bound(
     noise_std : float or array_like, shape (n_dof,)
         Noise of each coordinate; positive.
     unknown : sequence of str, optional
-        Terms (Lagrangian or dissipation) to estimate; if not given, all true terms
-        but those in ``system.known``.
+        Terms (Lagrangian or dissipation) to estimate. By default, all true terms except those in
+        ``system.known``.
     observed : Trajectories, optional
         The recordings; their missing samples (NaN) carry no information.
     velocity_noise_std : float or array_like, shape (n_dof,), optional
-        Noise of the measured velocities, infinite where there is none; by default positions alone.
+        Noise of the measured velocities, infinite if not measured. By default, positions only.
 
     Returns
     -------

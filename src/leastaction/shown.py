@@ -163,12 +163,13 @@ def counted(n: int, noun: str, plural: str = "") -> str:
 
 
 def show(*things: Any) -> None:
-    """Show models, trajectories, libraries, forecasts and anything else: rich in a notebook, text elsewhere.
+    """Display models, trajectories, libraries, forecasts and other objects: rich in a notebook, text
+    elsewhere.
 
-    In a notebook it displays what a cell would display if the object stood on its last line, so that a cell,
-    or a loop, can show several. In a terminal or a script it prints the same as text: of a model its formula,
-    the table of its terms with their errors, whether it holds, and what was found on the way. Anything that
-    is not of leastaction is displayed by the notebook, or printed.
+    In a notebook, each object is displayed as if it were the last line of a cell, so that a cell or a loop
+    can show several. In a terminal or a script, the same content is printed as text. For a model this is the
+    formula, the table of terms with errors, the verdict and the findings. Other objects are displayed by the
+    notebook or printed.
 
     Parameters
     ----------
@@ -273,7 +274,7 @@ class Panel(NamedTuple):
 
 
 class Display:
-    """A plot, as the ``plot`` methods return it; Matplotlib draws it.
+    """A Matplotlib plot, returned by the ``plot`` methods.
 
     Attributes
     ----------
@@ -282,7 +283,7 @@ class Display:
         The first, or only, axes.
     axes_ : ndarray of matplotlib.axes.Axes, shape (n_panels,)
     lines_ : list of list of matplotlib.artist.Artist
-        What was drawn, by panel, in the sequence of the legend: lines, or containers of error bars.
+        The lines, or containers of error bars, of each panel in the order of the legend.
 
     Examples
     --------
@@ -302,13 +303,13 @@ class Display:
         self.panels, self.title = tuple(panels), title
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
-        """Draw, or draw again elsewhere.
+        """Draw the plot, possibly again in other axes.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, or sequence of them, optional
-            Everything goes to the axes given, or one panel to each of several. By default a new figure gets
-            one below the other.
+            One axes for everything, or one for each panel. By default, a new figure with panels one below the
+            other.
         **kwargs
             Properties of Matplotlib's lines, such as ``color`` and ``linewidth``, for all that is drawn.
 

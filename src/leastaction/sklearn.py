@@ -36,10 +36,10 @@ _WORST = 10.0
 class SparseLagrangian(BaseEstimator):
     """`discover` as a scikit-learn estimator.
 
-    A sample is a trajectory: `fit` and `score` take a list of them, and so do ``GridSearchCV`` and
-    ``cross_val_score``, which then divide trajectories, not rows. A trajectory is an array of measured
-    coordinates or a `Trajectory`. The times are the second argument, where scikit-learn has y, so that they
-    are divided along with the coordinates; known forces travel best in a `Trajectory`.
+    A sample is a trajectory. `fit` and `score` take a list of trajectories, and so do ``GridSearchCV`` and
+    ``cross_val_score``, which then split trajectories, not rows. A trajectory is an array of measured
+    coordinates or a `Trajectory`. The times are the second argument, in place of y, so they are split
+    together with the coordinates. Pass known forces in a `Trajectory`.
 
     Parameters
     ----------
@@ -57,14 +57,14 @@ class SparseLagrangian(BaseEstimator):
     Attributes
     ----------
     model_ : LagrangianModel
-        What was found; ``model_.fit.status`` says whether it can be trusted.
+        The model; ``model_.fit.status`` says whether it can be trusted.
     coef_ : ndarray, shape (n_terms,)
         Coefficients of the terms of L, then of the dissipation function.
     coordinates_ : tuple of str
     n_features_in_ : int
         Number of coordinates.
     t_ : float, ndarray or None
-        The times that all trajectories of `fit` had in common, for a `score` without times.
+        The times shared by all trajectories of `fit`, for a `score` without times.
 
     Examples
     --------
@@ -129,13 +129,13 @@ class SparseLagrangian(BaseEstimator):
         Parameters
         ----------
         q : array_like, shape (n_times, n_dof), or sequence of them, or of Trajectory
-            Measured coordinates, NaN where a sample is missing. A list or tuple holds one trajectory an
-            entry, and an array of shape (n_trajectories, n_times, n_dof) as well.
+            Measured coordinates, NaN for missing samples. A list or tuple has one trajectory per entry; so
+            has an array of shape (n_trajectories, n_times, n_dof).
         t : float, array_like of shape (n_times,), or sequence of them
-            Times in seconds: the sampling interval; the times that all trajectories share; or the times of
-            each. None if `q` holds Trajectory objects.
+            Times in seconds: the sampling interval, the common times of all trajectories, or the times of
+            each. None if `q` contains Trajectory objects.
         forces : array_like of shape (n_times, n_dof), or sequence of them, optional
-            Known generalised forces, of all trajectories or of each (None: not driven).
+            Known generalised forces of all trajectories or of each (None: not driven).
 
         Returns
         -------
@@ -186,7 +186,7 @@ class SparseLagrangian(BaseEstimator):
         forces: ArrayLike | None = None,
         t: ArrayLike | None = None,
     ) -> np.ndarray:
-        """Accelerations of given states: what a model of motion predicts of a state is its derivative.
+        """Predict the accelerations of given states.
 
         Parameters
         ----------
@@ -195,12 +195,12 @@ class SparseLagrangian(BaseEstimator):
             Zero by default: the acceleration from rest.
         forces : array_like, shape (..., n_dof), optional
         t : array_like, shape (...), optional
-            Times in seconds, for a law that holds the time.
+            Times in seconds, for a law that depends on time.
 
         Returns
         -------
         ndarray, shape (..., n_dof)
-            q̈, as `LagrangianModel.acceleration`. For motions over time there is `simulate`.
+            q̈, as from `LagrangianModel.acceleration`. Use `simulate` for motions over time.
         """
         check_is_fitted(self)
         qdot = np.zeros(self.n_features_in_) if qdot is None else qdot
@@ -226,16 +226,16 @@ class SparseLagrangian(BaseEstimator):
     def score(self, q: Any, t: Any = None, forces: Any = None) -> float:
         """R² of forecasts of held-out trajectories, the mean over the coordinates.
 
-        Forecasts start all along each trajectory and run free over `horizon` seconds, each from the state
-        that fits the data just before best (`LagrangianModel.validate`). R² = 1 − Σ error² / Σ deviation²
-        over all forecast samples of a coordinate, where the deviation is that from their mean: 1 is perfect
-        and 0 no better than the mean. An error counts for at most ten standard deviations, and so does a
-        sample whose forecast diverged or had no start, so that the score is at least −99.
+        Forecasts over `horizon` seconds start at regular intervals along each trajectory, from the state that
+        best fits the preceding samples (`LagrangianModel.validate`). R² = 1 − Σ error² / Σ deviation² over
+        all forecast samples of a coordinate, with deviations from their mean: 1 is perfect, and 0 is no
+        better than the mean. Errors are limited to ten standard deviations, also for forecasts that diverged
+        or had no start, so the score is at least −99.
 
         Parameters
         ----------
         q, t, forces
-            As for `fit`. Without `t` the times are those that all trajectories of `fit` had in common.
+            As for `fit`. Without `t`, the common times of the trajectories of `fit` are used.
 
         Returns
         -------

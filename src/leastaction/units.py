@@ -1,8 +1,8 @@
-r"""Units: which one every coefficient must have, and whether a library makes sense in them.
+r"""Units of the coefficients, and whether a library is consistent with the units of the data.
 
-L is an energy, so that λ_k has the unit of energy over that of φ_k; the dissipation function is a power.
-Numbers inside an expression count as pure, but a number that is added to something has the unit of that
-something, as the 0.01 in ``sqrt(x_dot**2 + 0.01)``.
+L is an energy, so λ_k has the unit of energy divided by that of φ_k. The dissipation function is a power.
+Numbers inside an expression are pure, except that a number added to a quantity has the unit of that quantity,
+such as the 0.01 in ``sqrt(x_dot**2 + 0.01)``.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def check(
     time: str = "s",
     energy: str | None = None,
 ) -> tuple[CoefficientUnit, ...]:
-    """Check that a model or library makes sense in units, and return the unit of every coefficient.
+    """Check the units of a model or library, and return the unit of every coefficient.
 
     Needs ``pip install 'leastaction[units]'``.
 
@@ -64,12 +64,12 @@ def check(
     units : mapping of str to str
         Unit of every coordinate, e.g. ``{"x": "m", "theta": "rad"}``; ``"1"`` for a pure number.
     forces : mapping of str to str, optional
-        Units of the generalised forces, by coordinate; there may be fewer than coordinates.
+        Units of the generalised forces by coordinate; some may be omitted.
     time : str
         Unit of the times; "1" for pure numbers.
     energy : str, optional
-        Unit of L. By default force times coordinate where forces are given, otherwise joule. Where L is known
-        up to a factor only, it is the unit that `known` gives it: with ``known={"theta_dot**2": 1}`` it is
+        Unit of L. By default, force times coordinate if forces are given, otherwise joule. If L is known only
+        up to a factor, `known` sets its unit: with ``known={"theta_dot**2": 1}`` it is
         ``"rad**2/s**2"``.
 
     Returns
@@ -80,10 +80,10 @@ def check(
     Raises
     ------
     InputError
-        If a unit is not known, one is missing, a sine, cosine, tangent, exponential or logarithm has an
-        argument with a unit (degrees are one: functions take radians), quantities of different units are
-        added, or force times coordinate is not the energy, also by a factor (N·mm is not J). Also if pint is
-        not installed.
+        If a unit is unknown or missing; if a sine, cosine, tangent, exponential or logarithm has an argument
+        with a unit (including degrees: functions take radians); if quantities of different units are added;
+        if force times coordinate differs from the energy, even by a factor (N·mm is not J); or if pint is not
+        installed.
 
     Examples
     --------
@@ -117,7 +117,7 @@ def check(
     second = _unit(registry, time, "time")
     if time.strip() != "1" and not _same(second, registry.Unit("s"), scale=False):
         raise InputError(
-            f"the unit of time is {quoted(time)}, which is no time; expected one such as 's' or 'ms'"
+            f"the unit of time is {quoted(time)}, which is not a time; expected one such as 's' or 'ms'"
         )
     known = {sp.Symbol(c, real=True): _unit(registry, units[c], c) for c in coordinates}
     known |= {sp.Symbol(f"{c}_dot", real=True): known[sp.Symbol(c, real=True)] / second for c in coordinates}

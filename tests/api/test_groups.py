@@ -197,7 +197,7 @@ def test_groups_in_a_file_are_checked(model, change, says):
         ("aabb", "one for each trajectory"),
         (4, "one for each trajectory"),
         ({"00": "a", "01": "a", "10": "b"}, "no entry for the trajectory '11'"),
-        ({"nobody": "a"}, "'nobody', which is no trajectory"),
+        ({"nobody": "a"}, "'nobody', which is not a trajectory"),
     ],
 )
 def test_wrong_groups_are_refused(payload, groups, says):

@@ -160,7 +160,7 @@ def test_a_bound_that_excludes_the_truth_is_named(data):
 @pytest.mark.parametrize(
     ("library", "options", "message"),
     [
-        (LIBRARY, {"shapes": {"b": (0, 1)}}, "shapes names 'b', which is no shape parameter"),
+        (LIBRARY, {"shapes": {"b": (0, 1)}}, "shapes names 'b', which is not a shape parameter"),
         (LIBRARY, {"shapes": {"a": (1, 0)}}, "low < high"),
         (["x_dot**2", "x**2"], {"shapes": {"a": (0, 1)}}, "it has none"),
         (["x_dot**2", "{a}*x**2"], {}, r"\{a\} only scales the term"),
@@ -351,7 +351,7 @@ def test_a_law_that_holds_the_time_is_saved_and_computes(rocked, tmp_path):
     assert run.complete
     assert np.abs(run.q - truth.q).max() < 0.01
     assert np.abs(again.simulate([0.4], [0.0], truth.t - 7.0).q - truth.q).max() > 0.1
-    with pytest.raises(InputError, match="the law holds the time: give t"):
+    with pytest.raises(InputError, match="the law depends on time: give t"):
         again.acceleration([[0.4]], [[0.0]])
     with pytest.raises(InputError, match="t has shape \\(4,\\); expected \\(1,\\)"):
         again.acceleration([[0.4]], [[0.0]], t=t)

@@ -294,9 +294,9 @@ def test_walk_has_one_structure_of_each_size():
         (
             "irrelevant",
             -40.0,
-            "this one by 40. It was not chosen because its further terms remove less than 5 %",
+            "this one by 40. It was not chosen because each of its additional terms removes less than 5 %",
         ),
-        ("fit-is-worse", -7.0, "this one by 7. It was not chosen because its own fit does not bear out"),
+        ("fit-is-worse", -7.0, "this one by 7. It was not chosen because its own fit does not confirm"),
         (
             "not-worth-its-terms",
             8.0,

@@ -437,7 +437,7 @@ def test_hostile_model(change, says):
     [
         (json.dumps(SPRING)[:200], "cut short"),
         ("", "empty"),
-        ("[1, 2]", "no leastaction model"),
+        ("[1, 2]", "not a leastaction model"),
         ("[" * 100_000, "nested"),
         ('{"schema": NaN}', "NaN"),
         ("\xff", ""),

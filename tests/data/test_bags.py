@@ -187,7 +187,9 @@ def test_what_cannot_be_used_is_named(bag, monkeypatch):
         InputError, match=r"no column 'c' .*; its columns are t, log, a, b, 'a\.effort', 'b\.effort'"
     ):
         io.read(path, ["c"])
-    with pytest.raises(InputError, match=r"on a is the column 'b', which is no effort; write 'b\.effort'"):
+    with pytest.raises(
+        InputError, match=r"on a is the column 'b', which is not an effort; write 'b\.effort'"
+    ):
         io.read(path, ["a"], forces=["b"])
     no_effort = bag([state(START + k * TEN_MS, ["a"], [k]) for k in range(8)], "none")
     with pytest.raises(InputError, match=r"there is no effort in column 'a\.effort'"):

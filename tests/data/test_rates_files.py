@@ -199,7 +199,7 @@ def test_what_a_bag_does_not_hold(tmp_path):
     bag = write_bag(tmp_path / "bag", [[]] * 8)
     with pytest.raises(InputError, match=r"there is no velocity in column 'a\.velocity'"):
         read_mcap(bag, joints=["a"], velocities="velocity")
-    with pytest.raises(InputError, match=r"which is no velocity; write 'a\.velocity'"):
+    with pytest.raises(InputError, match=r"which is not a velocity; write 'a\.velocity'"):
         read_mcap(bag, joints=["a"], velocities={"a": "a.effort"})
     with pytest.raises(InputError, match="joint states hold no accelerations"):
         io.read(bag, ["a"], accelerations={"a": "a.velocity"})

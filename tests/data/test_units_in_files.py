@@ -239,8 +239,8 @@ def test_what_the_user_says_wins(file):
     np.testing.assert_array_equal(said[0].q[:, 0], 10.0 * K)
     np.testing.assert_allclose(said[0].forces[:, 0], K / 100, rtol=1e-15)
     assert [str(f) for f in said.findings] == [
-        "the times in 'time_ms' were converted from us to seconds, as asked for, not in ms",
-        "phi was taken to be in rad, as asked for, not in deg",
+        "the times in 'time_ms' were converted from us to seconds, as requested, instead of ms",
+        "phi was read as rad, as requested, instead of deg",
         "force of phi was converted from Nmm to N m",
     ]
     seconds = io.read(path, {"phi": "phi [deg]"}, "time_ms", time_unit="s", units="as-written")
@@ -262,12 +262,12 @@ def test_what_the_user_says_wins(file):
         ("t,x", None, dict(units={"x": None}), "the unit of 'x' is None"),
         ("t,x", None, dict(units={3: "m"}), "units names 3"),
         ("t,x", None, dict(units={"y": "deg"}), r"has no column 'y' \(units\)"),
-        ("t,x,y", None, dict(units={"y": "deg"}), "units names 'y', which is no column that is read"),
+        ("t,x,y", None, dict(units={"y": "deg"}), "units names 'y', which is not a column that is read"),
         ("t,x_mm", None, dict(units={"x": "mm", "x_mm": "cm"}), "names the column 'x_mm' twice, also as"),
         ("t,x", None, dict(units={"x": "ms"}), "the unit of 'x' is ms, which is a time"),
-        ("t,x", None, dict(units={"t": "mm"}), "the unit of 't' is mm, which is no time"),
+        ("t,x", None, dict(units={"t": "mm"}), "the unit of 't' is mm, which is not a time"),
         ("t,x", None, dict(units={"t": "s"}, time_unit="ms"), "given twice, in time_unit and in units"),
-        ("t [m],x", None, {}, r"column 't \[m\]' is in m, which is no unit of time"),
+        ("t [m],x", None, {}, r"column 't \[m\]' is in m, which is not a unit of time"),
         ("t_ms,x", "s,m", {}, "'t_ms' is in ms by its name, but in s by the row below .*with time_unit"),
         ("t,x_mm", "s,cm", {}, "'x_mm' is in mm by its name, but in cm by the row below .*with units"),
         ("t_ms,t [us],x", None, {}, r"no column 't' \(time\), but t_ms, 't \[us\]'; give the name of one"),
@@ -538,7 +538,7 @@ def test_a_workbook(workbook):
     np.testing.assert_array_equal(runs[0].q[:, 1], np.where(K == 2, np.nan, K / 1e3))
     np.testing.assert_array_equal(runs[0].forces[:, 0], K)
     assert codes(runs) == ["first-sheet", "units-row", "time-unit", "converted-units", "converted-units"]
-    assert str(runs.findings[0]) == "the sheet 'first' was read, and no other: second"
+    assert str(runs.findings[0]) == "only the sheet 'first' was read; the others are second"
 
 
 def test_dates_in_a_workbook(workbook):

@@ -223,7 +223,7 @@ def test_equations_that_are_not_kept_are_evaluated_anew(monkeypatch):
     assert kept.kept is not None
     assert anew.misfit(fit.weights) == pytest.approx(kept.misfit(fit.weights), rel=1e-12)
     for a, b in zip(anew.normal(fit.weights), kept.normal(fit.weights), strict=True):
-        # the volume term is a mean over fewer points, which depend on the runs
+        # the log-determinant term is a mean over fewer points, which depend on the runs
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-2 * np.abs(b).max())
     np.testing.assert_allclose(anew.normal(fit.weights).rows, kept.normal(fit.weights).rows, rtol=1e-9)
     again = fit_joint(observations, physics, fit.weights, fit.control_points, TRUTH[:5])

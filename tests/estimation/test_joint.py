@@ -414,7 +414,7 @@ def test_score_predicts_the_gain_of_a_candidate():
         fit.coefficients[columns],
         tolerance=1e-5,
     )
-    # the volume term has one more degree of freedom than the model sees: compare the whole cost
+    # the log-determinant term has one more degree of freedom than the model sees: compare the whole cost
     assert cost_of(fit) - cost_of(larger) == pytest.approx(predicted, rel=0.1, abs=0.05)
     free = np.array([1, 2, 3])
     change = larger.coefficients[:3] - fit.coefficients[free]

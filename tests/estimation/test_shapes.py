@@ -110,7 +110,7 @@ def test_a_range_of_the_user_is_a_bound():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"b": (0, 1)}, r"shapes names 'b', which is no shape parameter of the library \(it has a\)"),
+        ({"b": (0, 1)}, r"shapes names 'b', which is not a shape parameter of the library \(it has a\)"),
         ({"a": (1, 0)}, "expected \\(low, high\\) with low < high"),
         ({"a": (1, 1)}, "low < high"),
         ({"a": (0, np.inf)}, "low < high"),

@@ -176,19 +176,19 @@ SAID = [
             cause_named=True,
             may_be_prescribed=True,
         ),
-        "the library cannot explain x (the equation is off by 3.2 % of its forces, the residual is 1.20 "
-        "times the noise): a term of L, friction or a force may be missing, columns may be swapped, or "
-        "a known value or sign be wrong; see the likely cause below",
+        "the model does not explain x (its equation is off by 3.2 % of the forces; the residual is 1.20 "
+        "times the noise): check for a missing term, friction or force, swapped columns, and a wrong sign "
+        "or known coefficient; see the likely cause below",
     ),
     (
         find("missing-term", ["x"], constant_force="x", free_terms=2, free_terms_before=4, gain=40.2),
-        "the library seems to lack x (with it, 2 free terms instead of 4 explain the motion better, -2 "
-        "log likelihood 40, the price of the terms included): add it to the candidates; in L, x by "
-        "itself is a constant force on it (force_offset=['x'])",
+        "a term appears to be missing: x (with it, 2 free terms instead of 4 explain the motion better; "
+        "-2 log likelihood is lower by 40, penalty included): add it to the candidates; the term x in L "
+        "is a constant force on that coordinate (force_offset=['x'])",
     ),
     (
         find("missing-term", ["x**4", "x**6"], constant_force=None, free_terms=3),
-        "the library seems to lack x**4, x**6 (with them, 3 free terms explain the motion): add them to "
+        "terms appear to be missing: x**4, x**6 (with them, 3 free terms explain the motion): add them to "
         "the candidates",
     ),
     (
@@ -199,8 +199,8 @@ SAID = [
             coefficient=0.4,
             gain=50.0,
         ),
-        "friction seems to act on x_dot, y_dot (coefficient about 0.4, -2 log likelihood 50): give "
-        "(x_dot-y_dot)**2/2 as a candidate for dissipation",
+        "friction appears to act on x_dot, y_dot (coefficient about 0.4, -2 log likelihood lower by 50): "
+        "offer (x_dot-y_dot)**2/2 as a dissipation candidate",
     ),
     (
         find(
@@ -212,14 +212,15 @@ SAID = [
             gain=40.0,
             force_factor=0.5,
         ),
-        "the known coefficient of x**2 may be wrong (set free it becomes 0.5 instead of 1, and 3 terms "
-        "fewer explain the motion better): correct it, or leave it free; or the forces are 0.5 times "
+        "the known coefficient of x**2 may be wrong (left free, it is 0.5 instead of 1, and 3 fewer terms "
+        "explain the motion better): correct it, or leave it free; or the forces are 0.5 times "
         "too large",
     ),
     (
         find("late-forces", delay=-0.01, half_a_sample=True, gain=99.0),
-        "the forces seem to act about 10 ms earlier than recorded (-2 log likelihood 99, half a sample; "
-        "are they held from one sample to the next?): find the delay with la.delay.estimate",
+        "the forces appear to act about 10 ms earlier than recorded (-2 log likelihood lower by 99; this "
+        "is half a sample: are the forces held between samples?): estimate the delay with "
+        "la.delay.estimate",
     ),
     (
         find("rate-scaled", "x", quantity="velocity", factor=-57.3, unit="deg/s"),
@@ -235,22 +236,22 @@ SAID = [
         find(
             "competing-structures", ["x"], others=["y", "z"], at_names=["x", "x_dot"], at_values=[0.123, -2.0]
         ),
-        "these data cannot tell x from y, z: record motions in which they differ, e.g. through x = "
-        "0.12, x_dot = -2, or leave one of them out",
+        "these data cannot distinguish x from y, z: record motions in which they differ, e.g. through x = "
+        "0.12, x_dot = -2, or remove one of them from the candidates",
     ),
     (
         find("hardly-determined", ["x", "y"], scale_open=False, combination=["+ x", "- y"], open=0.4),
-        "these data hardly determine x, y (open to 40 %: the combination + x, - y): record larger or "
-        "different motions, or fix one of the coefficients with known={...}",
+        "these data barely determine x, y (the combination + x, - y is uncertain by 40 %): record larger "
+        "or more varied motions, or fix one of the coefficients with known={...}",
     ),
     (
         find("correlated-residuals", "x", quantity="velocity", correlation=0.5),
-        "residuals of velocity of x are correlated from sample to sample (+0.50): coloured noise, "
-        "encoder steps or filtered data; intervals may be too narrow or too wide",
+        "residuals of velocity of x are correlated from sample to sample (+0.50): typical of coloured "
+        "noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
     (
         find("friction-smoothed", ["x_dot", "y_dot"], widths=[0.01, 0.2]),
-        "abs() of velocities is smoothed (x_dot below 0.01, y_dot below 0.2)",
+        "abs() of velocities is smoothed near zero (x_dot below 0.01, y_dot below 0.2)",
     ),
 ]
 
@@ -270,18 +271,18 @@ def test_what_is_not_finite_still_has_a_sentence():
         cause_named=False,
         may_be_prescribed=False,
     )
-    assert "off by an unknown share of its forces" in str(off)
+    assert "off by an unknown share of the forces" in str(off)
     assert off.values["equation_error"] is None
 
 
 def test_remedies_speak_of_the_command_line_and_of_the_page():
     jumps = find("undeclared-angle", "theta", jumps=3)
-    assert str(jumps).endswith("if it is an angle, say so with angles=['theta']")
+    assert str(jumps).endswith("if it is an angle, declare it with angles=['theta']")
     assert sentence(jumps) == str(jumps)
-    assert sentence(jumps, "command line").endswith("say so with --angles theta")
+    assert sentence(jumps, "command line").endswith("declare it with --angles theta")
     assert sentence(jumps, "page").endswith("mark theta as an angle")
     late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
-    assert "give --force-delay 0.03" in sentence(late, "command line")
+    assert "use --force-delay 0.03" in sentence(late, "command line")
     other = find("motion-in-noise", "x", motion=0.01, noise=0.1)
     assert sentence(other, "page") == sentence(other, "command line") == str(other)
 
@@ -291,19 +292,21 @@ def test_remedies_on_the_command_line_name_options():
         return sentence(find(code, subject, **values), "command line").rpartition(": ")[2]
 
     off = {"equation_error": 0.03, "residual_ratio": 1.0, "cause_named": False, "may_be_prescribed": True}
-    assert said("equations-off", "x", **off).endswith("not measured move x, give --prescribed x")
+    assert said("equations-off", "x", **off).endswith("if unmeasured forces move x, use --prescribed x")
     missing = {"constant_force": "x", "free_terms": 2}
     assert said("missing-term", ["x", "x**4"], **missing) == (
-        'add them to the candidates, --term "x" --term "x**4"; in L, x by itself is a constant force on it '
-        "(--force-offset x)"
+        'add them to the candidates, --term "x" --term "x**4"; the term x in L is a constant force on '
+        "that coordinate (--force-offset x)"
     )
     imitated = {"kind": "potential", "gain": 50.0, "freedom": 3, "shift": 0.1, "numbers": ["a = 2"]}
     assert said("form-imitated", "x", **imitated, family=["exp(-{a}*x)"]) == (
-        'add exp(-{a}*x) to the candidates, --term "exp(-{a}*x)"; the motion agrees with a = 2'
+        'add exp(-{a}*x) to the candidates, --term "exp(-{a}*x)"; the data are consistent with a = 2'
     )
     assert said("form-imitated", "x", **imitated, family=[]).endswith("as in --term 'exp(-{a}*x)'")
     timed = {"numbers": [], "free_terms": 2}
-    assert said("time-dependent", ["x*t"], **timed) == 'add --term "x*t", or measure what moves it (--input)'
+    assert said("time-dependent", ["x*t"], **timed) == (
+        'add --term "x*t", or measure the input that drives the system (--input)'
+    )
 
 
 # ------------------------------------------------------- what a text names can be given, and is there

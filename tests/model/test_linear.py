@@ -355,7 +355,7 @@ def test_state_matrices_are_those_of_the_control_package(name):
 
 def test_wrong_use():
     model = law(["x", "y"], {**SPRINGS, "x": 1.0})
-    with pytest.raises(InputError, match=r"is no equilibrium; equilibria\(\).*forces = \[-1.0, 0.0\]"):
+    with pytest.raises(InputError, match=r"is not an equilibrium; equilibria\(\).*forces = \[-1.0, 0.0\]"):
         model.linearise([0.0, 0.0])
     np.testing.assert_allclose(model.linearise([0.0, 0.0], forces=[-1.0, 0.0]).q, 0.0, atol=1e-12)
     with pytest.raises(InputError, match=r"where x may be.*give within=\{'x': \(low, high\)\}"):
@@ -370,5 +370,5 @@ def test_wrong_use():
         model.linearise([0.0])
     timed = law(["x"], {"x_dot**2": 0.5, "x*cos(t)": 1.0})
     for ask in (timed.equilibria, lambda: timed.linearise([0.0])):
-        with pytest.raises(InputError, match=r"holds the time.*control\.linearize"):
+        with pytest.raises(InputError, match=r"depends on time.*control\.linearize"):
             ask()

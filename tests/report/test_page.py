@@ -226,7 +226,7 @@ def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
     assert "Use it where an error of 3.1 % of the spread over 0.5 s is good enough" in verdict.text
     said = [li.text for li in verdict.one(class_="statements").all("li")]
     assert said[0] == "Structure: determined"
-    assert said[2] == "Forecast: free runs over 0.5 s are off by 3.1 % of the spread"
+    assert said[2] == "Forecast: simulations over 0.5 s are off by 3.1 % of the spread"
 
 
 def test_units_known_terms_and_friction(tmp_path):
@@ -272,7 +272,8 @@ def test_the_curve_says_why_each_structure_was_not_chosen(tmp_path):
     model = replace(model, diagnostics=replace(model.diagnostics, path=path))
     source = written(tmp_path, model)
     assert "belongs to a structure with 3 terms: it was not" in source
-    assert source.count("its further terms remove less than the relevant share of the equation error") == 2
+    irrelevant = "each of its additional terms removes less than the required share of the equation error"
+    assert source.count(irrelevant) == 2
     assert source.count("it fits the data worse") == 2
     assert "taken from the curve by hand" not in source
     # a model that is not the chosen one

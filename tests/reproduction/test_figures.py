@@ -223,13 +223,12 @@ def test_png_files_have_a_pixel_for_every_start(fakes, tmp_path):
 def test_main_writes_figures_numbers_and_captions(fakes, tmp_path, capsys):
     assert main(["--output", str(tmp_path), "--pixels", "10"]) == 0
     files = sorted(p.name for p in tmp_path.iterdir())
-    assert files == ["ablation.svg", "basins.png", "captions.md", "figures.json", "magnetic.svg"]
+    assert files == ["ablation.svg", "basins.png", "figures.json", "magnetic.svg"]
     records = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
     assert list(records) == ["ablation", "magnetic", "basins"]
     share = records["basins"]["numbers"]["equal"][label("adam", 0.1)]
-    captions = (tmp_path / "captions.md").read_text(encoding="utf-8")
-    assert f"{100 * share:.1f} %" in captions
-    assert all(record["caption"] in captions for record in records.values())
+    assert f"{100 * share:.1f} %" in records["basins"]["caption"]
+    assert records["basins"]["title"] == "Basins of attraction"
     assert "basins: " in capsys.readouterr().err
 
 
@@ -248,8 +247,9 @@ def test_the_same_numbers_give_the_same_bytes(fakes, tmp_path):
 def test_one_figure_alone_leaves_the_records_of_the_others(fakes, tmp_path):
     (tmp_path / "figures.json").write_text('{"ablation": {"file": "a.svg", "caption": "old", "numbers": {}}}')
     assert main(["--only", "basins", "--pixels", "4", "--output", str(tmp_path)]) == 0
-    assert list(json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))) == ["ablation", "basins"]
-    assert "old" in (tmp_path / "captions.md").read_text(encoding="utf-8")
+    records = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert list(records) == ["ablation", "basins"]
+    assert records["ablation"]["caption"] == "old"
 
 
 def test_numbers_that_json_cannot_hold_become_null(fakes, tmp_path, monkeypatch):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from functools import cache
 from pathlib import Path
 
@@ -251,7 +250,7 @@ class TestTables:
 
     def test_ratio_to_the_bound_is_a_root_mean_square(self):
         bound = table(
-            "Error against", [record(l2_over_crb=1.0), record(trial=1, l2_over_crb=7.0, exact=False)]
+            "Error relative", [record(l2_over_crb=1.0), record(trial=1, l2_over_crb=7.0, exact=False)]
         )
         (row,) = bound.rows
         assert (row[2].text, row[2].detail) == ("5.00", "1/2 exact")
@@ -464,7 +463,7 @@ def test_published_numbers_are_complete():
         assert row == table1["the paper's method"][name][0]
 
 
-def test_collate_writes_both_files(tmp_path):
+def test_collate_writes_the_tables(tmp_path):
     records = [record(l2=0.5), record("adam", 0.2), record("adam", variant="no-regularisation", l2=0.9)]
     records.append(record(library="large", l2=0.1))
     store = store_of(tmp_path)
@@ -477,7 +476,6 @@ def test_collate_writes_both_files(tmp_path):
     answer = CliRunner().invoke(main, options)
     assert answer.exit_code == 0, answer.output
     text = (tmp_path / "out" / "tables.md").read_text()
-    html = (tmp_path / "out" / "tables.html").read_text()
     for part in (
         "Compact library",
         "Large library",
@@ -487,11 +485,8 @@ def test_collate_writes_both_files(tmp_path):
         "aaaaaaaaaaaa (4 runs)",
     ):
         assert part in text
-        assert part in html
     assert "A remark <by hand>." in text
-    assert "A remark &lt;by hand&gt;." in html
-    assert "P, 2 cores, Linux, one run at a time (4 runs)" in html
-    assert not re.search(r"(src|href)=\"(?!#)|url\(|<script", html)  # it needs nothing else
+    assert "P, 2 cores, Linux, one run at a time (4 runs)" in text
     rows = [line for line in text.splitlines() if line.startswith("|")]
     assert all(line.count("|") > 2 for line in rows)
 

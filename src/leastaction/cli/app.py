@@ -20,14 +20,14 @@ Example:
     "--port",
     type=click.IntRange(1024, 65535),
     metavar="PORT",
-    help="Port on this computer; by default the first free one from 8137.",
+    help="Port on this computer. Default: the first free one from 8137.",
 )
-@click.option("--no-browser", is_flag=True, help="Do not open the browser; print the address only.")
+@click.option("--no-browser", is_flag=True, help="Print the address without opening the browser.")
 def app(port: int | None, no_browser: bool) -> None:
-    """Open the local app: from a table to a model in the browser, without typing commands.
+    """Open the local app: from a table to a model in the browser.
 
-    It answers only on this computer, only to a browser that has opened the printed address with its token,
-    and loads nothing from elsewhere. End it with Ctrl-C. It needs the extra: pip install 'leastaction[app]'.
+    The app is reachable only from this computer, by a browser that has opened the printed address with its
+    token, and loads nothing from elsewhere. End it with Ctrl-C. It needs pip install 'leastaction[app]'.
     """
     from leastaction.app import run
 

@@ -32,7 +32,7 @@ Example:
     type=click.Choice(list(DEMOS)),
     default="double",
     show_default=True,
-    help="Which of the two measured pendulums.",
+    help="Measured pendulum to analyse.",
 )
 @click.option(
     "--output",
@@ -44,10 +44,10 @@ Example:
 )
 @click.pass_context
 def demo(ctx: click.Context, system: str, output: str) -> None:
-    """Find the Lagrangian of a measured pendulum that comes with the package.
+    """Find the Lagrangian of a measured pendulum that is included in the package.
 
-    Some pieces of the recording are held out. The coefficients and the forecasts of these pieces are shown
-    beside those with the parameters that the authors of the data published.
+    Some pieces of the recording are held out. Coefficients and forecasts are compared with those of the
+    parameters that the authors of the data published.
     """
     folder = check_folder(output, OUTPUTS)
     chosen = DEMOS[system]

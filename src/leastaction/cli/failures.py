@@ -21,12 +21,12 @@ __all__ = ["EXIT_CODES", "PIPE_CLOSED", "Interrupted", "give_up", "stoppable"]
 _SEARCHING = frozenset({"search", "select", "knots", "coarse", "confirm", "drift"})
 DONE, NO_MODEL, WRONG_USE, FAULT, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 70, 130, 141
 EXIT_CODES = {
-    DONE: "done, even if the model is doubtful, or one Ctrl-C ended its search early",
+    DONE: "done; also if the model is doubtful, or if one Ctrl-C ended its search early",
     NO_MODEL: "the data do not support any model, or a motion cannot be followed to the end",
     WRONG_USE: "wrong use, or a file that cannot be read or written",
-    FAULT: "a fault of the program",
+    FAULT: "an internal error",
     INTERRUPTED: "interrupted: nothing was written",
-    PIPE_CLOSED: "whoever read the output has stopped",
+    PIPE_CLOSED: "the reader of the output has stopped",
 }
 """Exit code of every command -> what it means, as in ``leastaction --help`` and ``docs/cli.md``."""
 _NUMERICAL = ("LinAlgError", "FloatingPointError", "OverflowError", "ZeroDivisionError")

@@ -58,22 +58,34 @@ Example:
         n for n in (*SYSTEMS, *FURTHER) if n.startswith(incomplete)
     ],
 )
-@click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Level of the noise.")
+@click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Noise level.")
 @click.option(
     "--noise-convention",
     type=click.Choice(["relative", "absolute"]),
     default="relative",
     show_default=True,
-    help="LEVEL times the standard deviation of each coordinate, or in its unit.",
-)
-@click.option("--trials", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Trajectories.")
-@click.option("--duration", default="20", show_default=True, metavar="SECONDS", help="Of each trajectory.")
-@click.option("--rate", default="100", show_default=True, metavar="HZ", help="Samples a second.")
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Same seed, same data."
+    help="Relative: LEVEL times the standard deviation of each coordinate. Absolute: in its unit.",
 )
 @click.option(
-    "--missing", default="0", show_default=True, metavar="FRACTION", help="Samples left out at random."
+    "--trials", type=click.IntRange(1, 10_000), default=5, show_default=True, help="Number of trials."
+)
+@click.option(
+    "--duration", default="20", show_default=True, metavar="SECONDS", help="Duration of each trial."
+)
+@click.option("--rate", default="100", show_default=True, metavar="HZ", help="Samples per second.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Seed; the same seed gives the same data.",
+)
+@click.option(
+    "--missing",
+    default="0",
+    show_default=True,
+    metavar="FRACTION",
+    help="Fraction of samples missing at random.",
 )
 @click.option("--irregular", is_flag=True, help="Sample at irregular times.")
 @click.option(
@@ -91,7 +103,7 @@ def generate(
     irregular: bool,
     output: str,
 ) -> None:
-    """Make noisy recordings of a system whose Lagrangian is known.
+    """Generate noisy recordings of a system with a known Lagrangian.
 
     SYSTEM is one of single_pendulum, double_pendulum, spherical_pendulum (driven), chaotic_pendulum,
     cart_spring_pendulum, spherical_spring_pendulum and magnetic_pendulum (free); or one of the further

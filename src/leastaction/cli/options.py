@@ -161,9 +161,9 @@ def _check_are_coordinates(given: Iterable[str], names: Sequence[str]) -> None:
 _INPUT = click.option(
     "--input",
     metavar="A,B",
-    help="Columns of measured inputs, such as a support that is shaken or a length that is reeled in: "
-    "candidates may hold them and their velocities, and they have no equation. The same as naming them in "
-    "--coordinates and --prescribed.",
+    help="Columns of measured inputs without an equation of their own, such as a shaken support or a reeled "
+    "rope. Candidates may contain them and their velocities. Same as naming them in --coordinates and "
+    "--prescribed.",
 )
 _DATA_PARAMETERS = (
     *("data", "coordinates", "time", "time_unit", "units", "trial", "forces", "force_delay", "angles"),
@@ -177,50 +177,49 @@ _COLUMNS = (
         default="t",
         show_default=True,
         metavar="COLUMN",
-        help="Times: seconds, another unit in the name (time_ms, 't [us]'), or dates.",
+        help="Column of the times: seconds, a unit in the name (time_ms, 't [us]'), or dates.",
     ),
     click.option(
         "--time-unit",
         metavar="UNIT",
-        help="Unit of the times, whatever the file says: s, ms, us, ns, min or h.",
+        help="Unit of the times, overriding the file: s, ms, us, ns, min or h.",
     ),
     click.option(
         "--units",
         default="SI",
         show_default=True,
         metavar="SI|as-written|A=UNIT",
-        help="SI: columns with a unit in their name or below it (angle [deg]) are converted to rad, m, "
-        "N, N m. as-written: all numbers are taken as they are. A=deg,B=mm: these units, whatever the "
-        "file says.",
+        help="SI: convert columns with a unit in or below their name (angle [deg]) to rad, m, N, N m. "
+        "as-written: keep all numbers. A=deg,B=mm: use these units, overriding the file.",
     ),
     click.option(
         "--trial",
         metavar="COLUMN",
-        help="Tells the trials apart; by default the column 'trial', if there is one.",
+        help="Column with the name of the trial. Default: the column 'trial', if there is one.",
     ),
     click.option(
         "--forces",
         metavar="TAU1,TAU2",
-        help="Columns of the known generalised forces, for the coordinates in order; or a=tau1.",
+        help="Columns of the known generalised forces, in the order of the coordinates; or a=tau1.",
     ),
     click.option(
         "--force-delay",
         metavar="SECONDS",
-        help="How much later the forces act than recorded; half a sampling interval if a controller "
-        "holds them between samples.",
+        help="Delay of the forces relative to their record; half a sampling interval if a controller holds "
+        "them between samples.",
     ),
     click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),
     click.option(
         "--velocity",
         multiple=True,
         metavar="NAME=COLUMN",
-        help="A measured velocity, not differences, e.g. theta=gyro; may be given several times.",
+        help="A measured velocity, e.g. theta=gyro (not differences of positions). Repeatable.",
     ),
     click.option(
         "--acceleration",
         multiple=True,
         metavar="NAME=COLUMN",
-        help="A measured second derivative of a coordinate; may be given several times.",
+        help="A measured second derivative of a coordinate. Repeatable.",
     ),
 )
 
@@ -231,14 +230,14 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
     The command gets them as one parameter ``data``, a function that checks them: `DataOptions.of`, of which
     only ``default`` may be left to give.
     """
-    where = "" if coordinates_required else " By default those of the model."
+    where = "" if coordinates_required else " Default: those of the model."
     decorators = (
         click.argument("data", nargs=-1, required=True, metavar="DATA...", shell_complete=complete_file),
         click.option(
             "--coordinates",
             required=coordinates_required,
             metavar="A,B",
-            help=f"Columns that are the coordinates; name=column if the column has another name.{where}",
+            help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
         ),
         *_COLUMNS,
         *((_INPUT,) if coordinates_required else ()),

@@ -65,7 +65,7 @@ def program(ctx: click.Context) -> None:
         click.echo(ctx.get_help())
 
 
-_COMPLETION_HELP = """Print the script that lets the Tab key complete commands, options, choices and files.
+_COMPLETION_HELP = """Print the script that completes commands, options, choices and files with the Tab key.
 
 \b
 Install it once, then open a new shell:
@@ -73,13 +73,13 @@ Install it once, then open a new shell:
   zsh   echo 'eval "$(leastaction completion zsh)"' >> ~/.zshrc
   fish  leastaction completion fish > ~/.config/fish/completions/leastaction.fish
 
-It takes bash 4.4 or newer. In zsh, write the line below compinit.
+This needs bash 4.4 or newer. In zsh, put the line below compinit.
 """
 
 
 @click.command(
     help=_COMPLETION_HELP,
-    short_help="Let the Tab key complete commands, options and files.",
+    short_help="Print the script for shell completion.",
     epilog="\b\nExample:\n  leastaction completion bash",
 )
 @click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]), metavar="bash|zsh|fish")

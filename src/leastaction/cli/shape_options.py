@@ -33,16 +33,16 @@ term_option = click.option(
     "terms",
     multiple=True,
     metavar="EXPR",
-    help="A candidate beside those of --library; may be given several times. Unknown numbers in it are named "
-    "in braces, e.g. 'exp(-{a}*x)' or 'sqrt((x-{p})**2+(y-{r})**2)'.",
+    help="An additional candidate. Repeatable. Write unknown numbers as names in braces, e.g. 'exp(-{a}*x)' "
+    "or 'sqrt((x-{p})**2+(y-{r})**2)'.",
 )
 shape_option = click.option(
     "--shape",
     "shapes",
     multiple=True,
     metavar="NAME=LOW..HIGH",
-    help="Range of an unknown number in the candidates, e.g. a=0.1..10; without one the data suggest where "
-    "to look. May be given several times.",
+    help="Range of an unknown number in the candidates, e.g. a=0.1..10. Without one, the data suggest where "
+    "to search. Repeatable.",
 )
 # text, not click.FLOAT, so that the error is one line that says what to do
 relevance_option = click.option(
@@ -50,15 +50,15 @@ relevance_option = click.option(
     default="0.05",
     show_default=True,
     metavar="SHARE",
-    help="Share of the equation error that a term must explain to stay. Lower it where weak friction of a "
-    "real machine is left out; 0 asks for significance alone.",
+    help="Share of the equation error that a term must explain in order to stay. Lower it if weak friction "
+    "of a real machine is left out. 0: significance alone decides.",
 )
 size_option = click.option(
     "--size",
     type=click.Choice(_SIZES),
     metavar="NAME",
-    help="With --library auto: compact, standard, large, or chain (many links in a row). By default (auto) "
-    "standard up to 250 candidates; beyond, chain for angles and compact for other coordinates.",
+    help="With --library auto: compact, standard, large, or chain (links in a row). Default (auto): standard "
+    "up to 250 candidates; beyond that, chain for angles and compact otherwise.",
 )
 
 

@@ -28,7 +28,7 @@ _MAX_SAMPLES = 5_000_000
 _GROUP = click.option(
     "--group",
     metavar="NAME",
-    help="Of a model that was found from groups of trials: the law of that one, by default of the first.",
+    help="Group of trials whose law is used, for models with groups. Default: the first group.",
 )
 
 
@@ -52,9 +52,9 @@ Example:
 @click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @_GROUP
 def show(model: str, group: str | None) -> None:
-    """Print the law of a model file, its errors and what is known of the fit.
+    """Print the law of a model file with its errors and verdict.
 
-    MODEL is a model.json of discover. What the search tried is not in the file, but in the report.
+    MODEL is a model.json written by discover. The report, not this file, has the alternatives of the search.
     """
     show_model(_loaded(model, group))
 
@@ -70,22 +70,22 @@ Example:
     "--initial",
     required=True,
     metavar="NAME=VALUE,...",
-    help="Coordinates and velocities at time 0; those not given are 0.",
+    help="Coordinates and velocities at time 0. Default: 0.",
 )
 @click.option(
     "--initial-std",
     metavar="NAME=VALUE,...",
-    help="Standard deviations of --initial; those not given are 0. With them the file has columns NAME_std: "
-    "the standard deviation of a coordinate by the errors of start, coefficients and equations.",
+    help="Standard deviations of --initial; default 0. The file then has columns NAME_std with the standard "
+    "deviation of each coordinate due to the errors of start, coefficients and equations.",
 )
-@click.option("--duration", required=True, metavar="SECONDS", help="How long to simulate.")
-@click.option("--rate", required=True, metavar="HZ", help="Samples a second.")
+@click.option("--duration", required=True, metavar="SECONDS", help="Duration of the simulation.")
+@click.option("--rate", required=True, metavar="HZ", help="Samples per second.")
 @click.option(
     *("-o", "--output"),
     required=True,
     metavar="FILE",
     shell_complete=complete_file,
-    help="CSV file: t, coordinates, velocities.",
+    help="CSV file to write: t, coordinates, velocities.",
 )
 @_GROUP
 def simulate(
@@ -99,8 +99,9 @@ def simulate(
 ) -> None:
     """Simulate a model without external forces.
 
-    MODEL is a model.json of discover. If the motion cannot be followed to the end (it blows up, or the mass
-    matrix becomes singular), nothing is written; the message says when and why, and the exit code is 1.
+    MODEL is a model.json written by discover. If the integration cannot reach the end (the motion diverges,
+    or the mass matrix becomes singular), nothing is written. The message says when and why, and the exit code
+    is 1.
     """
     from leastaction.io import write_bytes
 
@@ -185,19 +186,18 @@ Example:
 )
 @click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @data_options(coordinates_required=False)
-@click.option("--horizon", metavar="SECONDS", help="Length of the forecasts; by default about 1 s.")
+@click.option("--horizon", metavar="SECONDS", help="Length of the forecasts. Default: about 1 s.")
 @click.option(
     "--group",
     metavar="COLUMN",
-    help="Column with the group of each trial: each is forecast by the law of its group, by default of the "
-    "first.",
+    help="Column with the group of each trial, whose law is used. Default: the first group.",
 )
 @click.option(
     "--json",
     "json_file",
     metavar="FILE",
     shell_complete=complete_file,
-    help="Write the errors to a JSON file too.",
+    help="Also write the errors to a JSON file.",
 )
 def validate(
     model: str,
@@ -206,11 +206,11 @@ def validate(
     group: str | None,
     json_file: str | None,
 ) -> None:
-    """Forecast measured trials with a model, and print how far off it is.
+    """Forecast measured trials with a model, and print the errors.
 
-    MODEL is a model.json of discover. Forecasts start all along every trial, from the state that fits the
-    data just before best. The errors are given in the units of the coordinates, as they would be if the model
-    were exact, and over noise and standard deviation of the data.
+    MODEL is a model.json written by discover. Forecasts start at regular intervals in every trial, from the
+    state that best fits the preceding samples. Errors are given in the units of the coordinates, next to
+    those of an exact model, and relative to the noise and the standard deviation of the data.
     """
     import leastaction
     from leastaction.io import write_text
@@ -244,7 +244,7 @@ def validate(
 
 _EXPORT_HELP = """Write a model for other programs.
 
-MODEL is a model.json of discover. What is written needs nothing of leastaction. The formats:
+MODEL is a model.json written by discover. The output does not depend on leastaction. Formats:
 
 \b
 """ + "\n".join(f"  {name:<8}{text}" for name, text in FORMATS.items())

@@ -23,7 +23,7 @@ class SmoothMotion:
     t : (n_times,) array
     q, qdot, qddot : (n_times, n_dof) arrays
     noise_std : (n_dof,) array
-        Estimated noise of the measured coordinates, the same for all trajectories.
+        Estimated noise of the measured coordinates, common to all trajectories.
     """
 
     t: np.ndarray
@@ -37,10 +37,10 @@ class SmoothMotion:
 def smooth(
     trajectories: Trajectory | Trajectories | Iterable[Trajectory], *, degree: int = 5
 ) -> list[SmoothMotion]:
-    """Smooth measured coordinates and differentiate them; no model of the system is needed.
+    """Smooth measured coordinates and differentiate them, without a model of the system.
 
-    A B-spline with a penalty on the third derivative, whose strength is the restricted maximum-likelihood
-    estimate (REML, Wood 2011), one for each coordinate; missing samples are filled in.
+    Each coordinate is a B-spline with a penalty on its third derivative. Restricted maximum likelihood (REML,
+    Wood 2011) sets the strength of the penalty. Missing samples are filled in.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def smooth(
 
     Notes
     -----
-    Not guaranteed: accelerations free of bias. Where the motion turns faster than the noise lets one see,
-    any smoother flattens it; :func:`leastaction.discover` does not use accelerations found this way.
+    Not guaranteed: accelerations without bias. Any smoother flattens motion that is faster than the noise
+    allows it to resolve. :func:`leastaction.discover` does not use accelerations found this way.
 
     Examples
     --------

@@ -130,7 +130,9 @@ def _in_a_row(given: object) -> list[str]:
 def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
     for name in given:
         if name not in names:
-            raise InputError(f"groups names {quoted(name)}, which is no trajectory; they are {listed(names)}")
+            raise InputError(
+                f"groups names {quoted(name)}, which is not a trajectory; they are {listed(names)}"
+            )
     lacking = [name for name in names if name not in given]
     if lacking:
         raise InputError(f"groups has no entry for the trajectory {quoted(lacking[0])}; give it one")

@@ -28,12 +28,12 @@ __all__ = ["Rate", "Trajectories", "Trajectory"]
 
 
 class Trajectories(ShownRuns, Sequence[Trajectory]):
-    """Several trajectories of one system, with the same coordinates; lengths and times may differ.
+    """Several trajectories of one system with the same coordinates. Lengths and times may differ.
 
     Parameters
     ----------
     trajectories : iterable of Trajectory
-        At least one. Names must differ; trajectories without a name are numbered in `names`.
+        At least one. Names must differ. Trajectories without a name are numbered in `names`.
 
     Raises
     ------
@@ -116,7 +116,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the trajectories, all different; one without a name gets its number, from 0."""
+        """Names of the trajectories, all different. One without a name gets its number, from 0."""
         return self._names
 
     @property
@@ -151,7 +151,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
 
     @property
     def rates(self) -> tuple[Rate, ...]:
-        """What is measured beside the positions: velocities by coordinate, then accelerations."""
+        """Measured quantities other than positions: velocities by coordinate, then accelerations."""
         out: list[Rate] = []
         for derivative, field in enumerate(RATES, start=1):
             arrays = [item.rates(field) for item in self._items]
@@ -172,9 +172,9 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was done to the data when they were read, each once; `discover` adds them to those of the fit.
+        """What the reader did to the data, each once. `discover` adds these findings to those of the fit.
 
-        Slices, selections and other sets made of the same trajectories keep them.
+        Slices, selections and other sets of the same trajectories keep them.
 
         Examples
         --------
@@ -188,12 +188,12 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         return tuple(dict.fromkeys(finding for item in self._items for finding in item.findings))
 
     def unwrap(self, angles: Iterable[str] | str) -> Trajectories:
-        """Remove the jumps by multiples of 2 pi from angles that were stored wrapped.
+        """Remove jumps by multiples of 2 pi from wrapped angles.
 
-        Between successive measured (not NaN) samples of a trajectory, a jump of more than pi is taken as
-        a wrap: the multiple of 2 pi nearest to it is taken off all later samples. Doing it again changes
-        nothing. Where noise alone makes such steps (more than half a radian), an angle that spans more than
-        2 pi is taken as it is, and any other is compared with the trend of the samples before.
+        A jump of more than pi between successive measured samples (not NaN) of a trajectory counts as a wrap.
+        The nearest multiple of 2 pi is subtracted from all later samples. Repeating this changes nothing. If
+        noise alone causes such steps (more than half a radian), an angle that spans more than 2 pi is left as
+        it is, and any other is compared with the trend of the previous samples.
 
         Parameters
         ----------
@@ -203,7 +203,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         Returns
         -------
         Trajectories
-            New trajectories; `wraps_removed` tells how many jumps were removed.
+            New trajectories; `wraps_removed` has the number of jumps removed.
 
         Raises
         ------
@@ -230,7 +230,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
 
     @classmethod
     def with_wraps(cls, items: Iterable[Trajectory], wraps: Iterable[tuple[int, ...]]) -> Trajectories:
-        """Trajectories from which jumps were removed before: how many, for each trajectory and coordinate.
+        """Create trajectories with a record of the jumps removed before, per trajectory and coordinate.
 
         Examples
         --------
@@ -241,7 +241,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         return cls._with(items, wraps, fill_names([item.name for item in items]))
 
     def select(self, names_or_indices: str | int | Iterable[str | int]) -> Trajectories:
-        """Return some of the trajectories, in the order asked for.
+        """Return some of the trajectories, in the given order.
 
         Parameters
         ----------
@@ -320,7 +320,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         return self._with(items, self._wraps, self._names)
 
     def without_rates(self) -> Trajectories:
-        """Return the same trajectories with positions and forces alone.
+        """Return the same trajectories with positions and forces only.
 
         Examples
         --------
@@ -337,8 +337,8 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         Returns
         -------
         str
-            64 hexadecimal digits, the same on every machine. No forces and zero forces are the same,
-            and so are no velocities (accelerations) and only missing ones.
+            64 hexadecimal digits, the same on every machine. Absent forces count as zero forces, and absent
+            velocities or accelerations as missing ones.
 
         Examples
         --------
@@ -358,7 +358,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         return digest.hexdigest()
 
     def without(self, masks: Sequence[np.ndarray]) -> Trajectories:
-        """Leave samples out.
+        """Mark samples as missing.
 
         Parameters
         ----------

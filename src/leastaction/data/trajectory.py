@@ -69,31 +69,30 @@ class Rate:
 
 @dataclass(frozen=True, eq=False, init=False, repr=False)
 class Trajectory(ShownRuns):
-    """One continuous run: coordinates, rates where measured, and known forces, at increasing times.
+    """One continuous recording: coordinates, measured rates and known forces at increasing times.
 
     The arrays are float64 copies and read-only.
 
     Parameters
     ----------
     t : array_like, shape (n_times,)
-        Times in seconds, finite and strictly increasing; they need not be uniform.
+        Times in seconds, finite and strictly increasing. They need not be uniform.
     q : array_like, shape (n_times, n_dof)
         Coordinates. NaN marks a missing sample, per coordinate. Shape (n_times,) is accepted for one
         coordinate.
     forces : array_like, shape (n_times, n_dof), optional
-        Known generalised external forces, finite; zero where a coordinate is not driven. None means that
-        nothing is driven.
+        Known generalised external forces, finite; zero for a coordinate that is not driven. None: no forces.
     coordinates : sequence of str, optional
         Names of the coordinates, kept as a tuple; ``("q1", "q2", ...)`` by default.
     name : str
         Name of the trial, used in messages and files.
     velocities, accelerations : array_like, shape (n_times, n_dof), optional
         Measured q̇ and q̈ (tachometer, gyroscope, ...), in the coordinate's unit per second and per second
-        squared; NaN where nothing was measured, which may be whole columns. They must come from sensors of
-        their own: differences of the positions carry the noise of the positions a second time.
+        squared; NaN where nothing was measured, which may be whole columns. They must come from separate
+        sensors: differences of the positions repeat the noise of the positions.
     findings : iterable of Finding
-        What was done to the data when they were read, as the readers of files note it (units that were
-        converted, for example); `discover` adds them to those of the fit.
+        What the reader did to the data, such as converting units. `discover` adds these findings to those of
+        the fit.
 
     Raises
     ------
@@ -172,7 +171,7 @@ class Trajectory(ShownRuns):
         name: str,
         findings: tuple[Finding, ...] = (),
     ) -> Trajectory:
-        """The trajectory of read-only arrays that were checked before; they are shared, not copied.
+        """Create a trajectory from read-only arrays that were checked before. They are shared, not copied.
 
         Examples
         --------
@@ -219,7 +218,7 @@ class Trajectory(ShownRuns):
         return values if values is not None and np.isfinite(values).any() else None
 
     def changed(self, **fields: Any) -> Trajectory:
-        """Return this trajectory with some fields replaced, checked again.
+        """Return this trajectory with some fields replaced and checked.
 
         Examples
         --------
@@ -233,7 +232,7 @@ class Trajectory(ShownRuns):
         return new
 
     def rows(self, chosen: Any) -> Trajectory:
-        """Return some of the samples: a slice, an array of increasing numbers, or one of truth values.
+        """Return some of the samples: a slice, an array of increasing indices, or a boolean array.
 
         Examples
         --------

@@ -14,22 +14,22 @@ __all__ = ["AdamOptions"]
 
 @dataclass(frozen=True)
 class AdamOptions:
-    """Settings of ``discover(method="adam")``, the method of Zhang & Sun (2026) as it was published.
+    """Settings of ``discover(method="adam")``, the method of Zhang & Sun (2026) as published.
 
     Parameters
     ----------
     data_weight, curvature_weight, physics_weight : float
         α, β and γ in J = α mean ‖y − q‖² + β mean ‖q̈‖² + γ mean ‖Σ λ_k E[φ_k] − f‖².
     threshold : float
-        ε: coefficients below it are set to zero for good.  In the units of the coefficients.
+        ε: smaller coefficients are set to zero permanently. In the units of the coefficients.
     threshold_from, check_every : int
-        First iteration that may threshold, and the interval at which this and convergence are checked.
+        First iteration with thresholding, and the interval at which thresholds and convergence are checked.
     iterations : int
         The most; the learning rates fall along a cosine over this length.
     learning_rate_curve, learning_rate_coefficients : float
         First step of Adam in control points and in coefficients.
     tolerance : float
-        The descent has converged when J changes by less than this share between two checks.
+        The descent has converged when the relative change of J between two checks is smaller.
     collocation : float
         Random collocation times for each sample, N_c / N_m.
     batch : int
@@ -48,7 +48,7 @@ class AdamOptions:
     Raises
     ------
     InputError
-        For a value that makes no sense.
+        If a value is invalid.
 
     Examples
     --------

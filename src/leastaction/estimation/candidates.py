@@ -78,7 +78,7 @@ class CandidateBorder:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """All candidates about a fit, before the volume term.
+    """All candidates about a fit, before the log-determinant term.
 
     Attributes
     ----------

@@ -120,7 +120,7 @@ class NormalEquations(NamedTuple):
     gradient : (n_border,) array
         Half gradient in the coefficients.
     corner : (n_border, n_border) array
-        A, the volume term included.
+        A, the log-determinant term included.
     """
 
     rows: np.ndarray

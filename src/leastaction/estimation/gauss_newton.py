@@ -259,7 +259,7 @@ def _fitted(
 
     Where these cannot be computed, the status is "not finite"; without a normal matrix they are not tried.
     """
-    # the weights are estimated too: what the volume term seems to know of the scale, they forget
+    # the weights are estimated too: what the log-determinant term seems to know of the scale, they forget
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
     covariance, factor = np.full(known_scale.shape, np.nan), None
     if normal is not None:
@@ -280,7 +280,7 @@ def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:
     weight rises in steps.
     """
     grid, held = at.observations.grid, replace(at.physics, free=np.zeros_like(at.physics.free))
-    # of what the volume term weighs in the whole, these trials have a share
+    # of what the log-determinant term weighs in the whole, these trials have a share
     weights = replace(weights, slack=grid.n_intervals / grid.total * weights.slack)
 
     def fitted(points: np.ndarray, share: float) -> JointFit:

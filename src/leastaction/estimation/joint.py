@@ -57,7 +57,7 @@ class Weights:
 
     @property
     def volume(self) -> np.ndarray:
-        """(n_dof,) weight of the volume term: degrees of freedom of what really pushes.
+        """(n_dof,) weight of the log-determinant term: degrees of freedom of what really pushes.
 
         The noise of measured forces is in the equations, too, but pushes nothing. See `volume.volume_term`.
         """
@@ -154,7 +154,7 @@ class Costs:
         return float(np.sum(self.squares / weights.noise_std**2) + np.sum(weights.physics * self.equation))
 
     def cost(self, weights: Weights) -> float:
-        """Misfit and volume term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
+        """Misfit and log-determinant term −2 Σ_i volume_i ⟨log |det M|⟩ / (number of equations)."""
         return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
 
     def mean(self, values: np.ndarray) -> float:

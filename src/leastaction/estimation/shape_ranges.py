@@ -141,7 +141,8 @@ def shape_ranges(
         if name not in names:
             listing = ", ".join(names) or "none; write one as exp(-{a}*x)"
             raise InputError(
-                f"shapes names {quoted(name)}, which is no shape parameter of the library (it has {listing})"
+                f"shapes names {quoted(name)}, which is not a shape parameter of the library (it has "
+                f"{listing})"
             )
         _check_ends(name, ends)
     out: dict[str, ShapeRange] = {}

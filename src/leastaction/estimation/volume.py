@@ -20,7 +20,7 @@ _CHUNK = 4096  # knot intervals handled at once
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """The volume term at one point; see :func:`volume_term`.
+    """The log-determinant term at one point; see :func:`volume_term`.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ def volume_term(
     coefficients: np.ndarray,
     border: EulerLagrange,
 ) -> Volume:
-    """The volume term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
+    """The log-determinant term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
 
     The equation error r is what is random, not the curve: the density of the curve carries the factor
     |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
@@ -92,7 +92,7 @@ def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
 
 
 def add_volumes(parts: Iterable[Volume]) -> Volume:
-    """The volume term of a motion from those of its parts."""
+    """The log-determinant term of a motion from those of its parts."""
     return reduce(
         lambda a, b: Volume(
             a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner

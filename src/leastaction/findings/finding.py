@@ -101,7 +101,7 @@ def _plain(value: Any, place: str, nested: bool = False) -> Value:
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found.
+    """The result of a check.
 
     Parameters
     ----------
@@ -111,13 +111,13 @@ class Finding:
     severity : {"warning", "note"}
         A warning makes the model doubtful, a note does not.
     subject : tuple of str
-        What it is about: names of coordinates, or terms; empty: the fit as a whole.
+        The coordinates or terms concerned; empty: the fit as a whole.
     values : mapping of str to number, str or tuple
         The figures.
     message : str
-        What is so.
+        What is wrong, or worth knowing.
     remedy : str
-        What to do; empty where there is nothing to do.
+        What to do about it; may be empty.
 
     Raises
     ------
@@ -158,7 +158,7 @@ class Finding:
 
     @classmethod
     def of_text(cls, text: str, severity: Severity = "warning") -> Finding:
-        """A sentence without code and figures.
+        """Create a finding from a sentence without code and figures.
 
         Examples
         --------
@@ -171,7 +171,7 @@ class Finding:
         return f"{self.message}: {self.remedy}" if self.remedy else self.message
 
     def to_dict(self) -> dict[str, Any]:
-        """Return dictionaries, lists, texts and finite numbers, as JSON has them.
+        """Return the finding as JSON types.
 
         Examples
         --------
@@ -190,7 +190,7 @@ class Finding:
 
     @classmethod
     def from_dict(cls, value: Any, place: str = "finding") -> Finding:
-        """Return the finding of a dictionary that `to_dict` made.
+        """Create a finding from the output of `to_dict`.
 
         Raises
         ------

@@ -1,7 +1,7 @@
-"""Every sentence that a check can say: code → severity, what is so, what to do.
+"""All sentences of the checks: code → severity, statement, remedy.
 
-Checks compute codes and figures; nothing outside this file words them, and nothing reads the words back.
-A text is a template over ``subject`` and the figures, or a function of both where it depends on them.
+Checks return codes and figures. Their wording is defined here only, and no code parses it.
+A text is a template over ``subject`` and the figures, or a function of both where wording depends on them.
 """
 
 from __future__ import annotations
@@ -43,24 +43,25 @@ __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 
 
 def _hardly_determined(f: dict[str, Any]) -> str:
-    text = "these data hardly determine {subject}"
+    text = "these data barely determine {subject}"
     if f["scale_open"]:
-        text += " (all coefficients can grow together: the scale of L is open)"
+        text += " (all coefficients can grow together: the scale of L is undetermined)"
     elif f["combination"]:
-        text += " (open to {open:.0f%}: the combination {combination})"
+        text += " (the combination {combination} is uncertain by {open:.0f%})"
     return fill(text, f)
 
 
 def _competing_remedy(f: dict[str, Any]) -> str:
     at = [f"{name} = {value:.2g}" for name, value in zip(f["at_names"], f["at_values"], strict=True)]
     where = f", e.g. through {', '.join(at)}" if at else ""
-    return f"record motions in which they differ{where}, or leave one of them out"
+    return f"record motions in which they differ{where}, or remove one of them from the candidates"
 
 
 def _slow_force(f: dict[str, Any]) -> str:
     return fill(
-        "a force on {subject} that changes within {seconds:g} s was looked for: between {lowest:.3g} and "
-        "{highest:.3g}, ± {standard_error:.2g}" + (": hardly any" if f["hardly_any"] else ""),
+        "the estimated slow force on {subject} (time scale {seconds:g} s) lies between {lowest:.3g} and "
+        "{highest:.3g}, ± {standard_error:.2g}"
+        + (": not distinguishable from zero" if f["hardly_any"] else ""),
         f,
     )
 
@@ -68,7 +69,7 @@ def _slow_force(f: dict[str, Any]) -> str:
 CODES: dict[str, Message] = {
     # the equations do not hold
     "not-converged": Message(
-        "warning", "the solver did not converge ({reason})", "try fewer candidates or longer data"
+        "warning", "the solver did not converge ({reason})", "try fewer candidates or a longer recording"
     ),
     "equations-off": Message(
         "warning",
@@ -86,63 +87,64 @@ CODES: dict[str, Message] = {
     "time-dependent": Message(
         "warning",
         time_dependent,
-        "add {subject} to the candidates, or measure what moves it",
+        "add {subject} to the candidates, or measure the input that drives the system",
         on_command_line=time_dependent_remedy,
     ),
     "unmodelled-friction": Message(
         "warning",
         friction,
-        "give {subject} as a candidate for dissipation",
+        "offer {subject} as a dissipation candidate",
         on_command_line="add {subject} to --dissipation",
     ),
     "energy-fed-in": Message(
         "warning",
-        "energy seems to be fed in along {velocities} (friction of about {coefficient:.2g})",
-        "check the sign of forces and of known coefficients, and whether a driving force is missing",
+        "energy appears to be fed in through {velocities} (apparent friction {coefficient:.2g})",
+        "check the signs of forces and known coefficients, and whether a driving force is missing",
     ),
     "wrong-known-coefficient": Message("warning", wrong_known, wrong_known_remedy),
     "late-forces": Message(
         "warning",
         late_forces,
-        "find the delay with la.delay.estimate",
-        on_command_line="give --force-delay {delay:.2g}, or that of the device",
+        "estimate the delay with la.delay.estimate",
+        on_command_line="use --force-delay {delay:.2g}, or the delay stated for the device",
     ),
     "slight-friction": Message(
         "note",
         friction,
-        "with {subject} among the candidates for dissipation it would be in the model",
-        on_command_line="with {subject} in --dissipation it would be in the model",
+        "too small to affect the verdict; offer {subject} as a dissipation candidate to include it",
+        on_command_line="too small to affect the verdict; add {subject} to --dissipation to include it",
     ),
     "slight-delay": Message(
         "note",
         late_forces,
-        "too little to matter; la.delay.estimate finds it",
-        on_command_line="too little to matter; --force-delay {delay:.2g} allows for it",
+        "too small to affect the verdict; la.delay.estimate measures it",
+        on_command_line="too small to affect the verdict; --force-delay {delay:.2g} corrects it",
     ),
     "scaled-forces": Message(
         "warning",
-        "the forces seem to be {factor:.2g} times those given ({share:.0f%} of the equation error)",
+        "the forces appear to be {factor:.2g} times the recorded values (this explains {share:.0f%} of the "
+        "equation error)",
         "check their units and scale",
     ),
     "swapped-forces": Message(
         "warning",
-        "the forces on {subject} seem to be swapped: exchanged, they lead to equations that hold",
-        "check the sequence of the columns",
+        "the forces on {subject} appear to be swapped: with the columns exchanged, the equations hold",
+        "check the order of the columns",
     ),
     # no particular term is missing
     "form-imitated": Message(
         "warning",
-        "the candidates seem to imitate a law that they cannot write: a smooth change of the {kind} energy "
-        "explains the motion better (-2 log likelihood {gain:.0f}, for {freedom} numbers more) and changes "
-        "the accelerations by {shift:.1f%}",
+        "the true law is probably not among the candidates: a smooth change of the {kind} energy explains "
+        "the motion better (-2 log likelihood lower by {gain:.0f} with {freedom} more parameters) and "
+        "changes the accelerations by {shift:.1f%}",
         imitated_remedy,
         on_command_line=partial(imitated_remedy, on_command_line=True),
     ),
     "form-open": Message(
         "warning",
-        "other smooth {kind} energies explain the motion as well, with accelerations that differ by "
+        "other smooth {kind} energies explain the motion equally well, with accelerations that differ by "
         "{open:.1f%}",
-        "record longer, or with less noise",
+        "record for longer, or with less noise",
     ),
     "simpler-form": Message(
         "warning",
@@ -159,106 +161,111 @@ CODES: dict[str, Message] = {
     ),
     "shape-at-bound": Message(
         "warning",
-        "the shape parameter {subject} is at the end of its range ({value:.3g} of {low:.3g} to {high:.3g})",
-        "widen the range, or leave it out",
-        on_command_line="widen the range of --shape {subject}, or leave it out",
+        "the shape parameter {subject} is at the end of its range ({value:.3g}, range {low:.3g} to "
+        "{high:.3g})",
+        "widen the range, or remove it",
+        on_command_line="widen the range of --shape {subject}, or remove it",
     ),
     "shape-not-settled": Message(
         "warning",
-        "the shape parameter {subject} did not settle ({value:.3g})",
-        "give a range around the number that you expect with shapes={{'{subject}': (low, high)}}",
-        on_command_line="give a range around the number that you expect with --shape {subject}=LOW..HIGH",
+        "the shape parameter {subject} did not converge ({value:.3g})",
+        "bound it around the value that you expect: shapes={{'{subject}': (low, high)}}",
+        on_command_line="bound it around the value that you expect: --shape {subject}=LOW..HIGH",
     ),
     # the data
     "rate-unexplained": Message(
         "warning",
-        "the library cannot explain the measured {quantity} of {subject} (its residual is "
-        "{residual_ratio:.2f} times the noise)",
-        "is it a sensor of its own, at the same times as the positions?",
+        "the model does not explain the measured {quantity} of {subject} (residual {residual_ratio:.2f} "
+        "times the noise)",
+        "check that it comes from a sensor of its own, with the same time stamps as the positions",
     ),
-    "rate-constant": Message("warning", "the measured {quantity} of {subject} is constant", "leave it out"),
+    "rate-constant": Message(
+        "warning", "the measured {quantity} of {subject} is constant", "leave this channel out"
+    ),
     "rate-unrelated": Message(
         "warning",
-        "the measured {quantity} of {subject} hardly follows the derivative of its coordinate",
-        "check the column, and that times are the same",
+        "the measured {quantity} of {subject} does not follow the derivative of its coordinate",
+        "check the column and the time stamps",
     ),
     "rate-scaled": Message("warning", rate_scaled, "convert it, or leave it out"),
     "rate-offset": Message(
         "warning",
-        "the measured {quantity} of {subject} has an offset of {offset:.3g} from the derivative of its "
+        "the measured {quantity} of {subject} is offset by {offset:.3g} from the derivative of its "
         "coordinate",
-        "subtract it, it is what the sensor shows at rest",
+        "subtract what the sensor reads at rest",
     ),
     "looks-like-noise": Message(
         "warning",
         "{share:.0f%} of the spread of {subject} looks like noise",
-        "if the sensor is better than that, sampling is too slow for the motion, so sample faster",
+        "if the sensor is better than that, the sampling rate is too low for the motion: sample faster",
     ),
     "angle-in-degrees": Message(
         "warning",
-        "{subject} covers {span:.3g} within a recording",
-        "sines and cosines want radians; if it is in degrees, read it with units={{'{subject}': 'deg'}}",
-        on_command_line="sines and cosines want radians; if it is in degrees, give --units {subject}=deg",
-        on_page="sines and cosines want radians; if it is in degrees, mark {subject} as such",
+        "{subject} spans {span:.3g} within one recording",
+        "sines and cosines expect radians; if it is in degrees, read it with units={{'{subject}': 'deg'}}",
+        on_command_line="sines and cosines expect radians; if it is in degrees, give --units {subject}=deg",
+        on_page="sines and cosines expect radians; if {subject} is in degrees, mark it as such",
     ),
     "undeclared-angle": Message(
         "warning",
-        "{subject} jumps by about 2π {jumps} times, which was undone",
-        "if it is an angle, say so with angles=['{subject}']",
-        on_command_line="if it is an angle, say so with --angles {subject}",
+        "{subject} jumps by about 2π {jumps} times; the jumps were removed",
+        "if it is an angle, declare it with angles=['{subject}']",
+        on_command_line="if it is an angle, declare it with --angles {subject}",
         on_page="if it is an angle, mark {subject} as an angle",
     ),
     "slow-sampling": Message(
         "warning",
-        "sampling is slow ({samples_per_period:.1f} samples a period of the fastest motion, where at least "
-        "{needed:g} are needed)",
-        "what is faster looks slow, so sample faster",
+        "the sampling rate is too low ({samples_per_period:.1f} samples per period of the fastest motion; at "
+        "least {needed:g} are needed)",
+        "sample faster: aliasing makes fast motion look slow",
     ),
     "motion-in-noise": Message(
         "warning",
-        "the motion of {subject} ({motion:.2g}) hardly shows above its noise ({noise:.2g})",
+        "the motion of {subject} ({motion:.2g}) barely exceeds its noise ({noise:.2g})",
         "record larger motions",
     ),
     # the structure and its coefficients
     "hardly-determined": Message(
         "warning",
         _hardly_determined,
-        "record larger or different motions, or fix one of the coefficients with known={{...}}",
-        on_command_line="record larger or different motions, or fix one of the coefficients with --known",
+        "record larger or more varied motions, or fix one of the coefficients with known={{...}}",
+        on_command_line="record larger or more varied motions, or fix one of the coefficients with --known",
     ),
     "competing-structures": Message(
-        "warning", "these data cannot tell {subject} from {others}", _competing_remedy
+        "warning", "these data cannot distinguish {subject} from {others}", _competing_remedy
     ),
     "slight-terms": Message(
         "note",
-        "these data hardly determine {subject}, but what is unexplained matters more",
-        "leave it out of the candidates for a simpler law",
+        "these data barely determine {subject}, but its effect is smaller than the equation error",
+        "remove it from the candidates for a simpler law",
     ),
     "slight-rival": Message(
         "note",
-        "these data cannot tell {subject} from {others}, but what is unexplained matters more",
-        "leave them out of the candidates for a simpler law",
+        "these data cannot distinguish {subject} from {others}, but the difference is smaller than the "
+        "equation error",
+        "remove them from the candidates for a simpler law",
     ),
     "scale-open": Message(
         "warning",
-        "nothing known reaches {subject}: the coefficients of its terms may all be multiplied by one number",
+        "neither a force nor a known coefficient sets the scale of {subject}: all coefficients of its terms "
+        "can be multiplied by a common factor",
         "give one of these coefficients with known={{...}}",
         on_command_line="give one of these coefficients with --known",
     ),
     "mass-matrix-not-finite": Message(
         "warning",
         "the mass matrix is not finite along the data",
-        "a term divides by something that vanishes there: shift the coordinate, or leave the term out",
+        "a term divides by a quantity that vanishes there: shift the coordinate, or remove the term",
     ),
     "mass-matrix-not-positive": Message(
         "warning",
         "the mass matrix is not positive definite along {share:.0f%} of the data",
-        "a kinetic term is missing, or the sign of forces or of a known coefficient is wrong",
+        "a kinetic term may be missing, or the forces or a known coefficient may have the wrong sign",
     ),
     "negative-dissipation": Message(
         "warning",
-        "the dissipation term {subject} came out negative and was left out, since it would feed energy in",
-        "check the sign of forces and known coefficients, or a missing term",
+        "the dissipation term {subject} came out negative, which would feed energy in, and was left out",
+        "check the signs of forces and known coefficients, and whether a term is missing",
     ),
     "another-structure": Message(
         "warning",
@@ -267,21 +274,23 @@ CODES: dict[str, Message] = {
     ),
     # what was done to data and library
     "time-unit": Message("note", time_unit),
-    "dates": Message("note", "the dates in '{column}' became seconds from the first one of each file"),
+    "dates": Message(
+        "note", "the dates in '{column}' were converted to seconds since the first date of each file"
+    ),
     "converted-units": Message("note", converted_units),
     "units-row": Message("note", "the row below the header was read as units: {units}"),
     "decimal-comma": Message("note", "numbers were read with a decimal comma"),
-    "first-sheet": Message("note", "the sheet '{sheet}' was read, and no other: {others}"),
+    "first-sheet": Message("note", "only the sheet '{sheet}' was read; the others are {others}"),
     "text-encoding": Message("note", "the text is not UTF-8 and was read as {encoding}"),
-    "angle-unwrapped": Message("note", "{jumps} jumps of 2π removed from {subject}"),
-    "forces-unused": Message("note", "forces on {subject} were left out: the motion there is prescribed"),
+    "angle-unwrapped": Message("note", "{jumps} jumps of 2π were removed from {subject}"),
+    "forces-unused": Message("note", "forces on {subject} were ignored, because its motion is prescribed"),
     "rates-unused": Message(
-        "note", "method='adam' fits positions alone: measured velocities and accelerations were left out"
+        "note", "method='adam' fits positions only; measured velocities and accelerations were ignored"
     ),
     "outliers-left-out": Message(
         "note",
-        "{count} samples of {subject} ({share:.2g%}) are outliers, more than {far:g} standard deviations off "
-        "the motion and alone there; they are left out",
+        "{count} samples of {subject} ({share:.2g%}) were left out as outliers: each is isolated and more "
+        "than {far:g} standard deviations off the motion",
     ),
     "friction-smoothed": Message("note", smoothed),
     "undefined-candidates": Message(
@@ -290,57 +299,57 @@ CODES: dict[str, Message] = {
     # what is worth knowing
     "scatter-of-forces": Message(
         "note",
-        "the equation of {subject} is off by {equation_error:.1f%} of its forces, no more than the scatter "
-        "of those that were given leaves",
-        "quieter forces would narrow the intervals",
+        "the equation of {subject} is off by {equation_error:.1f%} of its forces; the noise of the recorded "
+        "forces accounts for this",
+        "less noisy forces would narrow the intervals",
     ),
     "equation-error": Message(
         "note",
         "the equation of {subject} leaves {equation_error:.2g%} of its forces unexplained",
-        "little on hardware; in a simulation a small term or friction is missing",
+        "small for hardware; in simulated data, a small term or friction is missing",
     ),
     "correlated-residuals": Message(
         "note",
         correlated,
-        "coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
+        "typical of coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
     "mode-scale": Message(
         "note",
-        "L is not unique: the motion is so nearly linear that {open} of the scales of its {modes} modes may "
-        "be any number, with the same accelerations",
-        "natural frequencies, damping ratios and mode shapes do not depend on it (model.linearise); a known "
-        "coefficient or force for each mode fixes it",
-        on_command_line="natural frequencies, damping ratios and mode shapes do not depend on it; --known or "
-        "--forces for each mode fixes it",
+        "L is not unique: the motion is nearly linear, and the scales of {open} of its {modes} modes can be "
+        "chosen freely without changing the accelerations",
+        "natural frequencies, damping ratios and mode shapes are not affected (model.linearise); a known "
+        "coefficient or force for each mode fixes its scale",
+        on_command_line="natural frequencies, damping ratios and mode shapes are not affected; --known or "
+        "--forces for each mode fixes its scale",
     ),
     "groups-differ": Message("note", groups_differ),
-    "groups-alike": Message("note", "no coefficient differs between the groups {groups}, within its error"),
+    "groups-alike": Message("note", "no coefficient differs significantly between the groups {groups}"),
     "groups-known": Message(
         "note",
-        "in {groups} no force is known, and {subject} was taken to have one coefficient in all groups: "
-        "differences are relative to it, and what multiplies every coefficient of a group does not show",
+        "no force is known in {groups}, so {subject} was assumed to be the same in all groups: differences "
+        "are relative to it, and a factor common to all coefficients of a group is undetectable",
     ),
     "zero-offset": Message("note", zero_offset),
     "stopped-early": Message(
         "warning",
-        "the search was stopped: this is the best law so far, and likely causes were not looked for",
+        "the search was stopped early: this is the best law so far, and likely causes were not examined",
         "let the search run to its end",
     ),
     "knots-not-settled": Message(
         "note",
-        "coefficients still moved when the knots were refined for the last time",
+        "the coefficients still changed at the last refinement of the knots",
         "sample faster",
     ),
     "coefficients-of-free-runs": Message(
         "note",
-        "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
-        "{horizon:.2g} s, and their intervals allow for what the library cannot explain",
+        "the equations hold only to a few per cent, so the coefficients are those with the smallest "
+        "simulation error over {horizon:.2g} s; their intervals allow for what the library cannot explain",
     ),
     "forecasts": Message(
         "note",
-        "free runs from states along the data, over {horizon:.2g} s or about a period, are off by "
+        "simulations started from states along the data, over {horizon:.2g} s (about a period), are off by "
         "{error:.2g%} of the spread",
-        "compare forecasts of held-out trials with what you need",
+        "compare forecasts of held-out trials with the accuracy that you need",
     ),
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),
@@ -348,21 +357,21 @@ CODES: dict[str, Message] = {
 
 
 def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Finding:
-    """Return the finding of a code, with its sentences.
+    """Return a finding with its message and remedy.
 
     Parameters
     ----------
     code : str
         A key of `CODES`.
     subject : str or iterable of str
-        Coordinates or terms that it is about.
+        The coordinates or terms concerned.
     **values
-        The figures that its texts need, and others worth keeping.
+        The figures that its texts need, and any others worth keeping.
 
     Examples
     --------
     >>> print(find("motion-in-noise", "x", motion=0.011, noise=0.05))
-    the motion of x (0.011) hardly shows above its noise (0.05): record larger motions
+    the motion of x (0.011) barely exceeds its noise (0.05): record larger motions
     """
     row = CODES[code]
     about = (subject,) if isinstance(subject, str) else tuple(subject)
@@ -371,12 +380,12 @@ def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Find
 
 
 def sentence(finding: Finding, audience: Audience = "python") -> str:
-    """Return a finding as text, its remedy in the words of the command line or of the app.
+    """Return a finding as text, with the remedy worded for the command line or the app.
 
     Examples
     --------
     >>> print(sentence(find("undeclared-angle", "theta", jumps=3), "command line"))
-    theta jumps by about 2π 3 times, which was undone: if it is an angle, say so with --angles theta
+    theta jumps by about 2π 3 times; the jumps were removed: if it is an angle, declare it with --angles ...
     """
     remedy = _other_remedies(audience).get(finding.code)
     if not remedy:

@@ -29,25 +29,25 @@ class Library(ShownLibrary, Sequence[Term]):
     Parameters
     ----------
     terms
-        Candidates φ_k as text, SymPy expressions or terms.  Text may use ``+ - * / **``, brackets,
+        Candidates φ_k as text, SymPy expressions or terms. Text may use ``+ - * / **``, brackets,
         sin cos tan exp log sqrt abs, numbers, pi, the coordinates, their velocities
         ``<coordinate>_dot``, the time ``t`` in seconds and the parameters.
     coordinates
         Names of the generalised coordinates.
     angles
-        Those coordinates that are angles, in radians.
+        The coordinates that are angles, in radians.
     parameters
-        Numbers that the texts may use by name; they are put in at once.
+        Numbers that the texts may use by name. They are inserted immediately.
     dissipation
         Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ.
 
     Attributes
     ----------
     terms, dissipation : tuple of Term
-        The candidates, in the order given; repeated expressions are left out.
+        The candidates, in the order given. Repeated expressions are left out.
     coordinates, velocities, angles : tuple of str
     dropped : tuple of Dropped
-        What was left out, and why.
+        Candidates that were left out, and why.
 
     Raises
     ------
@@ -131,10 +131,10 @@ class Library(ShownLibrary, Sequence[Term]):
         gyroscopic: bool = False,
         dissipation: Iterable[Candidate] = (),
     ) -> Library:
-        """Generate the candidates that mechanical systems are usually made of.
+        """Generate candidates that are common in mechanical systems.
 
-        Two velocities times functions of the coordinates, and potentials: sines and cosines of angles, their
-        sums and differences; powers of other coordinates; products of both.
+        These are products of two velocities times functions of the coordinates, and potentials: sines and
+        cosines of angles, of their sums and differences; powers of other coordinates; products of both.
 
         Parameters
         ----------
@@ -145,7 +145,7 @@ class Library(ShownLibrary, Sequence[Term]):
             1/x and log(x), for x > 0) or ``"chain"`` (planar links, from the base on).  ``"auto"`` or None:
             ``"standard"`` up to 250 terms; beyond, ``"chain"`` with two angles or more, else ``"compact"``.
         degree
-            Greatest total degree of monomials in coordinates that are no angles; by default 2, 4 or 6.
+            Maximum total degree of monomials in coordinates that are not angles; by default 2, 4 or 6.
         gyroscopic
             Whether to add terms linear in the velocities: spinning rotors, rotating frames, magnetic fields.
         dissipation
@@ -205,7 +205,7 @@ class Library(ShownLibrary, Sequence[Term]):
 
     @property
     def lengths(self) -> tuple[float | None, ...]:
-        """Description length of each term in nats; None, but in `symbolic`: as long as that of any other."""
+        """Description length of each term in nats. None unless made by `symbolic`: all are equal."""
         return tuple(self._lengths.get(term) for term in self._terms)
 
     @property
@@ -277,7 +277,7 @@ class Library(ShownLibrary, Sequence[Term]):
         return listing_of(self)
 
     def index(self, expression: Candidate, kind: Kind = "lagrangian") -> int:  # type: ignore[override]
-        """Return the place of an expression in the library; equal functions match, however they are written.
+        """Return the index of an expression in the library. Equal functions match, however they are written.
 
         Parameters
         ----------
@@ -332,18 +332,18 @@ class Library(ShownLibrary, Sequence[Term]):
         return self.replace(dissipation=[*self._dissipation, *more._dissipation])
 
     def reduced(self, keep: Iterable[Candidate] | str = (), *, prescribed: Iterable[str] = ()) -> Library:
-        """Return the library without terms that change nothing in the equations of motion it can write.
+        """Return the library without terms that do not change the equations of motion.
 
-        Left out are null terms (constants and total time derivatives), multiples of another term, and
-        sums of others, also where that is so only up to a null term; `dropped` says which and why.
-        Terms of L and of the dissipation are examined together.
+        It omits null terms (constants and total time derivatives), multiples of another term, and sums of
+        other terms, also up to a null term. `dropped` lists them with reasons. Terms of L and of the
+        dissipation are examined together.
 
         Parameters
         ----------
         keep
-            Terms of the library that stay where there is a choice; otherwise earlier terms stay.
+            Terms that stay if there is a choice. Otherwise, earlier terms stay.
         prescribed
-            Coordinates that are moved by unknown forces: their equations do not count.
+            Coordinates moved by unknown forces. Their equations are ignored.
 
         Raises
         ------

@@ -34,18 +34,18 @@ _BRACES = re.compile(r"(?P<sign>(?<![-+*/])[-+])?\{(?P<name>\w+)\}(?P<power>\*\*
 class Term:
     """One candidate function of coordinates and velocities.
 
-    Two terms are equal when expression and kind are equal; the text does not count.
+    Two terms are equal if expression and kind are equal. The text is ignored.
 
     Parameters
     ----------
     text
-        Readable text in the grammar of the library, for example ``"theta_dot**2"``.
+        Text in the grammar of the library, for example ``"theta_dot**2"``.
     expr
         The same as a SymPy expression over real symbols.
     kind
         ``"lagrangian"`` or ``"dissipation"``.
     template
-        The term with shape parameters that this one has numbers for, and those numbers by name.
+        The term with shape parameters from which this one was made, and their numbers by name.
 
     Examples
     --------
@@ -64,23 +64,23 @@ class Term:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """Names of the shape parameters, whether they have numbers or not."""
+        """Names of the shape parameters, with or without numbers."""
         expr = self.expr if self.template is None else self.template.term.expr
         return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
 
     def numbered(self, values: Mapping[str, float]) -> Template:
-        """The term with shape parameters and their numbers, of twelve digits; see `at`."""
+        """The term with the numbers of its shape parameters, to twelve digits; see `at`."""
         whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)
         values = {**dict(had), **values}
         return Template(whole, tuple((name, float(f"{values[name]:.12g}")) for name in self.shapes))
 
     def at(self, values: Mapping[str, float]) -> Term:
-        """The term with numbers for its shape parameters, of twelve digits; itself if it has none.
+        """Return the term with numbers for its shape parameters, to twelve digits.
 
         Parameters
         ----------
         values
-            Name to number; a term that has numbers already keeps those that are not given.
+            Numbers by name. A term that has numbers keeps those that are not given.
 
         Raises
         ------
@@ -123,11 +123,11 @@ Candidate = str | Term | sympy.Expr
 
 @dataclass(frozen=True)
 class Dropped:
-    """A candidate that was left out of a library, and why.
+    """A candidate that was left out of a library, with the reason.
 
     ``reason`` is ``"null"`` (no effect on the equations of motion), ``"duplicate"`` (a multiple of one
-    other term) or ``"dependent"`` (a sum of several); ``because`` is text for people.  ``combination`` holds
-    the factors and terms of that sum, which is equal up to a null term; ``length`` is the description length.
+    other term) or ``"dependent"`` (a sum of several); ``because`` explains it in words. ``combination`` holds
+    the factors and terms of that sum, up to a null term. ``length`` is the description length.
     """
 
     term: Term

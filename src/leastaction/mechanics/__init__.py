@@ -45,7 +45,7 @@ class Points:
     def times(self) -> np.ndarray:
         """(n_points,) seconds."""
         if self._times is None:
-            raise ValueError("a candidate holds the time, and these points have none")
+            raise ValueError("a candidate depends on time, and these points have none")
         if callable(self._times):
             self._times = self._times()
         return self._times

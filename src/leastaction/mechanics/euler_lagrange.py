@@ -323,7 +323,7 @@ class EulerLagrange:
 def euler_lagrange(
     library: Library, q: ArrayLike, qdot: ArrayLike, qddot: ArrayLike, t: ArrayLike | None = None
 ) -> np.ndarray:
-    """Put every candidate of a library through the Euler–Lagrange operator at given states.
+    """Apply the Euler–Lagrange operator to every candidate of a library at given states.
 
     Parameters
     ----------
@@ -331,7 +331,7 @@ def euler_lagrange(
     q, qdot, qddot : array_like, shape (n_times, n_dof)
         Coordinates, velocities (1/s) and accelerations (1/s²).
     t : array_like, shape (n_times,), optional
-        Times in seconds, for candidates that hold the time.
+        Times in seconds, for candidates that depend on time.
 
     Returns
     -------
@@ -344,7 +344,7 @@ def euler_lagrange(
     ------
     InputError
         If the shapes do not match each other or the library, a shape parameter has no number, or a candidate
-        holds the time and there is no `t`.
+        depends on time and `t` is missing.
 
     Examples
     --------
@@ -371,7 +371,7 @@ def _times(columns: EulerLagrange, t: ArrayLike | None, n_times: int) -> np.ndar
     if t is None:
         timed = [term.text for term in columns.terms if time_symbol in term.expr.free_symbols]
         if timed:
-            raise InputError(f"the candidate {timed[0]} holds the time; give t, one time for each state")
+            raise InputError(f"the candidate {timed[0]} depends on time; give t, one time for each state")
         return None
     times = np.asarray(t, dtype=float)
     if times.shape != (n_times,):

@@ -230,7 +230,7 @@ def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
         If there are none, or they cannot be broadcast.
     """
     if t is None:
-        raise InputError("the law holds the time: give t, the time of each state in seconds")
+        raise InputError("the law depends on time: give t, the time of each state in seconds")
     times = real_array(t, "t")
     try:
         return np.broadcast_to(times, shape)

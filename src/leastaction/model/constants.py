@@ -73,7 +73,7 @@ class Offer:
     text : str
         The number as text, such as ``"1/2"`` or ``"-2*pi"``.
     chance : float
-        How many numbers of the list an interval of this width holds here by chance.
+        Expected number of list members in an interval of this width by chance.
 
     Examples
     --------
@@ -103,7 +103,7 @@ class Offer:
 
 @dataclass(frozen=True)
 class SimpleConstants:
-    """Simple numbers that a model offers, and whether all of them may be true at once.
+    """Simple numbers inside intervals of a model, and whether all of them can be true.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class SimpleConstants:
     freedom : int
         Its degrees of freedom: independent offers.
     compatible : bool
-        Whether it is below the cut-off at the package's false-alarm rate.
+        Whether `chi2` is below the threshold of the package's false-alarm rate.
     """
 
     offers: tuple[Offer, ...] = ()

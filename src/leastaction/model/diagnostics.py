@@ -44,15 +44,15 @@ class PathPoint:
     reason : str
         Why it was not chosen; see `leastaction.selection.alternatives.Alternative`.
     coefficients, standard_errors : tuple of float
-        Of the expressions, as the quadratic model of the likelihood about the chosen structure expects them.
+        Values of the expressions' coefficients, predicted by the quadratic model around the chosen structure.
     kinds : tuple of {"lagrangian", "dissipation"}
         Of the expressions.
     length : float
-        Bits that it takes to name the expressions; NaN where the library has no description lengths.
+        Description length of the expressions in bits; NaN if the library has none.
     templates : tuple of str
-        Of the expressions, with their shape parameters in braces; "" for one without. Empty: none has any.
+        The expressions with shape parameters in braces, "" for one without. Empty: no shape parameters.
     shapes : tuple of (str, float)
-        The shape parameters of the structure and of known terms, with the numbers that the expressions have.
+        Shape parameters of the structure and of known terms, with their values in the expressions.
     """
 
     expressions: tuple[str, ...]
@@ -69,7 +69,7 @@ class PathPoint:
 
     @property
     def written(self) -> tuple[str, ...]:
-        """The expressions as people read them: shape parameters by name."""
+        """The expressions for display, with shape parameters by name."""
         pairs = zip(self.expressions, self.templates, strict=True) if self.templates else ()
         return tuple(template or expression for expression, template in pairs) or self.expressions
 
@@ -104,7 +104,7 @@ def pareto(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
 
 
 class TradeOff(Shown, Sequence[PathPoint]):
-    """Size of structures against how badly they explain the data: a sequence of `PathPoint`.
+    """Size of structures against misfit: a sequence of `PathPoint`.
 
     Parameters
     ----------
@@ -135,11 +135,11 @@ class TradeOff(Shown, Sequence[PathPoint]):
 
     @property
     def measure(self) -> str:
-        """How size is measured: ``"bits"`` where the library has description lengths, else ``"terms"``."""
+        """Unit of the size: ``"bits"`` if the library has description lengths, else ``"terms"``."""
         return "bits" if self and all(math.isfinite(p.length) for p in self) else "terms"
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
-        """Plot −2 log likelihood against size, and mark the structure that was chosen.
+        """Plot −2 log likelihood against size, and mark the chosen structure.
 
         Parameters
         ----------
@@ -176,7 +176,7 @@ class TradeOff(Shown, Sequence[PathPoint]):
         return Display([Panel("−2 Δ log likelihood", "", series, x_label, "symlog")]).plot(ax, **kwargs)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return a data frame of pandas, one row for each structure.
+        """Return a pandas data frame, one row per structure.
 
         Returns
         -------
@@ -203,35 +203,35 @@ class TradeOff(Shown, Sequence[PathPoint]):
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics(Shown):
-    """Everything that the report shows and the model file does not keep.
+    """Results of a discovery that the report shows and the model file does not store.
 
     Attributes
     ----------
     trajectories : Trajectories
-        As used: angles unwrapped.
+        The fitted data, angles unwrapped.
     grid, control_points
         The fitted curve; see :meth:`curve`.
     noise_std, physics_weight, equation_error : (n_dof,) arrays
         σ_i; w_i, the inverse spectral density of the equation error; root mean square of the equation
         residual in the units of a generalised force.
     path : tuple of PathPoint
-        Best structure of each size, in rising size; runners-up of the chosen size come last.
+        Best structure of each size, by increasing size, then the runners-up of the chosen size.
     pareto : tuple of PathPoint
-        Length against likelihood, where the library has description lengths (`Library.symbolic`): structures
-        that no shorter one explains as well, in rising length, and the chosen one.
+        For libraries with description lengths (`Library.symbolic`): structures that no shorter one explains
+        equally well, by increasing length, and the chosen one.
     dropped : tuple of Dropped
-        Candidates removed before the fit, and for which others.
+        Candidates removed before the fit, with reasons.
     findings : tuple of Finding
-        Those of the fit; the model to which the diagnostics belong sets them.
+        Findings of the fit; set by the model.
     prepared : tuple of Finding
-        Those of them that speak of data and library, before any fit.
+        Findings about data and library, made before any fit.
     timings : dict
         Stage → seconds.
     rate_noise_std : dict
         Measured velocity or acceleration, ``"velocity of theta"`` → its noise.
     force_offset : dict
-        Coordinate → the slowly changing force that was found there, one (n_times,) array a trajectory at its
-        times, where ``discover(force_offset={coordinate: seconds})`` asked for it.
+        Coordinate → estimated slow force, one (n_times,) array per trajectory at its times, if requested by
+        ``discover(force_offset={coordinate: seconds})``.
     angles : tuple of str
         Coordinates that are angles.
     """
@@ -254,7 +254,7 @@ class Diagnostics(Shown):
 
     @property
     def trade_off(self) -> TradeOff:
-        """`pareto`, or where there are no description lengths `path`, as one object that can be plotted."""
+        """`pareto`, or `path` without description lengths, as an object with `plot`."""
         return TradeOff(self.pareto or self.path)
 
     def plot(
@@ -306,13 +306,13 @@ class Diagnostics(Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to data and library on the user's behalf, and what else is worth knowing."""
+        """Notes as sentences: what was done on the user's behalf, and what else is worth knowing."""
         return tuple(str(finding) for finding in self.findings if finding.severity == "note")
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:
-        """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array a trajectory.
+        """Derivative ``nu`` of the fitted curve, one (n_times, n_dof) array per trajectory.
 
-        ``times`` defaults to the measured ones.
+        By default, ``times`` are those of the samples.
         """
         times = [trajectory.t for trajectory in self.trajectories] if times is None else times
         return self.grid.evaluate(self.control_points, times, nu)

@@ -157,7 +157,7 @@ def to_text(document: Mapping[str, Any]) -> str:
 
 
 def load(path: str | os.PathLike[str]) -> LagrangianModel:
-    """Read a model that `LagrangianModel.save` has written; everything in the file is checked.
+    """Read a model written by `LagrangianModel.save`. Everything in the file is checked.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def fields(document: Any) -> dict[str, Any]:
         With the place in the document, what was expected and the cure.
     """
     if not is_mapping(document) or "schema" not in document:
-        raise InputError("this is no leastaction model: expected an object with the entry 'schema'")
+        raise InputError("this is not a leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
     _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes", "groups"))
     coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)

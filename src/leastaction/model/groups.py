@@ -33,7 +33,7 @@ _Key = tuple[Kind, str]  # of a term: kind and expression
 
 @dataclass(frozen=True)
 class GroupDifference:
-    """By how much the coefficient of a term differs from that in the first group.
+    """Difference of the coefficient of a term from that in the first group.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class GroupDifference:
         The term.
     group : str
     difference : float
-        Coefficient in this group less that in the first, where the term may be absent.
+        Coefficient in this group minus that in the first group, which may lack the term.
     standard_error : float
         NaN where it is not available.
     kind : {"lagrangian", "dissipation"}
@@ -80,7 +80,7 @@ class GroupDifference:
 
     @property
     def written(self) -> str:
-        """Term and group, as people read them."""
+        """Term and group, for display."""
         return f"{self.expression} in {self.group}"
 
     @property
@@ -99,25 +99,25 @@ class GroupDifference:
         return self.as_term().z
 
     def as_term(self) -> ModelTerm:
-        """The difference in the columns of a table of terms."""
+        """The difference as a row of a table of terms."""
         return ModelTerm(self.expression, self.difference, self.standard_error, template=self.written)
 
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """The groups of trials that a model was found from, and what differs between them.
+    """The groups of trials of a discovery, and the differences between them.
 
     Parameters
     ----------
     names : sequence of str
-        Of the groups; the first is the one whose coefficients the model holds.
+        Names of the groups. The model has the coefficients of the first.
     differences : sequence of GroupDifference
-        From the first group; of a term in every other group, or in none. Terms that are not named have one
-        coefficient in all groups.
+        Differences from the first group, for a term in every other group or in none. Other terms have the
+        same coefficient in all groups.
     covariance : array_like, shape (n_free + n_differences,) * 2, optional
-        Of the model's coefficients that are not known, then of the differences.
+        Covariance of the free coefficients, then of the differences.
     trials : sequence of str
-        The group of each trial that the model was found from; empty: not available.
+        The group of each fitted trial; empty: not available.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class Groups:
 
     @classmethod
     def from_dict(cls, document: Any, most: int) -> Groups:
-        """Make groups of what `to_dict` returned, after checking all of it.
+        """Create groups from the output of `to_dict`, after checking all of it.
 
         Raises
         ------

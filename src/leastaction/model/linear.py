@@ -51,14 +51,14 @@ class Equilibrium:
     ----------
     q : ndarray, shape (n_dof,)
     standard_error : ndarray, shape (n_dof,)
-        NaN for a coordinate along which the equilibrium may be shifted, or where it is not available.
+        NaN for a coordinate along which the equilibrium can be shifted, or if not available.
     stability : {"stable", "neutral", "unstable", "undecided"}
-        By the poles of the linear system, or because the potential has a minimum there. Neutral: stable but
-        for shifts that no force opposes. Undecided: neglected terms decide, or the mass matrix is singular.
+        From the poles of the linear system, or a minimum of the potential. Neutral: stable except for shifts
+        that no force opposes. Undecided: neglected terms decide, or the mass matrix is singular.
     isolated : bool
-        Whether no other equilibrium is next to it; of a line or surface of them one is given.
+        Whether it has no adjacent equilibria. Of a line or surface of equilibria, one is given.
     recorded : bool or None
-        Whether the recording reached this far in each coordinate, angles modulo 2π; None: not known.
+        Whether the recording reached it in each coordinate, angles modulo 2π. None: unknown.
     """
 
     q: np.ndarray
@@ -85,7 +85,7 @@ class Linearisation:
     Attributes
     ----------
     coordinates : tuple of str
-        Those that are free; one that was prescribed in the discovery is held.
+        The free coordinates. Those prescribed in the discovery are held fixed.
     q, standard_error : ndarray, shape (n_dof,)
         The equilibrium, and its standard errors.
     forces : ndarray, shape (n_dof,)
@@ -93,14 +93,14 @@ class Linearisation:
     mass, damping, stiffness : ndarray, shape (n_free, n_free)
         M, C (damping is its symmetric part, gyroscopic the other) and K.
     poles : ndarray, shape (2 n_free,), complex
-        Eigenvalues of `a` in 1/s, in rising size.
+        Eigenvalues of `a` in 1/s, by increasing magnitude.
     modes : tuple of Mode
-        In rising natural frequency.
+        By increasing natural frequency.
     stability : {"stable", "neutral", "unstable", "undecided"}
         As of `Equilibrium`.
     left_out : tuple of str
-        Terms of dry friction. It has no derivative at rest: below it nothing moves, so that the system may
-        rest beside the equilibrium, too, and swings die out in finite time.
+        Terms of dry friction, which has no derivative at rest. With it, the system may also rest next to the
+        equilibrium, and oscillations die out in finite time.
 
     Examples
     --------
@@ -276,9 +276,7 @@ def linearise(law: RestLaw, q: ArrayLike, forces: ArrayLike | None = None) -> Li
             held = np.zeros(len(given))
             held[law.free] = lacking
             hint = f", or hold it there by forces = {[float(f'{x:.4g}') for x in held]}"
-        raise InputError(
-            f"q = {quoted(given.tolist())} is no equilibrium; equilibria() finds those that there are{hint}"
-        )
+        raise InputError(f"q = {quoted(given.tolist())} is not an equilibrium; equilibria() finds them{hint}")
     return _about(law, found, push)
 
 

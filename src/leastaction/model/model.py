@@ -39,9 +39,10 @@ __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
-    r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t) with numbers and their errors.
+    r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t), with coefficients and their errors.
 
-    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces L and ψ have one common open factor.
+    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces, a common factor of L and ψ is
+    arbitrary.
 
     Parameters
     ----------
@@ -53,15 +54,15 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     noise_std : array_like, shape (n_dof,), optional
         Standard deviation of the measurement noise; NaN: not available.
     fit : FitSummary
-        Whether the model holds, and why not if it does not.
+        The verdict and the findings.
     provenance : mapping
-        Where the model comes from: version, options, hash of the data. Must be JSON.
+        Origin of the model: version, options, hash of the data. Must be JSON.
     diagnostics : Diagnostics, optional
-        What the discovery left behind; it is not saved.
+        Data, curve and trade-off curve of the discovery. Not saved.
     shapes : sequence of ShapeParameter
-        Unknown numbers inside terms, as found; the expressions hold them already.
+        Estimated numbers inside terms. The expressions already contain them.
     groups : Groups, optional
-        What differs between groups of trials; the terms are those of the first, see `of_group`.
+        Differences between groups of trials. The terms are those of the first group; see `of_group`.
 
     Raises
     ------
@@ -127,16 +128,15 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @property
     def prescribed(self) -> tuple[str, ...]:
-        """Coordinates whose motion was prescribed in the discovery (`provenance`), by unknown forces.
+        """Coordinates that unknown forces moved in the discovery (`provenance`).
 
-        Nothing is known of what moves them: wherever the model takes forces, the entry of such a coordinate
-        is its acceleration.
+        Wherever the model takes forces, the entry of such a coordinate is its acceleration.
         """
         return checks.prescribed_in(self.coordinates, self.provenance)
 
     @property
     def angles(self) -> tuple[str, ...]:
-        """Coordinates that the discovery was told are angles (`provenance`)."""
+        """Coordinates that were declared angles in the discovery (`provenance`)."""
         return tuple(checks.angles_in(self.coordinates, self.provenance))
 
     @cached_property
@@ -174,7 +174,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @property
     def timed(self) -> bool:
-        """Whether L or ψ holds the time; then what is computed from a state needs `t`, too."""
+        """Whether L or ψ depends explicitly on time; methods that take a state then need `t` as well."""
         return self.mechanics.timed
 
     def acceleration(
@@ -188,7 +188,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             They are broadcast against each other, and so are `forces`.
         forces : array_like, shape (..., n_dof), optional
         t : array_like, shape (...), optional
-            Times in seconds; a model that is `timed` needs them.
+            Times in seconds, required for a `timed` model.
 
         Returns
         -------
@@ -203,7 +203,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         return self.mechanics.acceleration(*self._states(t, q=q, qdot=qdot, forces=forces))
 
     def energy(self, q: ArrayLike, qdot: ArrayLike, t: ArrayLike | None = None) -> np.ndarray:
-        """q̇·∂L/∂q̇ − L, which is conserved where nothing drives or damps the system, and L holds no time.
+        """q̇·∂L/∂q̇ − L, conserved if nothing drives or damps the system and L does not depend on time.
 
         Parameters
         ----------
@@ -249,7 +249,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         start_std: ArrayLike | None = None,
         **limits: Any,
     ) -> SimulationResult:
-        """Integrate one motion by an adaptive method of degree 8 (DOP853).
+        """Integrate one motion with an adaptive method of order 8 (DOP853).
 
         Parameters
         ----------
@@ -260,23 +260,25 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         forces : array_like, shape (n_times, n_dof), or callable, optional
             Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; of `prescribed` coordinates, q̈.
         inputs : mapping of str to array_like, shape (n_times,), optional
-            Where `prescribed` coordinates are at `t`, without noise; they start there, and need no force.
+            Positions of `prescribed` coordinates at `t`, without noise. They start there and need no force.
         start_std : array_like, shape (2, n_dof) or broadcastable to it, optional
-            Standard deviations of `q0` and `qdot0`, 0 if exact. With them the result states `std`, that of q,
-            from 128 motions with errors of start, coefficients and equations (white noise as in the fit).
+            Standard deviations of `q0` and `qdot0`, 0 if exact. The result then has `std`, the standard
+            deviation of q, from 128 motions with errors of start, coefficients and equations (white noise as
+            in the fit).
         **limits
             ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
 
         Returns
         -------
         SimulationResult
-            With ``status="stopped"`` and a reason if the motion cannot be followed to the end, for example
-            because the mass matrix becomes singular; a numerical failure raises nothing.
+            With ``status="stopped"`` and a reason if the integration cannot reach the end, for example
+            because the mass matrix becomes singular. A numerical failure raises nothing.
 
         Raises
         ------
         InputError
-            For wrong shapes, times or numbers, or if the model has no errors that `start_std` asks for.
+            If shapes, times or numbers are invalid, or `start_std` is given and the model has no standard
+            errors.
 
         Examples
         --------
@@ -312,32 +314,32 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     ) -> ForecastResult:
         """Forecast held-out measurements and compare.
 
-        Every `horizon` seconds a forecast starts. Its initial state is that of the model's own motion which
-        fits the data in the `window` before best (least squares); from there the model runs free. Known
-        forces of the trajectories are used. Coordinates that were angles in the discovery (provenance) are
-        unwrapped first; those that are `prescribed` move as their smoothed measurements do.
+        A forecast starts every `horizon` seconds. Its initial state comes from the motion of the model that
+        best fits the data in the `window` before (least squares). From there, the model is simulated with the
+        known forces of the trajectories. Coordinates that were angles in the discovery (provenance) are
+        unwrapped first; `prescribed` coordinates follow their smoothed measurements.
 
         Parameters
         ----------
         trajectories : Trajectory, Trajectories or sequence of Trajectory
             Of the same coordinates in the same order.
         horizon : float, optional
-            Length of the free runs in seconds. By default 1 s, at least 20 sampling intervals, at most half
+            Length of the simulations in seconds. By default 1 s, at least 20 sampling intervals, at most half
             of the shortest trial.
         window : float, optional
             Length of the data from which the initial state is found. By default half of the horizon, less
             if the shortest trial has no room for it, at least 8 sampling intervals.
         tolerance : float
-            A forecast holds until a coordinate is off by `tolerance` of its standard deviation plus three
-            times the noise.
+            A forecast is valid until the error of a coordinate exceeds `tolerance` of its standard deviation
+            plus three times the noise.
         groups : iterable, or mapping of str, optional
-            Of each trajectory its group, as for `discover`; by default all are of the first one.
+            The group of each trajectory, as for `discover`. By default, all belong to the first one.
 
         Returns
         -------
         ForecastResult
-            Errors in the units of the coordinates, relative to noise and spread, and what they would be if
-            the model were exact. A run that diverges is recorded as such.
+            Errors in the units of the coordinates and relative to noise and spread, and the errors of an
+            exact model. A simulation that diverges is recorded as such.
 
         Raises
         ------
@@ -356,18 +358,18 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         return [*states, checks.checked_times(t, states[0].shape[:-1]) if self.timed else None]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the model as JSON types, as in the file of `save`; null stands for "not available"."""
+        """Return the model as JSON types, as in the file of `save`. null means "not available"."""
         return model_file.encode(self)
 
     @classmethod
     def from_dict(cls, document: Mapping[str, Any], source: str = "model") -> LagrangianModel:
-        """Make a model of what `to_dict` returned, after checking all of it.
+        """Create a model from the output of `to_dict`, after checking all of it.
 
         Parameters
         ----------
         document : mapping
         source : str
-            Named in messages, e.g. the file.
+            Origin for messages, e.g. the file name.
 
         Raises
         ------
@@ -380,7 +382,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             raise InputError(f"{source}: {error}") from None
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model to a JSON file, all or nothing; `load` reads it. Diagnostics are not kept.
+        """Write the model to a JSON file, all or nothing. `load` reads it. Diagnostics are not saved.
 
         Raises
         ------

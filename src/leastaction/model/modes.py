@@ -65,24 +65,24 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One small motion about an equilibrium: a pair of poles, or a real one.
+    """A mode of small motion around an equilibrium: a pair of poles, or a real pole.
 
     Attributes
     ----------
     pole : complex
-        In 1/s; of a pair the one above the real axis.
+        In 1/s; of a pair, the one above the real axis.
     natural_frequency : Estimate
-        Size of the pole in rad/s; of a real pole its rate in 1/s.
+        Magnitude of the pole in rad/s; for a real pole, its rate in 1/s.
     frequency : Estimate
         The same over 2π, in Hz.
     damping_ratio : Estimate
-        −Re(pole) over the size of the pole; 1 for a real pole that decays, −1 for one that grows, NaN for one
-        at zero.
+        −Re(pole) over the magnitude of the pole: 1 for a decaying real pole, −1 for a growing one, NaN for a
+        pole at zero.
     shape : ndarray, shape (n_free,), complex
-        Deviations of the coordinates relative to the largest, each in its own unit. The imaginary part
-        is zero where nothing damps or turns; else the argument is the phase by which a coordinate leads.
+        Deflections of the coordinates relative to the largest, each in its own unit. The imaginary part is
+        zero without damping and gyroscopic terms. Otherwise the argument is the phase of a coordinate.
     shape_standard_error : ndarray, shape (n_free,), complex
-        Those of the real and of the imaginary part; NaN where modes share a pole, so that none is alone.
+        Standard errors of the real and imaginary parts; NaN if several modes share a pole.
     """
 
     pole: complex
@@ -94,7 +94,7 @@ class Mode:
 
     @property
     def pace(self) -> str:
-        """Frequency and damping ratio, or the rate of a mode that does not swing, as text.
+        """Frequency and damping ratio, or the rate of a non-oscillating mode, as text.
 
         Examples
         --------
@@ -113,7 +113,7 @@ class Mode:
         return f"{self.frequency} Hz{ratio}"
 
     def deviations(self, names: Sequence[str]) -> list[str]:
-        """The shape as text, with the angle by which a coordinate leads where it is out of step.
+        """The shape as text, with the phase of coordinates that are out of step.
 
         Examples
         --------

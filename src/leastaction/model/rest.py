@@ -45,8 +45,8 @@ class RestLaw:
     def __init__(self, model: LagrangianModel) -> None:
         if model.timed:
             raise InputError(
-                "the law holds the time: it has no equilibria, and no modes; leastaction.control.linearize "
-                "with t gives the linear system of one instant"
+                "the law depends on time, so it has no equilibria and no modes; "
+                "leastaction.control.linearize with t gives the linear system of one instant"
             )
         self.names = model.coordinates
         self.free = [i for i, name in enumerate(self.names) if name not in model.prescribed]

@@ -47,7 +47,7 @@ _MOST_TRIALS, _MOST_TIMES = 60, 2000  # whose motion is looked at
 
 @dataclass(frozen=True)
 class Symmetry:
-    """A change of variables that leaves L as it is, and what is conserved with it.
+    """A change of variables that leaves L unchanged, and the conserved quantity.
 
     Attributes
     ----------
@@ -55,29 +55,29 @@ class Symmetry:
         "cyclic" (L does not depend on a coordinate, but for a total derivative), "translation" (of several
         coordinates together), "rotation", "exchange", "time reversal" or "time translation".
     coordinates : tuple of str
-        Those that it changes; in planes (x, y), (z, w), … for a rotation, all of them for the time.
+        Coordinates that it changes: planes (x, y), (z, w), … of a rotation, or all for a change of time.
     change : str
-        What it does, such as ``"x1 + c, x2 + c"``, ``"turn of (x, y)"`` or ``"x1 <-> x2"``.
+        The change, such as ``"x1 + c, x2 + c"``, ``"turn of (x, y)"`` or ``"x1 <-> x2"``.
     holds : {"in form", "in numbers", "within errors"}
-        Whatever the coefficients are; because coefficients that are given fit together; or because those
-        that it wants related are so within their errors.
+        For any coefficients; because the given coefficients satisfy its conditions; or because the estimated
+        ones satisfy them within their errors.
     conditions : int
-        Combinations of coefficients that must vanish and have an error.
+        Number of combinations of coefficients that must vanish and have an error.
     chi2 : float
-        Of these combinations, with `conditions` degrees of freedom.
+        Test statistic of these combinations, with `conditions` degrees of freedom.
     precision : float
-        Relative standard error of the least sure of them: what could still be broken unseen.
+        Relative standard error of the least certain of them: a smaller violation is undetectable.
     quantity : str
-        Expression of what is conserved; empty where there is nothing (exchange, time reversal), or where it
-        could not be written. `written` is the same with rounded numbers.
+        Expression of the conserved quantity; empty if there is none (exchange, time reversal) or it could not
+        be expressed. `written` is the same with rounded numbers.
     latex : str
         The same for math mode, with rounded numbers.
     obstacles : tuple of str
-        Why it is not conserved in spite of the symmetry, or the motion not symmetric: "friction", "forces"
-        (known ones act along it, in the recording) or "prescribed" (unknown forces do).
+        Why the quantity is not conserved, or the motion not symmetric: "friction", "forces" (known forces act
+        along it in the recording) or "prescribed" (unknown forces act).
     drift : float
-        Root mean square by which the quantity departs from its mean over a trial, along the fitted curve,
-        over the mean sum of the sizes of its addends; the worst trial. NaN with obstacles, or without curve.
+        Rms deviation of the quantity from its mean along the fitted curve of the worst trial, relative to the
+        mean sum of the magnitudes of its terms. NaN with obstacles or without a curve.
 
     Examples
     --------
@@ -105,7 +105,7 @@ class Symmetry:
 
     @property
     def name(self) -> str:
-        """What people call it, with its coordinates."""
+        """Its name for display, with its coordinates."""
         if self.kind == "cyclic":
             return f"cyclic coordinate {self.coordinates[0]}"
         if self.kind == "rotation":

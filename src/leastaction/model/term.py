@@ -54,12 +54,12 @@ class ModelTerm:
         Function of coordinates and velocities, e.g. ``"theta_dot**2"``.
     coefficient : float
     standard_error : float
-        0.0 for a known coefficient; NaN where it is not available.
+        0.0 for a known coefficient; NaN if not available.
     known : bool
-        Whether the coefficient was given by the user instead of estimated.
+        Whether the user gave the coefficient.
     template : str
-        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"`` where ``expression`` has
-        their numbers; empty if it has none.
+        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"``; ``expression`` has numbers
+        in their place. Empty if it has none.
 
     Raises
     ------
@@ -93,7 +93,7 @@ class ModelTerm:
 
     @property
     def written(self) -> str:
-        """The expression as people read it: shape parameters by name."""
+        """The expression for display, with shape parameters by name."""
         return self.template or self.expression
 
     @property
@@ -131,7 +131,7 @@ def _check_known(known: object, where: str) -> None:
 
 @dataclass(frozen=True)
 class ShapeParameter:
-    """An unknown number inside terms, as found.
+    """An estimated number inside terms.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ class ShapeParameter:
     standard_error : float
         NaN where it is not available.
     profile : sequence of (float, float)
-        Profile likelihood: numbers in rising order, and by how much −2 log likelihood is higher there than at
-        `value`, everything else refitted. Empty where it was not computed.
+        Profile likelihood: increasing values, and the increase of −2 log likelihood from `value` with
+        everything else refitted. Empty if not computed.
 
     Raises
     ------
@@ -151,8 +151,8 @@ class ShapeParameter:
 
     Notes
     -----
-    `lower` and `upper` are the ends of the 95 % interval: where the profile rises by 3.84, between its
-    points; on a side where it does not rise that far, or without one, 1.96 standard errors from `value`.
+    `lower` and `upper` are the ends of the 95 % interval, where the profile has risen by 3.84. If it does not
+    rise that far on one side, or there is no profile, they are 1.96 standard errors from `value`.
 
     Examples
     --------
@@ -198,7 +198,7 @@ class ShapeParameter:
         return self.value + sign * Z95 * self.standard_error
 
     def as_term(self) -> ModelTerm:
-        """Name and number in the columns of a table of terms.
+        """Name and number as a row of a table of terms.
 
         Examples
         --------
@@ -242,24 +242,24 @@ def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
 
 @dataclass(frozen=True, init=False)
 class FitSummary(Shown):
-    """How well the model holds.
+    """The verdict on a model, and the findings behind it.
 
     Parameters
     ----------
     status : {"ok", "usable", "doubtful"}
-        ``"usable"``: the equations hold to some per cent only, and free runs follow the data; see the finding
-        ``forecasts``. ``"doubtful"``: the library cannot explain the data, the terms cannot be told apart by
-        these data, the mass matrix is not positive definite, or the solver did not converge; a warning says
-        which.
+        ``"usable"``: the equations hold only to some per cent, but simulations follow the data; see the
+        finding ``forecasts``. ``"doubtful"``: for example, the library does not explain the data, the data do
+        not distinguish the terms, the mass matrix is not positive definite, or the solver did not converge. A
+        warning states the reason.
     chi2_per_sample : float
         Mean of the squared data residuals in units of the noise; about 1 for a good fit. NaN: not available.
     physics_weight : sequence of float
         Inverse spectral density of the equation error, one per coordinate; empty or NaN: not available.
     warnings : sequence of str, optional
-        In place of `findings`: what is doubtful, in sentences, as findings with the code ``"text"``.
+        Sentences in place of `findings`. They become findings with the code ``"text"``.
     findings : sequence of Finding
-        What every check found: codes and figures for programs, sentences for people. The only record of it;
-        `warnings` and `notes` are read off it.
+        Results of all checks: codes and figures for programs, sentences for people. `warnings` and `notes`
+        derive from them.
 
     Examples
     --------
@@ -304,19 +304,19 @@ class FitSummary(Shown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is doubtful, and what would help: a sentence each."""
+        """Warnings as sentences: what is wrong, and what would help."""
         return self.sentences("warning")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to data and library on the user's behalf, and what else is worth knowing."""
+        """Notes as sentences: what was done on the user's behalf, and what else is worth knowing."""
         return self.sentences("note")
 
     @property
     def statements(self) -> dict[str, str]:
-        """What the findings say of ``"structure"``, ``"equations"`` and ``"forecast"``, in words.
+        """Summaries of ``"structure"``, ``"equations"`` and ``"forecast"`` in words.
 
-        Empty where nothing was fitted.
+        Empty if nothing was fitted.
         """
         return statements(self.findings) if math.isfinite(self.chi2_per_sample) else {}
 

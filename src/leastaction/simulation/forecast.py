@@ -30,33 +30,33 @@ _Z95 = 1.96
 
 @dataclass(frozen=True, eq=False)
 class ForecastTrace:
-    """One free run beside the measurements.
+    """One simulation and the measurements.
 
     Attributes
     ----------
     trial : str
     origin : float
-        Time at which the free run begins, in seconds.
+        Time at which the simulation starts, in seconds.
     t : ndarray, shape (n_times,)
         Measured times after the origin, up to the horizon.
     measured, forecast : ndarray, shape (n_times, n_dof)
-        NaN where a sample is missing, and where the forecast has diverged.
+        NaN if a sample is missing or the forecast has diverged.
     rms : ndarray, shape (n_dof,)
         Root mean square of forecast − measured; inf if diverged, NaN if nothing was measured.
     expected_rms : ndarray, shape (n_dof,)
-        What `rms` would be, to first order, if the model were exact: measurement noise, and the error of
-        the initial state carried along.
+        First-order estimate of `rms` for an exact model: measurement noise and the propagated error of the
+        initial state.
     valid_time : float
-        Seconds from the origin until the tolerance is first exceeded; the horizon if it never is.
+        Seconds from the origin until the tolerance is first exceeded, or the horizon.
     status : {"ok", "diverged", "unresolved", "failed"}
         ``"unresolved"``: the integration has not converged at the smallest step; ``"failed"``: no motion of
         the model could be fitted to the window.
     reason : str
         Empty if ok.
     std : ndarray, shape (n_times, n_dof), optional
-        Standard deviation of measured − forecast as the model states it: noise, and the errors of initial
-        state, coefficients and equations carried along. None if the model has no standard errors; inf where
-        more than one drawn motion in twenty diverges.
+        Standard deviation of measured − forecast according to the model: noise and the propagated errors of
+        initial state, coefficients and equations. None if the model has no standard errors; inf where more
+        than one drawn motion in twenty diverges.
     """
 
     trial: str

@@ -30,12 +30,12 @@ _MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none
 
 @dataclass(frozen=True, eq=False)
 class SimulationResult(Shown):
-    """Motion on the requested times, up to where the integration got.
+    """Motion at the requested times, as far as the integration came.
 
     Attributes
     ----------
     t : ndarray, shape (n_times,)
-        Times reached, in seconds; the leading part of the times asked for.
+        Times reached, in seconds: the requested times or the first part of them.
     q, qdot : ndarray, shape (n_times, n_dof)
         Coordinates and rates.
     status : {"complete", "stopped"}
@@ -45,11 +45,11 @@ class SimulationResult(Shown):
     n_evaluations : int
         Number of calls of the acceleration.
     stop_time : float
-        Time the integration reached (for an event: the time of the event).
+        Time that the integration reached; for an event, the time of the event.
     coordinates, angles : tuple of str
         Names of the coordinates, and which of them are angles, as far as they are known.
     std : ndarray, shape (n_times, n_dof), optional
-        Standard deviation of q, where it was asked for: see `LagrangianModel.simulate`.
+        Standard deviation of q, if requested; see `LagrangianModel.simulate`.
     """
 
     t: np.ndarray
@@ -65,7 +65,7 @@ class SimulationResult(Shown):
 
     @property
     def complete(self) -> bool:
-        """Whether the motion reaches the last time asked for."""
+        """Whether the motion reaches the last requested time."""
         return self.status == "complete"
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
@@ -106,7 +106,7 @@ class SimulationResult(Shown):
         return Display(panels, "" if self.complete else self.reason).plot(ax, **kwargs)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return the motion as a data frame of pandas, one row for each time.
+        """Return the motion as a pandas data frame, one row per time.
 
         Returns
         -------
@@ -160,11 +160,11 @@ class ForecastResult(Shown):
     noise_std, std : ndarray, shape (n_dof,)
         Noise of the measurement, and standard deviation of the data over all trials.
     traces : tuple of ForecastTrace
-        One per start, in the sequence of the trials.
+        One per start, in the order of the trials.
     skipped : tuple of (str, str)
         Trials without a start, and why.
     angles : tuple of str
-        Coordinates that are angles, as far as that is known.
+        Coordinates that are angles, as far as known.
 
     Examples
     --------
@@ -234,7 +234,7 @@ class ForecastResult(Shown):
 
     @property
     def n_diverged(self) -> int:
-        """Number of forecasts that ended in infinity, or had no initial state."""
+        """Number of forecasts that diverged or had no initial state."""
         return sum(trace.status in ("diverged", "failed") for trace in self.traces)
 
     def by_trial(self) -> dict[str, ForecastResult]:
@@ -246,7 +246,7 @@ class ForecastResult(Shown):
         }
 
     def with_(self, others: Sequence[ForecastResult], data: Trajectories) -> ForecastResult:
-        """These forecasts and those of other laws, in the sequence of the trials of ``data``."""
+        """These forecasts and those of other laws, in the order of the trials of ``data``."""
         place = {name: k for k, name in enumerate(data.names)}
         every = [self, *others]
         traces = sorted((t for part in every for t in part.traces), key=lambda t: place[t.trial])
@@ -304,7 +304,7 @@ class ForecastResult(Shown):
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, *, trial: str | None = None, **kwargs: Any
     ) -> Display:
-        """Plot one trial: measured samples, and the free runs, each from its start to the horizon.
+        """Plot one trial: measured samples, and the simulations from their starts to the horizon.
 
         Parameters
         ----------
@@ -341,13 +341,13 @@ class ForecastResult(Shown):
         return Display(panels, chosen).plot(ax, **kwargs)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return runs and measurements as a data frame of pandas, one row for each time.
+        """Return simulations and measurements as a pandas data frame, one row per time.
 
         Returns
         -------
         pandas.DataFrame
-            Columns ``trial``, ``origin`` (where the run begins, in seconds), ``t``, the coordinates as
-            measured, and ``<coordinate>_forecast``. NaN: not measured, or the run has diverged.
+            Columns ``trial``, ``origin`` (start of the simulation, in seconds), ``t``, the measured
+            coordinates, and ``<coordinate>_forecast``. NaN: not measured, or diverged.
 
         Raises
         ------

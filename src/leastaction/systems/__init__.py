@@ -1,4 +1,4 @@
-"""Mechanical systems whose Lagrangian is known, to learn and to test with (see README.md beside this file).
+"""Mechanical systems with a known Lagrangian, for learning and testing (see README.md in this folder).
 
 Examples
 --------

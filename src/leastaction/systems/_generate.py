@@ -76,7 +76,7 @@ def simulate_truth(
     Raises
     ------
     InputError
-        If an argument makes no sense, or hardly any motion of that duration is acceptable to the system.
+        If an argument is invalid, or the system accepts almost no motion of that duration.
 
     Examples
     --------
@@ -261,7 +261,7 @@ def generate(
 ) -> Trajectories:
     """Return noisy recordings of a system, reproducible by `seed`.
 
-    The same as `simulate_truth`, `noise_std` and `measure` in a row.
+    This runs `simulate_truth`, `noise_std` and `measure`.
 
     Parameters
     ----------
@@ -276,7 +276,8 @@ def generate(
     duration, rate : float
         Seconds, and samples a second; both ends are sampled.
     seed : int
-        For one seed, all noise levels, missing fractions and numbers of trajectories share the same motions.
+        With the same seed, all noise levels, missing fractions and numbers of trajectories share the same
+        motions.
     missing : float
         Fraction of the samples of each coordinate that are NaN, at random.
     irregular : bool
@@ -290,7 +291,7 @@ def generate(
     Raises
     ------
     InputError
-        If there is no such system, or an argument makes no sense.
+        If there is no such system, or an argument is invalid.
 
     Examples
     --------

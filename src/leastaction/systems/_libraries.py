@@ -196,11 +196,11 @@ _MORE = {"double_well": _in_x, "henon_heiles": _in_plane}
 
 
 def truth_for(system: str | MechanicalSystem, library: Library, kind: str = "lagrangian") -> dict[int, float]:
-    """Return the coefficients with which a library writes the true Lagrangian, up to null terms.
+    """Return the coefficients that express the true Lagrangian in a library, up to null terms.
 
-    True terms that are in the library as they are keep their coefficients. Each other one is written as a
-    combination of candidates with the same Euler–Lagrange expression at random points; if the library
-    offers several, a short one is taken.
+    True terms that are in the library keep their coefficients. Any other one is expressed as a combination of
+    candidates with the same Euler–Lagrange expression at random points. If there are several, a short one is
+    used.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def truth_for(system: str | MechanicalSystem, library: Library, kind: str = "lag
     Raises
     ------
     InputError
-        If the library cannot write the truth; names the first true term that is at fault.
+        If the library cannot express the truth. The message names the first true term that fails.
 
     Examples
     --------

@@ -44,7 +44,7 @@ def names() -> tuple[str, ...]:
 
 
 def further_names() -> tuple[str, ...]:
-    """Return the names of systems beside the seven: more degrees of freedom, friction, other potentials.
+    """Return the names of further systems: more degrees of freedom, friction, other potentials.
 
     Examples
     --------
@@ -62,7 +62,7 @@ def get(name: str, **parameters: float) -> MechanicalSystem:
     name : str
         One of `names()` or `further_names()`.
     **parameters : float
-        Physical parameters that differ from the usual ones, see ``get(name).parameters``.
+        Physical parameters that differ from the defaults; see ``get(name).parameters``.
 
     Raises
     ------

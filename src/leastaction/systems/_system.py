@@ -35,15 +35,15 @@ class MechanicalSystem:
     lagrangian, dissipation : dict
         Term text -> true coefficient.
     known : dict
-        Terms whose coefficient has to be given to a discovery (passive systems); ``{}`` for active systems.
+        Terms whose coefficient must be given to a discovery (passive systems); ``{}`` for active systems.
     library : tuple of str
-        10 to 20 candidate terms, the true ones among them; none is null or depends on the others.
+        10 to 20 candidate terms including the true ones. None is null or depends on the others.
     initial : callable
         ``initial(rng) -> (q0, qdot0)``, each of shape (n_dof,).
     forcing : callable or None
         ``forcing(rng)`` -> callable of times (m,) -> forces (m, n_dof); ``None`` if the system is passive.
     accept : callable
-        ``accept(q)`` with q of shape (n_times, n_dof): whether a motion is taken; others are drawn again.
+        ``accept(q)`` with q of shape (n_times, n_dof): whether a motion is accepted. Others are redrawn.
     parameters : dict
         Named physical parameters (SI) from which the coefficients were computed.
     reference : str
@@ -86,7 +86,7 @@ class MechanicalSystem:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """True terms whose coefficients are not known beforehand (Lagrangian, then dissipation)."""
+        """True terms with unknown coefficients (Lagrangian, then dissipation)."""
         return tuple(k for k in (*self.lagrangian, *self.dissipation) if k not in self.known)
 
     def with_dissipation(self, dissipation: Mapping[str, float]) -> MechanicalSystem:
@@ -135,7 +135,7 @@ class MechanicalSystem:
         )
 
     def mass_and_force(self, q: np.ndarray, qdot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return M, shape (..., n_dof, n_dof), and M q̈ without outer forces, shape (..., n_dof)."""
+        """Return M, shape (..., n_dof, n_dof), and M q̈ without external forces, shape (..., n_dof)."""
         n = self.n_dof
         values = iter(self._compiled[0](*(q[..., i] for i in range(n)), *(qdot[..., i] for i in range(n))))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)

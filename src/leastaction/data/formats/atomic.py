@@ -102,12 +102,12 @@ def write_text(path: str | os.PathLike[str], text: str) -> Path:
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> Path:
-    """Write a file all or nothing: under another name in the same directory, then moved into place.
+    """Write a file all or nothing: under another name in the same directory, then move it into place.
 
     Parameters
     ----------
     path : path
-        File to write; replaced in one step if it exists. Missing directories are made.
+        File to write, replaced in one step if it exists. Missing directories are created.
     data : bytes
         Its content.
 
@@ -119,7 +119,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes) -> Path:
     Raises
     ------
     InputError
-        If the file cannot be written; an existing one is then as it was.
+        If the file cannot be written. An existing file is then unchanged.
     """
     target = check_path(path)
     replace_file(target, data)

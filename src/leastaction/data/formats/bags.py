@@ -61,30 +61,30 @@ def read_mcap(
 ) -> Trajectories:
     """Read joint states from a ROS 2 bag; needs ``pip install 'leastaction[ros]'``.
 
-    Positions of the messages ``sensor_msgs/msg/JointState`` are coordinates. Joints may come in any sequence,
-    and where a message lacks a joint its sample is missing. Messages with the same time are merged.
+    Positions in messages of type ``sensor_msgs/msg/JointState`` are coordinates. Joints may be in any order.
+    If a message lacks a joint, its sample is missing. Messages with the same time are merged.
 
     Parameters
     ----------
     path : path, or iterable of paths
-        ``.mcap``, ``.db3``, or the directory of a bag; several are trials of one system.
+        ``.mcap``, ``.db3``, or the directory of a bag. Several bags are trials of one system.
     topic : str, optional
-        By default the only topic with joint states.
+        By default, the only topic with joint states.
     joints : sequence of str, optional
-        Joints of the coordinates, in order; by default they have the coordinates' names.
+        Joints of the coordinates, in order. By default, they have the names of the coordinates.
     coordinates : sequence of str, or mapping of str to str, optional
         Coordinates; or coordinate -> joint. By default the names of `joints`.
     forces : mapping of str to str, or sequence of str, optional
         As for `read_csv`. The column ``<joint>.effort`` is the effort of a joint, ``effort`` that of the
         coordinate's own joint, and ``forces="effort"`` takes those of all coordinates.
     time : {"t", "log"}
-        Stamps of the headers, or when the messages were recorded. Times start at zero.
+        Time stamps of the headers, or of the recording. Times start at zero.
     angles : sequence of str
         Coordinates to unwrap.
     velocities : mapping of str to str, or sequence of str, optional
         Columns of measured velocities, ``<joint>.velocity`` or ``velocity``, in the same form as `forces`;
-        ``velocities="velocity"`` takes those of all coordinates. Not used unless asked for: many drivers fill
-        the field with differences of the positions, which say nothing new and would count as a second sensor.
+        ``velocities="velocity"`` takes those of all coordinates. Not used by default: many drivers fill the
+        field with differences of the positions, which add no information but would count as a second sensor.
 
     Returns
     -------
@@ -98,8 +98,8 @@ def read_mcap(
     Warns
     -----
     DataWarning
-        Where the headers have no stamps (times are then those of recording), messages repeat a time with
-        other values (the first are kept), or efforts are missing (they are interpolated).
+        If the headers have no time stamps (the recording times are used), messages repeat a time with other
+        values (the first are kept), or efforts are missing (they are interpolated).
     """
     columns = _joint_columns(joints, coordinates)
     if forces == "effort":
@@ -148,9 +148,10 @@ def read_bag_table(path: Path, layout: Layout, topic: str | None = None) -> tupl
         for coordinate, column in getattr(found, kind).items():
             if not column.endswith(f".{word}"):
                 joint = column.removesuffix(f".{_EFFORT}").removesuffix(f".{_VELOCITY}")
+                article = "an" if word == _EFFORT else "a"
                 raise InputError(
-                    f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is no {word}; "
-                    f"write {quoted(f'{joint}.{word}')}"
+                    f"{source}: the {role} {coordinate} is the column {quoted(column)}, which is not "
+                    f"{article} {word}; write {quoted(f'{joint}.{word}')}"
                 )
     times = _times(messages, found.time, source)
     numbers = _numbers(messages, found, source)

@@ -279,9 +279,9 @@ def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) ->
     Parameters
     ----------
     path : path
-        Replaced in one step if it exists. Missing directories are made.
+        Replaced in one step if it exists. Missing directories are created.
     trajectories : Trajectory, Trajectories or sequence of Trajectory
-        What to write. Trajectories without a name get their number.
+        Data to write. Trajectories without a name get their number.
 
     Returns
     -------

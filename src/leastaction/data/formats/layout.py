@@ -169,7 +169,9 @@ class Layout:
             own = found.time if name == self.time else found.coordinates.get(name)
             own = own or names.where("units", name, time=False)
             if own not in found.numbers:
-                raise InputError(f"units names {quoted(name)}, which is no column that is read; leave it out")
+                raise InputError(
+                    f"units names {quoted(name)}, which is not a column that is read; leave it out"
+                )
             if own in asked:
                 raise InputError(f"units names the column {quoted(own)} twice, also as {quoted(name)}")
             asked[own] = unit
@@ -185,7 +187,7 @@ class Layout:
             if not self.as_written:
                 there = unit_in_file(column, row.get(column, ""), time, source, strict=own is None)
             if own is not None and (own.kind == "time") != time:
-                what = "no time" if time else "a time"
+                what = "not a time" if time else "a time"
                 raise InputError(f"the unit of {quoted(column)} is {own.text}, which is {what}; correct it")
             unit = own or there
             if unit is None or (unit.plain and unit == (there or unit)):

@@ -45,11 +45,12 @@ def stream(
     time_unit: str | None = None,
     units: Units = "SI",
 ) -> Trajectories:
-    r"""Read recordings that are longer than memory, CSV or Parquet.
+    r"""Read recordings larger than memory from CSV or Parquet.
 
-    The files are read trial by trial and checked as by `read`. The samples go to a temporary file, 8 bytes a
-    number, which lies where the environment variable ``TMPDIR`` says and goes when the trajectories go.
-    `leastaction.discover` searches a structure on pieces, and goes along all samples in each step of a fit.
+    The files are read trial by trial and checked as by `read`. The samples are stored in a temporary file, 8
+    bytes per number, in the folder of the environment variable ``TMPDIR``. It is deleted with the
+    trajectories. `leastaction.discover` searches the structure on pieces and passes over all samples in each
+    step of a fit.
 
     Parameters
     ----------

@@ -274,7 +274,7 @@ def unit_in_file(column: str, cell: str, time: bool, source: str, *, strict: boo
     unit = by_row or by_name
     if strict and unit is not None and time and unit.kind != "time":
         raise InputError(
-            f"{source}: the column {quoted(column)} is in {unit.text}, which is no unit of time; give "
+            f"{source}: the column {quoted(column)} is in {unit.text}, which is not a unit of time; give "
             "another column, or say its unit with time_unit"
         )
     return unit
