@@ -210,7 +210,9 @@ def test_a_tilted_base_turns_gravity(rng):
 
 def test_presliding_turns_over_its_distance():
     way = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)[1:]])
-    z = presliding(way, 0.1)
+    z, slope = presliding(way, 0.1)
+    near = [presliding(way, 0.1 * np.exp(step))[0] for step in (1e-5, -1e-5)]
+    np.testing.assert_allclose(slope, (near[0] - near[1]) / 2e-5, atol=1e-8)
     np.testing.assert_allclose(z[:101], 1.0 - np.exp(-way[:101] / 0.1), atol=1e-12)
     # after the reversal it starts from nearly one
     back = z[100] + 1.0

@@ -58,6 +58,7 @@ _KINDS = {
     "asymmetric": "viscous friction of joint {} that differs between the directions",
     "spring": "spring of joint {}",
     "offset": "constant torque in joint {}",
+    "turn": "relative error of the distance over which dry friction of joint {} turns",
 }
 
 
@@ -80,7 +81,8 @@ class ArmTerm:
     speed : float
         v_s of a Stribeck term.
     distance : float
-        δ of dry friction, in the joint's unit; 0 where it follows the sign of the velocity at once.
+        δ of dry friction, in the joint's unit; 0 where it follows the sign of the velocity at once. A "turn"
+        is what a relative change of δ adds to unit friction.
     """
 
     text: str
@@ -122,7 +124,7 @@ def joint_terms(tree: KinematicTree, kinds: Iterable[str], scales: JointScales) 
             i,
             width=float(scales.width[i]),
             speed=float(scales.stribeck[i]) if kind == "stribeck" else 0.0,
-            distance=float(scales.distance[i]) if kind == "dry" else 0.0,
+            distance=float(scales.distance[i]) if kind in ("dry", "turn") else 0.0,
         )
         for kind in kinds
         for i, name in enumerate(tree.coordinates)
@@ -130,16 +132,19 @@ def joint_terms(tree: KinematicTree, kinds: Iterable[str], scales: JointScales) 
 
 
 def presliding(q: np.ndarray, distance: float) -> np.ndarray:
-    """(n_times,) dry friction of Dahl along a motion q of one joint, in units of its full value.
+    """(2, n_times): dry friction of Dahl along a motion q of one joint, and its derivative in log δ.
 
-    dz = (1 − z sgn q̇) |dq| / δ sgn q̇, exact between samples that move in one direction; it starts at zero.
+    dz = (1 − z sgn q̇) |dq| / δ sgn q̇ in units of full friction, exact between samples that move in one
+    direction; it starts at zero.
     """
     steps = np.diff(q)
-    stay = np.exp(-np.abs(steps) / distance)
-    out, z = np.zeros(q.size), 0.0
-    for k, (sign, share) in enumerate(zip(np.sign(steps).tolist(), stay.tolist(), strict=True), 1):
-        z = sign + (z - sign) * share
-        out[k] = z
+    ways = np.abs(steps) / distance
+    out, z, slope = np.zeros((2, q.size)), 0.0, 0.0
+    given = zip(np.sign(steps).tolist(), ways.tolist(), np.exp(-ways).tolist(), strict=True)
+    for k, (sign, way, stay) in enumerate(given, 1):
+        slope = (slope + (z - sign) * way) * stay
+        z = sign + (z - sign) * stay
+        out[:, k] = z, slope
     return out
 
 
@@ -183,9 +188,9 @@ class ArmColumns:
         Inertial parameters whose torque counts as the load of friction that depends on it.
     prescribed : sequence of int
         Joints whose equations are not used.
-    history : (n_intervals, n_quadrature, n_dof) array, optional
-        Dry friction that depends on the motion, in units of its full value, where the equations are compared.
-        Without it, dry friction follows the sign of the velocity at once.
+    history : (2, n_intervals, n_quadrature, n_dof) array, optional
+        Dry friction that depends on the motion, and its derivative in log δ, where the equations are
+        compared; see `presliding`. Without it, dry friction follows the sign of the velocity at once.
     """
 
     def __init__(
@@ -228,9 +233,9 @@ class ArmColumns:
             if term.kind == "load":
                 load = self._load(points)[term.place]
                 local = _Local(local.value * load, (0.0, local.slope[1] * load, 0.0))
-            elif term.kind == "dry" and term.distance and self.history is not None:
+            elif term.distance and self.history is not None:
                 assert points.intervals is not None
-                way = self.history[points.intervals, :, term.place].T.ravel()
+                way = self.history[int(term.kind == "turn"), points.intervals, :, term.place].T.ravel()
                 local = _Local(way, (0.0, 0.0, 0.0))  # its slope is left out, too
             found.append((k, term, local))
         return found
@@ -299,5 +304,5 @@ class ArmColumns:
 
     def within(self, intervals: slice) -> ArmColumns:
         """The columns for a part of a motion, given by its knot intervals."""
-        part = None if self.history is None else self.history[intervals]
+        part = None if self.history is None else self.history[:, intervals]
         return ArmColumns(self.tree, self.terms, self.reference, self.prescribed, part)
