@@ -236,6 +236,10 @@ class ArmModel:
             points = Points(*states, intervals=slice(0, len(states[0])))
         return np.tensordot(self.coefficients, columns.strong(points), 1).T
 
+    def columns(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
+        """(n_base, n_dof, n_times): what each base parameter adds to each torque, the regressor."""
+        return self._columns.strong(Points(q, qdot, qddot))
+
     def mass_matrix(self, q: ArrayLike) -> np.ndarray:
         """(n_times, n_dof, n_dof), rotors included."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
