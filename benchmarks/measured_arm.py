@@ -8,10 +8,10 @@ itself follows 0.04 s before best (`model.validate`).  Root mean square errors i
 
     python benchmarks/measured_arm.py --log LOG.csv --dh TABLE.csv --split 10.5
 
-fits the part of a log before the split (in seconds) and predicts the torques of the rest, beside textbook least
-squares on the same split: Butterworth filter, differences, viscous and dry friction, offsets and rotors,
+fits the part of a log before the split (in seconds) and predicts the torques of the rest, beside textbook
+least squares on the same split: Butterworth filter, differences, viscous and dry friction, offsets, rotors,
 weighted by joint.  The log has the columns t, q1.., v1.., tau1..; the table a, d, alpha (modified
-Denavit-Hartenberg, in m and rad).  Errors in % of the torque's root mean square, and of its standard deviation.
+Denavit-Hartenberg, in m and rad).  Errors in % of the torque's rms, and of its standard deviation.
 """
 
 from __future__ import annotations

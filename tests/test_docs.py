@@ -167,7 +167,8 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     scipy_io = pytest.importorskip("scipy.io")
     run = driven[0]
     scipy_io.savemat(pendulum / "run.mat", {"t": run.t, "theta": run.q[:, 0], "tau": run.forces[:, 0]})
-    return {"start": cart, "report": cart, "choose": cart, "coming_from": pendulum, "lab": pendulum}
+    on_carts = dict.fromkeys(("arms", "start", "report", "choose"), cart)
+    return {**on_carts, "coming_from": pendulum, "lab": pendulum}
 
 
 @pytest.mark.parametrize(("name", "block"), OURS, ids=[name for name, _ in OURS])

@@ -9,6 +9,7 @@ _NAMES = (
     "cart_with_spring",
     "driven_double_pendulum",
     "robot_arm",
+    "seven_joint_arm",
     "closed_loop_arm",
     "oscillators",
     "magnetic_pendulum",

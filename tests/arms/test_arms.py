@@ -6,11 +6,13 @@ import importlib.util
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import leastaction as la
 from leastaction import arms
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import prepared
+from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
@@ -339,3 +341,29 @@ def test_names_may_come_in_any_sequence(found):
     (ready,) = prepared(Trajectories([turned]), WRIST)[0]
     np.testing.assert_array_equal(ready.q, log.q)
     np.testing.assert_array_equal(ready.forces, log.forces)
+
+
+def test_the_command_writes_an_arm(found, file, tmp_path):
+    true, _ = found
+    log = recorded(true, np.random.default_rng(6), 8.0, 200.0)
+    names = [f"{kind}{i + 1}" for kind in ("q", "tau") for i in range(3)]
+    rows = np.column_stack([log.t, log.q, log.forces])
+    lines = [",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows.tolist())]
+    data = file("\n".join(lines))
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    out = tmp_path / "found"
+    given = ["arm", str(data), "--dh", str(table), "--forces", "tau1,tau2,tau3", "--output", str(out)]
+    runner = CliRunner()
+    done = runner.invoke(program, [*given, "--convention", "modified", "--hold-out", "25%"])
+    assert done.exit_code == 0, done.output
+    assert "Izz[link1]" in done.output
+    assert "below 5 Hz" in done.output
+    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "inverse_dynamics.py"]
+    assert arms.load(out / "arm.json").can_exist.all()
+    for wrong, words in [
+        ([], "--convention is missing"),
+        (["--convention", "modified", "--urdf", "x"], "one of --urdf and --dh"),
+    ]:
+        failed = runner.invoke(program, [*given, *wrong])
+        assert failed.exit_code == 2
+        assert words in failed.output
