@@ -238,6 +238,18 @@ def test_a_urdf_becomes_a_tree(file, rng):
     np.testing.assert_allclose(*both, atol=1e-12)
 
 
+def test_a_gripper_that_mimics_may_stay(file):
+    """Fingers that nobody logs count as fixed where the joints that move are named."""
+    text = URDF.replace('type="fixed"', 'type="prismatic"').replace(
+        '<origin xyz="0.1 0 0.3"', '<mimic joint="elbow"/><origin xyz="0.1 0 0.3"'
+    )
+    path = file(text, "gripper.urdf")
+    with pytest.raises(la.InputError, match="joints="):
+        arms.read_urdf(path)
+    tree = arms.read_urdf(path, joints=["shoulder", "elbow"])
+    np.testing.assert_allclose(tree.inertias[:, 0], [2.0, 1.5])
+
+
 def test_identified_inertias_return_to_the_urdf(file, tmp_path, rng):
     source = file(URDF, "arm.urdf")
     tree = arms.read_urdf(source).with_inertias(bodies(2, rng))

@@ -84,7 +84,7 @@ def read_urdf(
         If the file is no URDF, or has joints that are not supported.
     """
     root = _parsed(path)
-    found, masses, _ = _contents(root, str(path))
+    found, masses = _contents(root, str(path), joints)
     names = [joint.name for joint in found if joint.kind in _MOVING]
     for name in joints or ():
         if name not in names:
@@ -137,8 +137,9 @@ def write_urdf(tree: KinematicTree, source: str | Path, path: str | Path) -> Non
     if np.isnan(tree.inertias).any():
         raise InputError("the tree has links without inertia; take the tree of model.bodies()")
     root = _parsed(source)
-    found, _, _ = _contents(root, str(source))
-    moving = {joint.name for joint in found if _identifier(joint.name) in tree.coordinates}
+    every = [element.get("name", "") for element in root.findall("joint")]
+    moving = {name for name in every if _identifier(name) in tree.coordinates}
+    found, _ = _contents(root, str(source), list(moving))
     placed, sequence = _placed(found, moving, str(source))
     if tuple(_identifier(joint.name) for joint in sequence) != tree.coordinates:
         raise InputError(f"{source} has other joints than the tree; give the file that it was read from")
@@ -193,15 +194,19 @@ def _parsed(path: str | Path) -> ET.Element:
     return root
 
 
-def _contents(root: ET.Element, path: str) -> tuple[list[_UrdfJoint], dict[str, np.ndarray], list[str]]:
-    """Joints, inertias by link, and names of links."""
+def _contents(
+    root: ET.Element, path: str, moving: list[str] | None
+) -> tuple[list[_UrdfJoint], dict[str, np.ndarray]]:
+    """Joints, and inertias by link. Joints that do not move may be of any type."""
     links = [_name(link, "link", path) for link in root.findall("link")]
     masses = {
         name: _mass(inertial, f"{path}, link {quoted(name)}")
         for name, link in zip(links, root.findall("link"), strict=True)
         for inertial in link.findall("inertial")[:1]
     }
-    joints = [_joint(element, path) for element in root.findall("joint")]
+    joints = [_joint(element, path, moving) for element in root.findall("joint")]
+    if not joints:
+        raise InputError(f"{path} has no joints; give the whole robot, not a single link")
     known = set(links)
     for joint in joints:
         for link in (joint.parent, joint.child):
@@ -213,21 +218,23 @@ def _contents(root: ET.Element, path: str) -> tuple[list[_UrdfJoint], dict[str, 
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"{path} has two joints {quoted(name)}; give each a name of its own")
-    return joints, masses, links
+    return joints, masses
 
 
-def _joint(element: ET.Element, path: str) -> _UrdfJoint:
+def _joint(element: ET.Element, path: str, moving: list[str] | None) -> _UrdfJoint:
     name = _name(element, "joint", path)
     where = f"{path}, joint {quoted(name)}"
     kind = element.get("type", "")
-    if kind not in (*_MOVING, "fixed"):
+    free = moving is None or name in moving
+    if free and kind not in (*_MOVING, "fixed"):
         raise InputError(
             f"{where} is of type {quoted(kind)}; revolute, continuous, prismatic and fixed joints are "
-            "supported: replace it by some of these, or cut the tree there"
+            "supported: replace it, or name the joints that move (joints=[...]), and the others stay"
         )
-    if element.find("mimic") is not None:
+    if free and element.find("mimic") is not None:
         raise InputError(
-            f"{where} mimics another; make it fixed in the file, or remove <mimic> and log it as well"
+            f"{where} mimics another; name the joints that move (joints=[...]), and the others stay, or "
+            "remove <mimic> and log it as well"
         )
     ends: list[str] = []
     for tag in ("parent", "child"):
