@@ -46,7 +46,8 @@ _DEGREE = 5
 _CHUNK = 1024  # knot intervals handled at once
 _ALWAYS = ("viscous", "dry")
 _FALSE_ALARM = 0.01  # that any friction of an arm without it is kept
-_MOST_KNOTS = 60.0  # a second: arms bend and gears vibrate above 20 Hz, which no rigid body follows
+_MOST_KNOTS = 100.0  # a second: arms bend and gears vibrate above 30 Hz, which no rigid body follows
+_QUIETER = 1.1  # ratio by which twice the knots must lower the noise of some joint to be worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +130,33 @@ def identify(
 def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
     times, values = [t.t for t in data], [t.q for t in data]
     if knots_per_second is None:
-        rate = 1.0 / data.sampling_interval
-        knots_per_second = min(lay_knots(data, _DEGREE).per_second, _MOST_KNOTS, rate / 4.0)
-    grid = uniform_grid(times, knots_per_second, _DEGREE)
-    smoothed = smooth(grid, times, values)
+        smoothed = _resolved(data)
+    else:
+        smoothed = smooth(uniform_grid(times, knots_per_second, _DEGREE), times, values)
+    grid = smoothed.grid
     forces = forces_on(grid, times, [t.forces for t in data])
     assert forces is not None
     return _Laid(grid, smoothed, observe(grid, times, values), forces)
+
+
+def _resolved(data: Trajectories) -> Smooth:
+    """The smoothed log on knots that resolve what happens at reversals.
+
+    Dry friction jumps there, and the curve bends within milliseconds. Where knots are too coarse for that, the
+    misfit counts as noise: they are doubled until it falls no more.
+    """
+    times, values = [t.t for t in data], [t.q for t in data]
+    most = min(_MOST_KNOTS, 0.25 / data.sampling_interval)
+    knots = min(lay_knots(data, _DEGREE).per_second, most)
+    smoothed = smooth(uniform_grid(times, knots, _DEGREE), times, values)
+    while knots < most:
+        knots = min(2.0 * knots, most)
+        finer = smooth(uniform_grid(times, knots, _DEGREE), times, values)
+        quieter = smoothed.noise_std / np.maximum(finer.noise_std, 1e-300)
+        if quieter.max() < _QUIETER:
+            break
+        smoothed = finer
+    return smoothed
 
 
 def _fitted(
