@@ -124,7 +124,7 @@ def columns_of(tree: KinematicTree, rng: np.random.Generator) -> tuple[ArmColumn
     scales = JointScales(np.full(n, 0.3), np.full(n, 0.8), np.zeros(n))
     terms = (
         *inertial_terms(tree),
-        *joint_terms(tree, ("rotor", "spring", "offset", *FRICTION), scales),
+        *joint_terms(tree, ("rotor", "spring", "offset", "turn", *FRICTION), scales),
     )
     columns = ArmColumns(tree, terms)
     return columns, np.concatenate([bodies(n, rng).ravel(), rng.uniform(0.1, 1.0, len(terms) - 10 * n)])

@@ -142,8 +142,8 @@ def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
 def _resolved(data: Trajectories) -> Smooth:
     """The smoothed log on knots that resolve what happens at reversals.
 
-    Dry friction jumps there, and the curve bends within milliseconds. Where knots are too coarse for that, the
-    misfit counts as noise: they are doubled until it falls no more.
+    Dry friction jumps there, and the curve bends within milliseconds. Where knots are too coarse for that,
+    the misfit counts as noise: they are doubled until it falls no more.
     """
     times, values = [t.t for t in data], [t.q for t in data]
     most = min(_MOST_KNOTS, 0.25 / data.sampling_interval)
@@ -186,7 +186,7 @@ def _fitted(
 def _turned(
     base: BaseParameters, columns: ArmColumns, fit: JointFit, covariance: np.ndarray
 ) -> tuple[BaseParameters, np.ndarray, np.ndarray]:
-    """Without the columns that stand for errors of distances: these become right, and stay uncertain."""
+    """Without the columns that stand for errors of distances and widths, which are corrected by them."""
     shifts = {
         t.place: value for t, value in zip(columns.terms, fit.coefficients, strict=True) if t.kind == "turn"
     }
@@ -196,7 +196,8 @@ def _turned(
         term = terms[number]
         if term.kind == "dry" and term.place in shifts:
             ratio = float(np.clip(shifts[term.place] / fit.coefficients[k], -0.5, 0.5))
-            terms[number] = replace(term, distance=term.distance * float(np.exp(ratio)))
+            grown = "distance" if term.distance else "width"
+            terms[number] = replace(term, **{grown: getattr(term, grown) * float(np.exp(ratio))})
     base = replace(base, terms=tuple(terms)).subset([base.members[k] for k in kept])
     return base, fit.coefficients[kept], covariance[np.ix_(kept, kept)]
 

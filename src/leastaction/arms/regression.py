@@ -32,6 +32,7 @@ from leastaction.mechanics.arm_columns import (
     inertial_terms,
     joint_terms,
     presliding,
+    smooth_sign,
 )
 from leastaction.mechanics.tree import KinematicTree
 
@@ -43,8 +44,9 @@ _ROUNDS = 4  # of the weights
 _WIDTH = 0.01  # ε over the rms velocity
 _STRIBECK = 0.1  # v_s over the rms velocity
 _WORTH = 4.0  # of log likelihood, twice, that a distance must bring
-_REFINED = 4  # steps towards the best distances
-_LARGEST = 0.7  # change of the logarithm of a distance in one step
+_REFINED = 4  # steps towards the best distances and widths
+_LARGEST = 0.7  # change of the logarithm of one of them in one step
+_WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
 _DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of the joint
 
 
@@ -165,7 +167,8 @@ class Regression:
             counts=np.zeros(0),
         )
         if "dry" in kinds[1]:
-            tried = [made._signs(), *(made._turning(share * spread)[0] for share in _DISTANCES)]
+            at = (scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES))
+            tried = [made._turning(each)[0] for each in at]
             made = replace(made, histories=np.array(tried))
         return made._begun()
 
@@ -283,42 +286,48 @@ class Regression:
                 break
         shares = np.array([0.0, *_DISTANCES])[[d for _, d in dry]] if dry else np.zeros(len(self.spread))
         distances = shares * self.spread
-        turning = [i for i in range(len(distances)) if distances[i] > 0.0]
-        refined = self
-        for _ in range(_REFINED if turning else 0):
-            refined = self._at(distances)
-            dry = [(i, 1 if i in turning else 0) for i in range(len(distances))]
-            dry += [(i, 2) for i in turning]
-            best = refined._solved(members, dry)
-            sizes, shifts = np.split(best.values[len(members) :], [len(distances)])
-            ratio = shifts / np.where(sizes[turning] == 0.0, np.inf, sizes[turning])
-            distances[turning] *= np.exp(np.clip(ratio, -_LARGEST, _LARGEST))
-        refined = refined._at(distances) if turning else self
+        if not dry:
+            members, best = self._extended(members, dry, best, false_alarm)
+            return self._choice(members, dry, best, self.scales)
+        scales = self.scales._replace(distance=distances)
+        dry = [(i, row) for row in (0, 1) for i in range(len(distances))]
+        for _ in range(_REFINED):
+            best = self._at(scales)._solved(members, dry)
+            sizes, shifts = np.split(best.values[len(members) :], 2)
+            scales = self._changed(scales, shifts / np.where(sizes == 0.0, np.inf, sizes))
+        refined = self._at(scales)
         best = refined._solved(members, dry)
         members, best = refined._extended(members, dry, best, false_alarm)
-        return refined._choice(members, dry, best, distances)
+        return refined._choice(members, dry, best, scales)
 
-    def _signs(self) -> np.ndarray:
-        """Dry friction that follows the sign of the velocity, no faster than the curve can follow."""
-        times = [t.t for t in self.data]
-        rates = self.grid.evaluate(self.control_points, times, 1)
-        found = forces_on(self.grid, times, [v / np.sqrt(v * v + self.scales.width**2) for v in rates])
-        assert found is not None
-        return found.values
+    def _changed(self, scales: JointScales, ratios: np.ndarray) -> JointScales:
+        """Distances, or widths where there are none, after a step."""
+        steps = np.exp(np.clip(ratios, -_LARGEST, _LARGEST))
+        turning = scales.distance > 0.0
+        low, high = (share * self.scales.width for share in _WIDTHS)
+        width = np.where(turning, scales.width, np.clip(scales.width * steps, low, high))
+        return scales._replace(width=width, distance=scales.distance * steps)
 
-    def _turning(self, distances: np.ndarray) -> np.ndarray:
-        """(2, n_intervals, n_quadrature, n_dof) dry friction that turns over distances, and its slope."""
+    def _turning(self, scales: JointScales) -> np.ndarray:
+        """(2, n_intervals, n_quadrature, n_dof) dry friction at these scales, and its derivative."""
         times = [t.t for t in self.data]
+        states = [self.grid.evaluate(self.control_points, times, nu) for nu in (0, 1)]
         ways: list[np.ndarray] = []
-        for part in self.grid.evaluate(self.control_points, times):
-            given = zip(part.T, np.maximum(distances, 1e-12), strict=True)
-            ways.append(np.stack([presliding(x, d) for x, d in given], axis=2))
+        for q, qdot in zip(*states, strict=True):
+            way = np.empty((2, *q.shape))
+            for i, (width, distance) in enumerate(zip(scales.width, scales.distance, strict=True)):
+                way[:, :, i] = (
+                    presliding(q[:, i], distance)
+                    if distance
+                    else np.array(smooth_sign(qdot[:, i], width)[:2])
+                )
+            ways.append(way)
         found = [forces_on(self.grid, times, [way[nu] for way in ways]) for nu in (0, 1)]
         return np.array([part.values for part in found if part is not None])
 
-    def _at(self, distances: np.ndarray) -> Regression:
-        """With the histories of these distances in place of those that were tried."""
-        made = replace(self, histories=np.array([self.histories[0], *self._turning(distances)]))
+    def _at(self, scales: JointScales) -> Regression:
+        """With the histories at these scales in place of those that were tried."""
+        made = replace(self, histories=self._turning(scales))
         return replace(made, grams=made._summed())
 
     def _gain(self, before: _Solution, after: _Solution) -> float:
@@ -342,19 +351,17 @@ class Regression:
                 members, best = [*members, k], found
         return members, best
 
-    def _choice(self, members: list[int], dry: _Dry, best: _Solution, distances: np.ndarray) -> Choice:
+    def _choice(self, members: list[int], dry: _Dry, best: _Solution, scales: JointScales) -> Choice:
         tree = self.columns.tree
-        scales = self.scales._replace(distance=distances)
         friction = [self.columns.terms[k] for k in members if k not in set(self.fixed)]
         names = [self.columns.terms[k].text for k in members]
-        names += [f"{'turn' if d == 2 else 'dry'}[{tree.coordinates[i]}]" for i, d in dry]
+        names += [f"{'turn' if d else 'dry'}[{tree.coordinates[i]}]" for i, d in dry]
         values = dict(zip(names, best.values.tolist(), strict=True))
         if dry:
-            friction += joint_terms(tree, ["dry"], scales)
-            friction += [term for term in joint_terms(tree, ["turn"], scales) if term.distance]
+            friction += joint_terms(tree, ["dry", "turn"], scales)
         coefficients = np.array([values.get(term.text, 0.0) for term in self.columns.terms])
         reference = self.columns.reference
         if reference is None:
             reference = self.columns.parameters(coefficients)
-        history = self.histories[1:] if distances.any() else np.zeros((2, *self.forces.shape))
+        history = self.histories if dry else np.zeros((2, *self.forces.shape))
         return Choice(scales, tuple(friction), values, history, reference)

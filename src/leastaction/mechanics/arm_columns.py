@@ -33,7 +33,16 @@ from leastaction.mechanics.rigid_bodies import (
 )
 from leastaction.mechanics.tree import INERTIAL, KinematicTree
 
-__all__ = ["FRICTION", "ArmColumns", "ArmTerm", "JointScales", "inertial_terms", "joint_terms", "presliding"]
+__all__ = [
+    "FRICTION",
+    "ArmColumns",
+    "ArmTerm",
+    "JointScales",
+    "inertial_terms",
+    "joint_terms",
+    "presliding",
+    "smooth_sign",
+]
 
 _N = len(INERTIAL)
 
@@ -58,7 +67,7 @@ _KINDS = {
     "asymmetric": "viscous friction of joint {} that differs between the directions",
     "spring": "spring of joint {}",
     "offset": "constant torque in joint {}",
-    "turn": "relative error of the distance over which dry friction of joint {} turns",
+    "turn": "relative error of the distance, or speed, over which dry friction of joint {} turns",
 }
 
 
@@ -82,7 +91,7 @@ class ArmTerm:
         v_s of a Stribeck term.
     distance : float
         δ of dry friction, in the joint's unit; 0 where it follows the sign of the velocity at once. A "turn"
-        is what a relative change of δ adds to unit friction.
+        is what a relative change of δ, or of ε where δ is zero, adds to unit friction.
     """
 
     text: str
@@ -148,6 +157,14 @@ def presliding(q: np.ndarray, distance: float) -> np.ndarray:
     return out
 
 
+def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """s(v) = v/√(v² + ε²), and its derivatives in log ε and in v."""
+    size = np.sqrt(v * v + width * width)
+    share = (width / size) ** 2
+    sign = v / size
+    return sign, -sign * share, share / size
+
+
 class _Local(NamedTuple):
     """A torque in one joint that depends on this joint alone, and its derivatives in q, q̇, q̈."""
 
@@ -166,7 +183,9 @@ def _local(term: ArmTerm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Local
         return _Local(np.ones_like(q), (0.0, 0.0, 0.0))
     width = term.width
     size = np.sqrt(v * v + width * width)
-    sign, steep = v / size, (width / size) ** 2 / size
+    sign, narrow, steep = smooth_sign(v, width)
+    if term.kind == "turn":
+        return _Local(narrow, (0.0, steep * (3.0 * sign * sign - 1.0), 0.0))
     if term.kind == "stribeck":
         fall = np.exp(-((v / term.speed) ** 2))
         return _Local(sign * fall, (0.0, fall * (steep - 2.0 * v / term.speed**2 * sign), 0.0))
