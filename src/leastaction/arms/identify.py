@@ -30,7 +30,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.blocks import observe
 from leastaction.estimation.forces import GridForces, forces_on
-from leastaction.estimation.gauss_newton import JointFit
+from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.intervals import points_at
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.protocols import Measurements
@@ -114,6 +114,7 @@ def identify(
     base = find_base(tree, terms)
     columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), choice.history)
     base, columns, fit = _fitted(laid, columns, base, choice)
+    fit = _weighted(laid, columns, fit)
     base, coefficients, covariance = _turned(base, columns, fit, _corrected(laid, columns, fit))
     weights = fit.weights
     facts = FitFacts(
@@ -181,6 +182,28 @@ def _fitted(
     physics = Physics(columns, np.ones(len(columns), bool), laid.forces.values)
     members = [base.members[k] for k in kept]
     return base.subset(members), columns, fit_weights(laid.observations, physics, start)
+
+
+def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:
+    """The fit with equations weighted by their slow errors.
+
+    Parameters show in slow motion. Where the error of an equation is larger there than on average over all
+    frequencies that the knots resolve, its weight falls by that ratio.
+    """
+    _, residuals = (np.concatenate(part) for part in zip(*_scores(laid, columns, fit), strict=True))
+    ratios = np.maximum([_slow_share(r) for r in residuals.T], 1.0)
+    weights = replace(fit.weights, physics=fit.weights.physics / ratios)
+    physics = Physics(columns, np.ones(len(columns), bool), laid.forces.values)
+    again = fit_joint(laid.observations, physics, weights, fit.control_points, fit.coefficients)
+    return again if again.usable else fit
+
+
+def _slow_share(residual: np.ndarray) -> float:
+    """Spectral density at frequency zero (Bartlett's window) over its mean."""
+    length = _correlated(residual[:, None])
+    sums = np.cumsum(np.concatenate([[0.0], residual]))
+    windows = sums[length:] - sums[:-length]
+    return float(np.mean(windows**2) / length / max(np.mean(residual**2), 1e-300))
 
 
 def _turned(
