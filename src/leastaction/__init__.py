@@ -42,6 +42,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from leastaction import arms as arms
     from leastaction import casadi as casadi
     from leastaction import control as control
     from leastaction import delay as delay
@@ -93,7 +94,7 @@ _HOMES = {
 }
 
 # Modules for particular needs are reached by their name, but are not in the list below.
-_MODULES = frozenset({"casadi", "control", "delay", "io", "metrics", "systems", "units"})
+_MODULES = frozenset({"arms", "casadi", "control", "delay", "io", "metrics", "systems", "units"})
 
 __all__ = [
     "AdamOptions",

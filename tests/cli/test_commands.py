@@ -33,7 +33,9 @@ from leastaction.cli import text as _text
 from leastaction.cli import values as _values
 from leastaction.model.term import FitSummary, ModelTerm
 
-COMMANDS = ("app", "completion", "discover", "show", "simulate", "validate", "export", "generate", "demo")
+COMMANDS = (
+    *("app", "arm", "completion", "discover", "show", "simulate", "validate", "export", "generate", "demo"),
+)
 FILES = [("model", "json"), ("report", "html")]
 LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
 

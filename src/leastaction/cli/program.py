@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import ShellComplete, get_completion_class
 
-from leastaction.cli import app, demonstrate, discover, generate, use
+from leastaction.cli import app, arm, demonstrate, discover, generate, use
 from leastaction.cli.failures import EXIT_CODES, PIPE_CLOSED, Interrupted, give_up
 from leastaction.cli.show import say
 
@@ -93,6 +93,7 @@ def completion(shell: str) -> None:
 
 for _command in (
     discover.discover,
+    arm.arm,
     use.show,
     use.simulate,
     use.validate,

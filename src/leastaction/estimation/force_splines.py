@@ -168,7 +168,7 @@ def fit_with_forces(
     slow = SlowForces(grid, seconds)
     physics, index = grid.physics(structure)
     extended = Physics(
-        WithPushes(physics.columns, slow.basis),
+        WithPushes(grid.problem.candidates.subset(index), slow.basis),
         np.append(physics.free, np.ones(len(slow.basis), bool)),
         physics.forces,
     )

@@ -24,7 +24,7 @@ from leastaction.estimation.elimination import NormalEquations
 from leastaction.estimation.intervals import by_interval, local_jacobian, points_at
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
-from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
+from leastaction.mechanics import Columns, Points
 
 __all__ = [
     "Costs",
@@ -75,13 +75,13 @@ class Physics:
 
     Attributes
     ----------
-    columns : EulerLagrange
+    columns : Columns
     free : (n_columns,) bool array
         Coefficients to estimate; the others are known.
     forces : (n_intervals, n_quadrature, n_dof) array or None
     """
 
-    columns: EulerLagrange
+    columns: Columns
     free: np.ndarray
     forces: np.ndarray | None
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.intervals import first_points
-from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.mechanics import Columns
 
 __all__ = ["Volume", "add_volumes", "positive_definite", "volume_term"]
 
@@ -40,10 +40,10 @@ class Volume:
 
 def volume_term(
     grid: SplineGrid,
-    columns: EulerLagrange,
+    columns: Columns,
     control_points: np.ndarray,
     coefficients: np.ndarray,
-    border: EulerLagrange,
+    border: Columns,
 ) -> Volume:
     """The log-determinant term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import sympy as sp
 
-__all__ = ["Points"]
+__all__ = ["Columns", "Points"]
 
 
 class Points:
@@ -40,6 +40,7 @@ class Points:
         blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
         self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
         self._cache: dict[tuple[sp.Basic, tuple[float, ...]], np.ndarray] = {}
+        self._kept: dict[int, tuple[object, Any]] = {}
 
     @property
     def times(self) -> np.ndarray:
@@ -66,3 +67,45 @@ class Points:
                 values = function(*self.columns[: 2 * self.n_dof], *clock, *numbers)
             self._cache[key] = np.broadcast_to(values, self.n_points)
         return self._cache[key]
+
+    def kept(self, owner: object, make: Callable[[], Any]) -> Any:
+        """What an owner, such as a kinematic tree, needs of these states; made once for all candidates."""
+        if id(owner) not in self._kept:
+            self._kept[id(owner)] = owner, make()  # with the owner, whose number must not be given away
+        return self._kept[id(owner)][1]
+
+
+class Columns(Protocol):
+    """Candidates as functions of the state, symbolic or numeric: what a fit asks of them.
+
+    The equations of motion are Σ_k λ_k E_ik(q, q̇, q̈) = f_i, with one column E_k for each candidate; see
+    :mod:`leastaction.mechanics.euler_lagrange` and :mod:`leastaction.mechanics.arm_columns`.
+    """
+
+    prescribed: tuple[int, ...]
+
+    def __len__(self) -> int: ...
+
+    def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
+        """(n_selected, n_dof, n_points): E_ik."""
+        ...
+
+    def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
+        """(nu, i, j) → Σ_k λ_k ∂E_ik/∂q_j^{(nu)}; what is missing is zero."""
+        ...
+
+    def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
+        """(n_points, n_dof, n_dof)."""
+        ...
+
+    def masses(self, points: Points) -> tuple[list[int], np.ndarray]:
+        """The columns with kinetic energy, and (n_points, n_of_them, n_dof, n_dof) mass matrices of each."""
+        ...
+
+    def subset(self, select: Sequence[int]) -> Columns:
+        """Some of the columns, in the given sequence."""
+        ...
+
+    def within(self, intervals: slice) -> Columns:
+        """The columns for a part of a motion, given by its knot intervals."""
+        ...

@@ -1,0 +1,20 @@
+"""Robot arms: inertial parameters and friction from a torque log and a kinematic tree.
+
+Examples
+--------
+>>> from leastaction import arms
+>>> tree = arms.KinematicTree.from_dh([{"a": 0.3}, {"a": 0.2}], modified=False, gravity=(0.0, -9.81, 0.0))
+>>> tree.coordinates
+('q1', 'q2')
+"""
+
+from __future__ import annotations
+
+from leastaction.arms.file import load
+from leastaction.arms.identify import identify
+from leastaction.arms.log import TorqueErrors
+from leastaction.arms.model import ArmModel
+from leastaction.arms.urdf import read_urdf, write_urdf
+from leastaction.mechanics.tree import KinematicTree
+
+__all__ = ["ArmModel", "KinematicTree", "TorqueErrors", "identify", "load", "read_urdf", "write_urdf"]

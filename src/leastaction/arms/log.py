@@ -1,0 +1,210 @@
+"""A robot's log made ready (names, units, standstill, the robot's own clock), and torques compared with it.
+
+Programs that poll a controller write the time of the poll, not that of the state: a state appears twice, or
+one is left out, and stamps scatter by a period or more.  Where velocities are logged, positions tell how much
+time has really passed between two samples, Δt = Δq·v̄/v̄², and controllers tick at a constant rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import DataError, InputError
+from leastaction.mechanics.tree import KinematicTree
+
+__all__ = ["TorqueErrors", "prepared", "torque_errors"]
+
+_TRIM = 0.3  # s at each end, where filters and splines lack data on one side
+_FEWEST = 200  # samples
+_MOST_TURNS = 12.0 * np.pi  # rad, that joints of an arm span: more are degrees
+_STILL = 1e-3  # rad or m: a joint that spans less stands still
+_SLOW = 0.02  # of the mean square velocity, below which positions do not tell the time
+_AGREES = 0.02  # of a tick, by which half of the stamps scatter that need no clock
+_ON_TICK = 0.1  # of a tick, off which half of the samples may be
+
+
+def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, list[str]]:
+    """The log with its coordinates in the sequence of the tree, and notes of what was done.
+
+    Raises
+    ------
+    InputError, DataError
+    """
+    missing = sorted(set(tree.coordinates) ^ set(data.coordinates))
+    if missing:
+        raise InputError(
+            f"the log has the coordinates {', '.join(data.coordinates)} and the tree the joints "
+            f"{', '.join(tree.coordinates)}; rename one of them, for example with "
+            f"tree.renamed([{', '.join(map(repr, data.coordinates[:2]))}, ...])"
+        )
+    order = [data.coordinates.index(name) for name in tree.coordinates]
+    notes: list[str] = []
+    out: list[Trajectory] = []
+    for run in data:
+        if run.forces is None or not run.driven:
+            raise InputError(
+                f"trajectory {run.name!r} holds no torques; give the joint torques as its forces, one column "
+                "for each joint"
+            )
+        rates = None if run.velocities is None else run.velocities[:, order]
+        ready, said = _on_clock(
+            Trajectory(
+                run.t, run.q[:, order], run.forces[:, order], tree.coordinates, run.name, velocities=rates
+            )
+        )
+        notes += [said] if said else []
+        out.append(ready)
+    ready = Trajectories(out)
+    _check(ready, tree)
+    return ready, notes
+
+
+def _check(data: Trajectories, tree: KinematicTree) -> None:
+    stacked = np.concatenate([run.q for run in data])
+    if len(stacked) < _FEWEST:
+        raise DataError(f"the log has {len(stacked)} samples; at least {_FEWEST} are needed")
+    spans = np.nanmax(stacked, axis=0) - np.nanmin(stacked, axis=0)
+    for joint, span in zip(tree.joints, spans, strict=True):
+        if joint.kind == "revolute" and span > _MOST_TURNS:
+            raise InputError(
+                f"joint {joint.name!r} spans {span:.0f} rad, which looks like degrees; convert the angles to "
+                "radians"
+            )
+    still = [joint.name for joint, span in zip(tree.joints, spans, strict=True) if span < _STILL]
+    if len(still) == len(tree):
+        raise DataError(
+            "the arm stands still in this log; move every joint, fast enough that its inertia shows"
+        )
+
+
+def _on_clock(run: Trajectory) -> tuple[Trajectory, str]:
+    """The run at the times of the robot's clock, without samples that repeat the one before."""
+    steps = np.diff(run.q, axis=0)
+    ticks = _ticks(run, steps)
+    if ticks is None:
+        return run, ""
+    count, tick = ticks
+    times = run.t[0] + tick * np.concatenate([[0.0], np.cumsum(count)])
+    kept = np.concatenate([[True], count > 0])
+    said = (
+        f"the stamps of the log scatter about a clock of {1.0 / tick:.4g} Hz, which positions and velocities "
+        f"show: times were taken from the clock, and {int(np.sum(~kept))} repeated samples left out"
+    )
+    return run.rows(kept).changed(t=times[kept]), said
+
+
+def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """How many ticks have passed before each sample, and their length; None where there is no such clock."""
+    if run.velocities is None or not (np.isfinite(run.velocities).all() and np.isfinite(run.q).all()):
+        return None
+    mean = (run.velocities[1:] + run.velocities[:-1]) / 2.0
+    squares = np.sum(mean**2, axis=1)
+    fast = squares > _SLOW * squares.mean()
+    stamps = np.diff(run.t)
+    passed = np.sum(steps * mean, axis=1) / np.where(fast, squares, 1.0)
+    moving = fast & (passed > 0.3 * np.median(stamps))
+    if moving.sum() < _FEWEST:
+        return None
+    tick = float(np.median(passed[moving]))
+    scatter = np.abs(stamps / tick - np.rint(stamps / tick))
+    off = np.abs(passed / tick - np.rint(passed / tick))[fast]
+    # stamps that agree with the clock are left as they are
+    if np.median(off) > _ON_TICK or np.median(scatter) < max(2.0 * np.median(off), _AGREES):
+        return None
+    ticks = np.rint(np.where(fast, passed, stamps) / tick)
+    # a round number of ticks a second, where the stamps agree
+    rate = float(np.sum(ticks) / (run.t[-1] - run.t[0]))
+    whole = round(rate, -1)
+    return np.maximum(ticks, 0.0), 1.0 / (whole if whole and abs(rate / whole - 1.0) < 2e-3 else rate)
+
+
+@dataclass(frozen=True)
+class TorqueErrors:
+    """Errors of predicted torques.
+
+    Attributes
+    ----------
+    coordinates : tuple of str
+    bands : tuple of float or None
+        Measured and predicted torques were filtered below so many Hz; None: not at all.
+    rms : (n_bands, n_dof) array
+        Of the error.
+    torque_rms, torque_std : (n_bands, n_dof) arrays
+        Root mean square and standard deviation of the measured torque.
+    """
+
+    coordinates: tuple[str, ...]
+    bands: tuple[float | None, ...]
+    rms: np.ndarray
+    torque_rms: np.ndarray
+    torque_std: np.ndarray
+
+    @property
+    def by_joint(self) -> np.ndarray:
+        """(n_bands, n_dof) error relative to the joint's torque, root mean squares."""
+        return self.rms / np.maximum(self.torque_rms, 1e-300)
+
+    @property
+    def overall(self) -> np.ndarray:
+        """(n_bands,) error relative to the torque, root mean squares over all joints."""
+        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
+
+    @property
+    def of_spread(self) -> np.ndarray:
+        """(n_bands,) the same relative to the standard deviation of the torques, without their mean."""
+        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
+
+    def __str__(self) -> str:
+        width = max(8, *map(len, self.coordinates)) + 1
+        lines = ["error of torques  " + "".join(f"{name:>{width}}" for name in (*self.coordinates, "all"))]
+        for band, each, every in zip(self.bands, self.by_joint, self.overall, strict=True):
+            label = "all frequencies" if band is None else f"below {band:g} Hz"
+            lines.append(f"{label:18}" + "".join(f"{100 * x:>{width - 2}.2f} %" for x in (*each, every)))
+        return "\n".join(lines)
+
+
+def torque_errors(
+    coordinates: tuple[str, ...],
+    pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    bands: Sequence[float],
+) -> TorqueErrors:
+    """Compare torques of some runs: times, predicted and measured torques of each.
+
+    Raises
+    ------
+    DataError
+        If a run is too short.
+    """
+    frequencies = (*bands, None)
+    sums, count = np.zeros((3, len(frequencies), len(coordinates))), 0
+    for t, predicted, measured in pairs:
+        if t[-1] - t[0] <= 4.0 * _TRIM:
+            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {4.0 * _TRIM:g} s")
+        step = float(np.median(np.diff(t)))
+        times = np.arange(t[0], t[-1], step)
+        ours, theirs = (_at(times, t, values) for values in (predicted, measured))
+        inside = (times > times[0] + _TRIM) & (times < times[-1] - _TRIM)
+        count += int(inside.sum())
+        for row, band in enumerate(frequencies):
+            a, b = ours, theirs
+            if band is not None:
+                low = butter(4, min(2.0 * band * step, 0.99), output="sos")
+                a, b = sosfiltfilt(low, ours, axis=0), sosfiltfilt(low, theirs, axis=0)
+            a, b = a[inside], b[inside]
+            sums[:, row] += np.sum((a - b) ** 2, axis=0), np.sum(b**2, axis=0), np.sum(b, axis=0)
+    error, size, mean = sums / count
+    spread = np.sqrt(np.maximum(size - mean**2, 0.0))
+    return TorqueErrors(coordinates, frequencies, np.sqrt(error), np.sqrt(size), spread)
+
+
+def _at(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values between the samples of a run."""
+    out = np.empty((times.size, values.shape[1]))
+    for k, column in enumerate(values.T):
+        out[:, k] = np.interp(times, t, column)
+    return out

@@ -1,0 +1,367 @@
+"""Least squares along a smoothed log: which friction each joint has, and start values.
+
+The equations are weighted by joint, w_i = n / Σ r_i², so that a wrist of 1 N m counts as much as a shoulder
+of 50.  All products are summed once, block of time by block; choosing is then algebra on small matrices.
+
+Residuals of real arms are correlated, and a test that takes them for white finds friction everywhere.  A
+joint's residuals count as n (1 − ρ)/(1 + ρ) independent ones, ρ their correlation from one knot interval to
+the next.  Friction must also predict the blocks that were left out no worse: what fits one stretch and spoils
+another is a coincidence of the motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from leastaction.arms.base import find_base
+from leastaction.curve.bspline import SplineGrid
+from leastaction.data.trajectories import Trajectories
+from leastaction.estimation.forces import forces_on
+from leastaction.estimation.gauss_newton import symmetric_inverse
+from leastaction.estimation.intervals import points_at
+from leastaction.mechanics.arm_columns import (
+    ArmColumns,
+    ArmTerm,
+    JointScales,
+    inertial_terms,
+    joint_terms,
+    presliding,
+    smooth_sign,
+)
+from leastaction.mechanics.tree import KinematicTree
+
+__all__ = ["Choice", "Regression"]
+
+_CHUNK = 512  # knot intervals handled at once
+_BLOCKS = 6  # of time, each left out once
+_ROUNDS = 4  # of the weights
+_WIDTH = 0.01  # ε over the rms velocity
+_STRIBECK = 0.1  # v_s over the rms velocity
+_WORTH = 4.0  # of log likelihood, twice, that a distance must bring
+_REFINED = 4  # steps towards the best distances and widths
+_LARGEST = 0.7  # change of the logarithm of one of them in one step
+_WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
+_DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of the joint
+
+
+class Choice(NamedTuple):
+    """What the regression found.
+
+    Attributes
+    ----------
+    scales : JointScales
+    friction : tuple of ArmTerm
+    values : dict
+        Name of each term → start value.
+    history : (2, n_intervals, n_quadrature, n_dof) array
+        Dry friction that turns over a distance, and its derivative; see `ArmColumns`.
+    reference : (n_links, 10) array
+        Inertial parameters from which the load of joints is reckoned.
+    """
+
+    scales: JointScales
+    friction: tuple[ArmTerm, ...]
+    values: dict[str, float]
+    history: np.ndarray
+    reference: np.ndarray
+
+
+_Dry = list[tuple[int, int]]
+"""Joints, and which of the histories acts in them."""
+
+
+class _Solution(NamedTuple):
+    """Coefficients, and the squares that each equation leaves."""
+
+    values: np.ndarray
+    squares: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Regression:
+    """Sums of products along a log.
+
+    Attributes
+    ----------
+    grid : SplineGrid
+    control_points : (n_ctrl, n_dof) array
+    forces : (n_intervals, n_quadrature, n_dof) array
+    columns : ArmColumns
+        Of the base parameters, and of friction that may be chosen.
+    fixed, always, extra : tuple of int
+        Columns that stay, friction that is tried first, and friction that is added if it helps.
+    data : Trajectories
+    histories : (n_histories, n_intervals, n_quadrature, n_dof) array
+        Dry friction that follows the sign of the velocity, then that of each distance that is tried.
+    grams : (n_blocks, n_dof, n, n) array
+        Of columns, histories and forces of each joint.
+    counts : (n_dof,) array
+        Independent residuals of each joint.
+    """
+
+    grid: SplineGrid
+    control_points: np.ndarray
+    forces: np.ndarray
+    columns: ArmColumns
+    fixed: tuple[int, ...]
+    always: tuple[int, ...]
+    extra: tuple[int, ...]
+    scales: JointScales
+    spread: np.ndarray
+    data: Trajectories
+    histories: np.ndarray
+    grams: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        tree: KinematicTree,
+        grid: SplineGrid,
+        control_points: np.ndarray,
+        forces: np.ndarray,
+        data: Trajectories,
+        kinds: tuple[Sequence[str], Sequence[str], Sequence[str]],
+    ) -> Regression:
+        """Walk along a log.
+
+        Parameters
+        ----------
+        kinds
+            What acts in every joint, friction that is tried in every joint, and friction that may be added.
+        """
+        states = [np.concatenate(grid.evaluate(control_points, [t.t for t in data], nu)) for nu in (0, 1)]
+        spread, rms = states[0].std(axis=0), np.sqrt(np.mean(states[1] ** 2, axis=0))
+        rms = np.maximum(rms, 1e-9)
+        scales = JointScales(_WIDTH * rms, _STRIBECK * rms, np.zeros(len(tree)))
+        inertial = (*inertial_terms(tree), *joint_terms(tree, kinds[0], scales))
+        base = find_base(tree, inertial)
+        parts = [
+            [inertial[k] for k in base.members],
+            joint_terms(tree, [kind for kind in kinds[1] if kind != "dry"], scales),
+            joint_terms(tree, kinds[2], scales),
+        ]
+        terms = [term for part in parts for term in part]
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        numbers = [tuple(range(a, b)) for a, b in pairwise(ends)]
+        fixed, always, extra = numbers
+        made = cls(
+            grid,
+            control_points,
+            forces,
+            ArmColumns(tree, terms),
+            fixed,
+            always,
+            extra,
+            scales,
+            spread,
+            data,
+            histories=np.zeros((0, *forces.shape)),
+            grams=np.zeros(0),
+            counts=np.zeros(0),
+        )
+        if "dry" in kinds[1]:
+            at = (scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES))
+            tried = [made._turning(each)[0] for each in at]
+            made = replace(made, histories=np.array(tried))
+        return made._begun()
+
+    def _begun(self) -> Regression:
+        """With the sums, the load of joints taken from a first solution."""
+        loads = [k for k, term in enumerate(self.columns.terms) if term.kind == "load"]
+        others = [k for k in range(len(self.columns)) if k not in set(loads)]
+        first = replace(self, columns=self.columns.subset(others))
+        grams = first._summed()
+        place = {k: row for row, k in enumerate(others)}
+        begin = [place[k] for k in (*self.fixed, *self.always)]
+        first = replace(first, grams=grams, counts=np.full(self.columns.n_dof, 1.0))
+        solution = first._solved(begin, first._no_distance)
+        coefficients = np.zeros(len(self.columns))
+        coefficients[[*self.fixed, *self.always]] = solution.values[: len(begin)]
+        reference = self.columns.parameters(coefficients)
+        whole = replace(self, columns=ArmColumns(self.columns.tree, self.columns.terms, reference))
+        grams = whole._summed() if loads else grams
+        whole = replace(whole, grams=grams)
+        return replace(whole, counts=whole._independent(coefficients, solution.values[len(begin) :]))
+
+    @property
+    def _no_distance(self) -> _Dry:
+        """Dry friction that follows the sign of the velocity."""
+        return [(i, 0) for i in range(self.columns.n_dof)] if len(self.histories) else []
+
+    def _summed(self) -> np.ndarray:
+        n, k = self.columns.n_dof, len(self.columns)
+        size = k + len(self.histories) + 1
+        edges = np.linspace(0, self.grid.n_intervals, _BLOCKS + 1).astype(int).tolist()
+        out = np.zeros((_BLOCKS, n, size, size))
+        for block, (begin, end) in enumerate(pairwise(edges)):
+            for a in range(begin, end, _CHUNK):
+                chunk = slice(a, min(a + _CHUNK, end))
+                points = points_at(self.grid, self.control_points, chunk)
+                rows = np.empty((size, n, int(points.n_points)))
+                rows[:k] = self.columns.strong(points)
+                rows[k:-1] = self._flat(self.histories[:, chunk])
+                rows[-1] = self._flat(self.forces[None, chunk])[0]
+                scaled = rows * np.sqrt(self.grid.weights[chunk].T.ravel())
+                for i in range(n):
+                    out[block, i] += scaled[:, i] @ scaled[:, i].T
+        return out
+
+    @staticmethod
+    def _flat(values: np.ndarray) -> np.ndarray:
+        """(n, n_intervals, n_quadrature, n_dof) → (n, n_dof, n_points), in the sequence of points."""
+        return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
+
+    def _own(self, members: Sequence[int], dry: _Dry, joint: int) -> tuple[list[int], list[int]]:
+        """Of one joint: places among the unknowns and the torque, and numbers in the sums."""
+        k, m = len(self.columns), len(members)
+        acting = [(row, d) for row, (i, d) in enumerate(dry) if i == joint]
+        places = [*range(m), *(m + row for row, _ in acting), m + len(dry)]
+        return places, [*members, *(k + d for _, d in acting), k + len(self.histories)]
+
+    def _solved(self, members: Sequence[int], dry: _Dry, left_out: int | None = None) -> _Solution:
+        """Weighted least squares with some columns, and dry friction of some joints."""
+        n, size = self.columns.n_dof, len(members) + len(dry) + 1
+        total = self.grams.sum(axis=0)
+        if left_out is not None:
+            total = total - self.grams[left_out]
+        local = np.zeros((n, size, size))
+        for i in range(n):
+            places, numbers = self._own(members, dry, i)
+            local[i][np.ix_(places, places)] = total[i][np.ix_(numbers, numbers)]
+        squares = np.maximum(local[:, -1, -1], 1e-300)
+        floor, values = 1e-12 * squares, np.zeros(size - 1)
+        for _ in range(_ROUNDS):
+            summed = np.tensordot(1.0 / squares, local, 1)
+            values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
+            residual = np.append(values, -1.0)
+            squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), floor)
+        return _Solution(values, squares)
+
+    def _unseen(self, members: Sequence[int], dry: _Dry, squares: np.ndarray) -> float:
+        """Squares that blocks leave when they are predicted from the others, relative to ``squares``."""
+        error = 0.0
+        for block in range(len(self.grams)):
+            residual = np.append(self._solved(members, dry, block).values, -1.0)
+            for i, each in enumerate(squares):
+                places, numbers = self._own(members, dry, i)
+                part = residual[places]
+                error += part @ self.grams[block, i][np.ix_(numbers, numbers)] @ part / each
+        return float(error)
+
+    def _independent(self, coefficients: np.ndarray, dry: np.ndarray) -> np.ndarray:
+        """(n_dof,) n (1 − ρ)/(1 + ρ) of each joint."""
+        means: list[np.ndarray] = []
+        for chunk in self.grid.chunks(_CHUNK):
+            points = points_at(self.grid, self.control_points, chunk)
+            residual = np.tensordot(coefficients, self.columns.strong(points), 1)
+            residual -= self._flat(self.forces[None, chunk])[0]
+            if dry.size:
+                residual += dry[:, None] * self._flat(self.histories[:1, chunk])[0]
+            means.append(residual.reshape(len(residual), self.grid.n_quadrature, -1).mean(axis=1))
+        r = np.concatenate(means, axis=1)
+        rho = np.sum(r[:, 1:] * r[:, :-1], axis=1) / np.maximum(np.sum(r * r, axis=1), 1e-300)
+        rho = np.clip(rho, 0.0, 0.999)
+        return r.shape[1] * (1.0 - rho) / (1.0 + rho)
+
+    def chosen(self, false_alarm: float) -> Choice:
+        """Choose distances, then further friction."""
+        members, dry = [*self.fixed, *self.always], self._no_distance
+        best = self._solved(members, dry)
+        for _ in range(2 if dry else 0):
+            before = list(dry)
+            for row, (i, _) in enumerate(before):
+                for d in range(len(self.histories)):
+                    tried = [*dry[:row], (i, d), *dry[row + 1 :]]
+                    found = self._solved(members, tried)
+                    if self._gain(best, found) > (_WORTH if dry[row][1] == 0 and d else 0.0):
+                        dry, best = tried, found
+            if dry == before:
+                break
+        shares = np.array([0.0, *_DISTANCES])[[d for _, d in dry]] if dry else np.zeros(len(self.spread))
+        distances = shares * self.spread
+        if not dry:
+            members, best = self._extended(members, dry, best, false_alarm)
+            return self._choice(members, dry, best, self.scales)
+        scales = self.scales._replace(distance=distances)
+        dry = [(i, row) for row in (0, 1) for i in range(len(distances))]
+        for _ in range(_REFINED):
+            best = self._at(scales)._solved(members, dry)
+            sizes, shifts = np.split(best.values[len(members) :], 2)
+            scales = self._changed(scales, shifts / np.where(sizes == 0.0, np.inf, sizes))
+        refined = self._at(scales)
+        best = refined._solved(members, dry)
+        members, best = refined._extended(members, dry, best, false_alarm)
+        return refined._choice(members, dry, best, scales)
+
+    def _changed(self, scales: JointScales, ratios: np.ndarray) -> JointScales:
+        """Distances, or widths where there are none, after a step."""
+        steps = np.exp(np.clip(ratios, -_LARGEST, _LARGEST))
+        turning = scales.distance > 0.0
+        low, high = (share * self.scales.width for share in _WIDTHS)
+        width = np.where(turning, scales.width, np.clip(scales.width * steps, low, high))
+        return scales._replace(width=width, distance=scales.distance * steps)
+
+    def _turning(self, scales: JointScales) -> np.ndarray:
+        """(2, n_intervals, n_quadrature, n_dof) dry friction at these scales, and its derivative."""
+        times = [t.t for t in self.data]
+        states = [self.grid.evaluate(self.control_points, times, nu) for nu in (0, 1)]
+        ways: list[np.ndarray] = []
+        for q, qdot in zip(*states, strict=True):
+            way = np.empty((2, *q.shape))
+            for i, (width, distance) in enumerate(zip(scales.width, scales.distance, strict=True)):
+                way[:, :, i] = (
+                    presliding(q[:, i], distance)
+                    if distance
+                    else np.array(smooth_sign(qdot[:, i], width)[:2])
+                )
+            ways.append(way)
+        found = [forces_on(self.grid, times, [way[nu] for way in ways]) for nu in (0, 1)]
+        return np.array([part.values for part in found if part is not None])
+
+    def _at(self, scales: JointScales) -> Regression:
+        """With the histories at these scales in place of those that were tried."""
+        made = replace(self, histories=self._turning(scales))
+        return replace(made, grams=made._summed())
+
+    def _gain(self, before: _Solution, after: _Solution) -> float:
+        """By how much the log likelihood rises, twice."""
+        return float(self.counts @ np.log(before.squares / after.squares))
+
+    def _extended(
+        self, members: list[int], dry: _Dry, best: _Solution, false_alarm: float
+    ) -> tuple[list[int], _Solution]:
+        left = list(self.extra)
+        cut = float(chi2.isf(false_alarm / max(len(left), 1), 1))
+        while left:
+            tries = [(self._solved([*members, k], dry), k) for k in left]
+            gains = [self._gain(best, found) for found, _ in tries]
+            if max(gains) < cut:
+                break
+            found, k = tries[int(np.argmax(gains))]
+            left.remove(k)
+            with_, without = (self._unseen(m, dry, best.squares) for m in ([*members, k], members))
+            if with_ < without:
+                members, best = [*members, k], found
+        return members, best
+
+    def _choice(self, members: list[int], dry: _Dry, best: _Solution, scales: JointScales) -> Choice:
+        tree = self.columns.tree
+        friction = [self.columns.terms[k] for k in members if k not in set(self.fixed)]
+        names = [self.columns.terms[k].text for k in members]
+        names += [f"{'turn' if d else 'dry'}[{tree.coordinates[i]}]" for i, d in dry]
+        values = dict(zip(names, best.values.tolist(), strict=True))
+        if dry:
+            friction += joint_terms(tree, ["dry", "turn"], scales)
+        coefficients = np.array([values.get(term.text, 0.0) for term in self.columns.terms])
+        reference = self.columns.reference
+        if reference is None:
+            reference = self.columns.parameters(coefficients)
+        history = self.histories if dry else np.zeros((2, *self.forces.shape))
+        return Choice(scales, tuple(friction), values, history, reference)

@@ -1,0 +1,182 @@
+"""``leastaction arm``: from a torque log and a kinematic tree to an identified arm."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from leastaction.cli.options import DataOptions, data_options
+from leastaction.cli.output import check_folder, write_together
+from leastaction.cli.show import live_progress, say
+from leastaction.cli.text import complete_file, complete_folder, one_line, shown
+from leastaction.errors import InputError
+from leastaction.identifiers import quoted
+
+if TYPE_CHECKING:
+    from leastaction import Trajectories
+    from leastaction.arms import KinematicTree
+
+__all__ = ["arm"]
+
+_DH_NUMBERS = ("a", "d", "alpha", "theta")
+_DH_TEXTS = ("kind", "name", "link")
+
+
+@click.command(
+    short_help="Identify a robot arm from a torque log and its URDF.",
+    epilog="""\b
+Example:
+  leastaction arm log.csv --urdf robot.urdf --forces tau1,tau2,tau3 --hold-out 20% --output found
+""",
+)
+@data_options(coordinates_required=False)
+@click.option("--urdf", metavar="FILE", shell_complete=complete_file, help="URDF of the arm.")
+@click.option(
+    "--dh",
+    metavar="FILE",
+    shell_complete=complete_file,
+    help="Denavit-Hartenberg table instead: a CSV file with a row for each joint and the columns a, d, alpha "
+    "and, if wanted, theta, kind (revolute or prismatic), name and link; in m and rad.",
+)
+@click.option(
+    "--convention",
+    type=click.Choice(["modified", "standard"]),
+    help="Of the table: modified (Craig) or standard.",
+)
+@click.option(
+    "--joints", metavar="A,B", help="Joints of the URDF that move; the others are taken as fixed at zero."
+)
+@click.option(
+    "--gravity",
+    type=float,
+    nargs=3,
+    default=(0.0, 0.0, -9.81),
+    metavar="X Y Z",
+    help="In the world, in m/s² (default: 0 0 -9.81).",
+)
+@click.option(
+    "--base-rpy",
+    type=float,
+    nargs=3,
+    default=(0.0, 0.0, 0.0),
+    metavar="R P Y",
+    help="Roll, pitch and yaw of the base in the world, in rad: how the arm is mounted (default: 0 0 0).",
+)
+@click.option(
+    "--hold-out",
+    metavar="N|P%|NAMES",
+    help="Not fitted but predicted: the last N trials; the last 20% of them, or of a single trial its end; "
+    "or trials by name.",
+)
+@click.option(
+    "--output",
+    required=True,
+    metavar="DIR",
+    shell_complete=complete_folder,
+    help="Directory for arm.json, inverse_dynamics.py and arm.urdf.",
+)
+def arm(
+    data: Callable[..., DataOptions],
+    urdf: str | None,
+    dh: str | None,
+    convention: str | None,
+    joints: str | None,
+    hold_out: str | None,
+    output: str,
+    **placed: Any,
+) -> None:
+    """Identify the inertial parameters and the friction of a robot arm.
+
+    DATA are logs of joint angles and, by --forces, joint torques. Prints the combinations of parameters that
+    the log determines, with standard errors, and writes the arm: arm.json, Python code of its inverse
+    dynamics, and with --urdf a copy of it with the inertias found. Its links are bodies that can exist, as
+    near to the data as possible. Give logged velocities with --velocity NAME=COLUMN: they show the clock of
+    the robot where the stamps of the log scatter.
+    """
+    from leastaction import arms
+
+    names = ("arm.json", "inverse_dynamics.py", *(("arm.urdf",) if urdf else ()))
+    folder = check_folder(output, names)
+    tree = _tree(urdf, dh, convention, joints, placed)
+    options = data(default=tree.coordinates)
+    if not options.forces:
+        raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
+    log = options.read()
+    fitted, rest = _split(log, hold_out)
+    with live_progress("verify"):
+        found = arms.identify(fitted, tree)
+        solid = found.bodies()
+        errors = None if rest is None else solid.validate(rest)
+    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
+    if not any(term.kind == "load" for term in solid.terms):
+        writers["inverse_dynamics.py"] = solid.to_python
+    if urdf is not None:
+        writers["arm.urdf"] = partial(solid.to_urdf, urdf)
+    write_together(folder, writers)
+    say(str(found))
+    say(f"note: {one_line(solid.facts.notes[-1])}")
+    if errors is not None:
+        say(f"\nheld out, with bodies that can exist:\n{errors}")
+    say("\n" + "\n".join(shown(folder / name) for name in writers))
+
+
+def _tree(
+    urdf: str | None, dh: str | None, convention: str | None, joints: str | None, placed: dict[str, Any]
+) -> KinematicTree:
+    from leastaction import arms
+
+    if (urdf is None) == (dh is None):
+        raise InputError("give the arm's geometry with one of --urdf and --dh")
+    if urdf is not None:
+        chosen = None if joints is None else [name.strip() for name in joints.split(",")]
+        return arms.read_urdf(urdf, joints=chosen, **placed)
+    if convention is None:
+        raise InputError(
+            "--convention is missing; say whether the table of --dh is modified (Craig) or standard"
+        )
+    assert dh is not None
+    return arms.KinematicTree.from_dh(_table(dh), modified=convention == "modified", **placed)
+
+
+def _table(path: str) -> list[dict[str, Any]]:
+    """The rows of a Denavit-Hartenberg table."""
+    from leastaction.data.formats.atomic import check_path, read_bytes
+
+    try:
+        lines = read_bytes(check_path(path)).decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        raise InputError(f"{shown(path)} is not text in UTF-8; give a CSV file") from None
+    out: list[dict[str, Any]] = []
+    for number, row in enumerate(csv.DictReader(lines), 2):
+        given = {str(key).strip(): str(value or "").strip() for key, value in row.items()}
+        for key in given:
+            if key not in (*_DH_NUMBERS, *_DH_TEXTS):
+                known = ", ".join((*_DH_NUMBERS, *_DH_TEXTS))
+                raise InputError(f"{shown(path)} has the column {quoted(key)}; expected {known}")
+        one: dict[str, Any] = {key: given[key] for key in _DH_TEXTS if given.get(key)}
+        for key in _DH_NUMBERS:
+            if given.get(key):
+                try:
+                    one[key] = float(given[key])
+                except ValueError:
+                    one[key] = math.nan
+                if not math.isfinite(one[key]):
+                    raise InputError(
+                        f"{shown(path)}, line {number}: {key} is {quoted(given[key])}; expected a number"
+                    )
+        out.append(one)
+    return out
+
+
+def _split(log: Trajectories, hold_out: str | None) -> tuple[Trajectories, Trajectories | None]:
+    if hold_out is None:
+        return log, None
+    try:
+        return log.hold_out(hold_out)
+    except InputError as error:
+        raise InputError(f"--hold-out: {error}") from None

@@ -1,0 +1,327 @@
+"""Columns of a kinematic tree: inertial parameters of its links, and what acts in its joints.
+
+The equations of motion of an arm are linear in
+
+* the ten inertial parameters of each link (:mod:`leastaction.mechanics.rigid_bodies`),
+* the inertia of each rotor seen through its gear, as a mass on the joint's own acceleration,
+* friction: viscous q̇, dry s(q̇), Stribeck s(q̇) exp(−(q̇/v_s)²), load-dependent |τ| s(q̇), quadratic q̇|q̇|,
+* what differs between the directions of motion: |q̇|,
+* springs q, and constant torques,
+
+with s(v) = v/√(v² + ε²), a sign that is smooth at rest.  After a reversal, gears and seals yield before they
+slide: dry friction then turns over a distance δ, z′ = (1 − z sgn q̇)/δ along the way (Dahl 1968, Aerospace
+Corporation TOR-158), and depends on the motion, not on the state alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from leastaction.mechanics import Points
+from leastaction.mechanics.rigid_bodies import (
+    Motion,
+    inverse_dynamics,
+    mass_columns,
+    mass_matrix,
+    regressor,
+    slopes,
+)
+from leastaction.mechanics.tree import INERTIAL, KinematicTree
+
+__all__ = [
+    "FRICTION",
+    "ArmColumns",
+    "ArmTerm",
+    "JointScales",
+    "inertial_terms",
+    "joint_terms",
+    "presliding",
+    "smooth_sign",
+]
+
+_N = len(INERTIAL)
+
+
+class JointScales(NamedTuple):
+    """(n_dof,) each: ε and v_s in the joint's unit per second, δ in its unit."""
+
+    width: np.ndarray
+    stribeck: np.ndarray
+    distance: np.ndarray
+
+
+FRICTION = ("viscous", "dry", "stribeck", "load", "quadratic", "asymmetric")
+"""Kinds of friction."""
+_KINDS = {
+    "rotor": "inertia of the rotor of joint {}, through the gear",
+    "viscous": "viscous friction of joint {}",
+    "dry": "dry friction of joint {}",
+    "stribeck": "excess of dry friction of joint {} at low speed",
+    "load": "friction of joint {} in proportion to its load",
+    "quadratic": "friction of joint {} that grows with the square of its speed",
+    "asymmetric": "viscous friction of joint {} that differs between the directions",
+    "spring": "spring of joint {}",
+    "offset": "constant torque in joint {}",
+    "turn": "relative error of the distance, or speed, over which dry friction of joint {} turns",
+}
+
+
+@dataclass(frozen=True)
+class ArmTerm:
+    """One candidate of an arm.
+
+    Attributes
+    ----------
+    text : str
+        Its name, such as ``"mx[link3]"`` or ``"dry[q2]"``.
+    kind : str
+        "inertia", or one of the kinds of `joint_terms`.
+    place : int
+        Number of the link or joint.
+    component : int
+        Of the inertial parameters.
+    width : float
+        ε, in the joint's unit per second.
+    speed : float
+        v_s of a Stribeck term.
+    distance : float
+        δ of dry friction, in the joint's unit; 0 where it follows the sign of the velocity at once. A "turn"
+        is what a relative change of δ, or of ε where δ is zero, adds to unit friction.
+    """
+
+    text: str
+    kind: str
+    place: int
+    component: int = 0
+    width: float = 0.0
+    speed: float = 0.0
+    distance: float = 0.0
+
+    def said(self, tree: KinematicTree) -> str:
+        """What it is, in words."""
+        if self.kind != "inertia":
+            return _KINDS[self.kind].format(tree.coordinates[self.place])
+        name, link = INERTIAL[self.component], tree.links[self.place]
+        if name == "m":
+            return f"mass of {link}"
+        if name.startswith("m"):
+            return f"mass of {link} times {name[1]} of its centre"
+        word = "moment" if name[1] == name[2] else "product"
+        return f"{word} of inertia {name[1:]} of {link}"
+
+
+def inertial_terms(tree: KinematicTree) -> tuple[ArmTerm, ...]:
+    """Ten for each link."""
+    return tuple(
+        ArmTerm(f"{name}[{link}]", "inertia", i, k)
+        for i, link in enumerate(tree.links)
+        for k, name in enumerate(INERTIAL)
+    )
+
+
+def joint_terms(tree: KinematicTree, kinds: Iterable[str], scales: JointScales) -> tuple[ArmTerm, ...]:
+    """One of each kind for each joint."""
+    return tuple(
+        ArmTerm(
+            f"{kind}[{name}]",
+            kind,
+            i,
+            width=float(scales.width[i]),
+            speed=float(scales.stribeck[i]) if kind == "stribeck" else 0.0,
+            distance=float(scales.distance[i]) if kind in ("dry", "turn") else 0.0,
+        )
+        for kind in kinds
+        for i, name in enumerate(tree.coordinates)
+    )
+
+
+def presliding(q: np.ndarray, distance: float) -> np.ndarray:
+    """(2, n_times): dry friction of Dahl along a motion q of one joint, and its derivative in log δ.
+
+    dz = (1 − z sgn q̇) |dq| / δ sgn q̇ in units of full friction, exact between samples that move in one
+    direction; it starts at zero.
+    """
+    steps = np.diff(q)
+    ways = np.abs(steps) / distance
+    out, z, slope = np.zeros((2, q.size)), 0.0, 0.0
+    given = zip(np.sign(steps).tolist(), ways.tolist(), np.exp(-ways).tolist(), strict=True)
+    for k, (sign, way, stay) in enumerate(given, 1):
+        slope = (slope + (z - sign) * way) * stay
+        z = sign + (z - sign) * stay
+        out[:, k] = z, slope
+    return out
+
+
+def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """s(v) = v/√(v² + ε²), and its derivatives in log ε and in v."""
+    size = np.sqrt(v * v + width * width)
+    share = (width / size) ** 2
+    sign = v / size
+    return sign, -sign * share, share / size
+
+
+class _Local(NamedTuple):
+    """A torque in one joint that depends on this joint alone, and its derivatives in q, q̇, q̈."""
+
+    value: Any
+    slope: tuple[Any, Any, Any]
+
+
+def _local(term: ArmTerm, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> _Local:
+    if term.kind == "rotor":
+        return _Local(a, (0.0, 0.0, 1.0))
+    if term.kind == "viscous":
+        return _Local(v, (0.0, 1.0, 0.0))
+    if term.kind == "spring":
+        return _Local(q, (1.0, 0.0, 0.0))
+    if term.kind == "offset":
+        return _Local(np.ones_like(q), (0.0, 0.0, 0.0))
+    width = term.width
+    size = np.sqrt(v * v + width * width)
+    sign, narrow, steep = smooth_sign(v, width)
+    if term.kind == "turn":
+        return _Local(narrow, (0.0, steep * (3.0 * sign * sign - 1.0), 0.0))
+    if term.kind == "stribeck":
+        fall = np.exp(-((v / term.speed) ** 2))
+        return _Local(sign * fall, (0.0, fall * (steep - 2.0 * v / term.speed**2 * sign), 0.0))
+    if term.kind == "quadratic":
+        return _Local(v * size, (0.0, size + v * sign, 0.0))
+    if term.kind == "asymmetric":
+        return _Local(size, (0.0, sign, 0.0))
+    return _Local(sign, (0.0, steep, 0.0))  # dry, and load before it is multiplied
+
+
+class ArmColumns:
+    """The columns of an arm; see :class:`leastaction.mechanics.Columns`.
+
+    Parameters
+    ----------
+    tree : KinematicTree
+    terms : sequence of ArmTerm
+    reference : (n_links, 10) array, optional
+        Inertial parameters whose torque counts as the load of friction that depends on it.
+    prescribed : sequence of int
+        Joints whose equations are not used.
+    history : (2, n_intervals, n_quadrature, n_dof) array, optional
+        Dry friction that depends on the motion, and its derivative in log δ, where the equations are
+        compared; see `presliding`. Without it, dry friction follows the sign of the velocity at once.
+    """
+
+    def __init__(
+        self,
+        tree: KinematicTree,
+        terms: Sequence[ArmTerm],
+        reference: np.ndarray | None = None,
+        prescribed: Sequence[int] = (),
+        history: np.ndarray | None = None,
+    ) -> None:
+        self.tree, self.terms, self.reference = tree, tuple(terms), reference
+        self.prescribed, self.history = tuple(prescribed), history
+        self.coordinates, self.n_dof = tree.coordinates, len(tree)
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    @cached_property
+    def _inertial(self) -> tuple[list[int], list[int]]:
+        """Which columns are inertial parameters, and which ones of all links in one row."""
+        found = [(k, t.place * _N + t.component) for k, t in enumerate(self.terms) if t.kind == "inertia"]
+        return [k for k, _ in found], [flat for _, flat in found]
+
+    def parameters(self, coefficients: np.ndarray) -> np.ndarray:
+        """(n_links, 10) inertial parameters."""
+        out = np.zeros(self.n_dof * _N)
+        columns, flat = self._inertial
+        out[flat] = coefficients[columns]
+        return out.reshape(self.n_dof, _N)
+
+    def _others(self) -> list[tuple[int, ArmTerm]]:
+        return [(k, term) for k, term in enumerate(self.terms) if term.kind != "inertia"]
+
+    def _locals(self, points: Points) -> list[tuple[int, ArmTerm, _Local]]:
+        n, columns = self.n_dof, points.columns
+        found: list[tuple[int, ArmTerm, _Local]] = []
+        for k, term in self._others():
+            state = (columns[term.place + nu * n] for nu in range(3))
+            local = _local(term, *state)
+            if term.kind == "load":
+                load = self._load(points)[term.place]
+                local = _Local(local.value * load, (0.0, local.slope[1] * load, 0.0))
+            elif term.distance and self.history is not None:
+                assert points.intervals is not None
+                way = self.history[int(term.kind == "turn"), points.intervals, :, term.place].T.ravel()
+                local = _Local(way, (0.0, 0.0, 0.0))  # its slope is left out, too
+            found.append((k, term, local))
+        return found
+
+    def _load(self, points: Points) -> np.ndarray:
+        """(n_dof, n_points) size of the torques of the reference; its slope is left out of derivatives."""
+        assert self.reference is not None
+        reference = self.reference
+        return points.kept(
+            reference, lambda: np.abs(inverse_dynamics(Motion.of(self.tree, points), reference))
+        )
+
+    def strong(self, points: Points, select: Sequence[int] | None = None) -> np.ndarray:
+        """(n_selected, n_dof, n_points)."""
+        if select is not None:
+            return self.subset(select).strong(points)
+        out = np.zeros((len(self), self.n_dof, points.n_points))
+        columns, flat = self._inertial
+        if columns:
+            motion = Motion.of(self.tree, points)
+            every = regressor(motion).reshape(self.n_dof * _N, self.n_dof, -1)
+            out[columns] = every[flat]
+        for k, term, local in self._locals(points):
+            out[k, term.place] = local.value
+        out[:, self.prescribed] = 0.0
+        return out
+
+    def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
+        """(nu, i, j) → Σ_k λ_k ∂E_ik/∂q_j^{(nu)}."""
+        out = slopes(Motion.of(self.tree, points), self.parameters(coefficients))
+        for k, term, local in self._locals(points):
+            for nu, slope in enumerate(local.slope):
+                key = nu, term.place, term.place
+                out[key] = out[key] + coefficients[k] * slope
+        return {key: value for key, value in out.items() if key[1] not in self.prescribed}
+
+    def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
+        """(n_points, n_dof, n_dof)."""
+        out = mass_matrix(Motion.of(self.tree, points), self.parameters(coefficients))
+        for k, term in self._others():
+            if term.kind == "rotor":
+                out[:, term.place, term.place] += coefficients[k]
+        out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
+        out[:, self.prescribed, self.prescribed] = 1.0
+        return out
+
+    def masses(self, points: Points) -> tuple[list[int], np.ndarray]:
+        """The columns with kinetic energy, and (n_points, n_of_them, n_dof, n_dof) mass matrices of each."""
+        columns, flat = self._inertial
+        each = mass_columns(Motion.of(self.tree, points))[:, flat]
+        rotors = [(k, term.place) for k, term in enumerate(self.terms) if term.kind == "rotor"]
+        more = np.zeros((len(each), len(rotors), self.n_dof, self.n_dof))
+        for row, (_, place) in enumerate(rotors):
+            more[:, row, place, place] = 1.0
+        out = np.concatenate([each, more], axis=1)
+        out[:, :, self.prescribed] = out[:, :, :, self.prescribed] = 0.0
+        return [*columns, *(k for k, _ in rotors)], out
+
+    def subset(self, select: Sequence[int]) -> ArmColumns:
+        """Some of the columns."""
+        return self.of([self.terms[k] for k in select])
+
+    def of(self, terms: Sequence[ArmTerm]) -> ArmColumns:
+        """Other terms for the same arm."""
+        return ArmColumns(self.tree, terms, self.reference, self.prescribed, self.history)
+
+    def within(self, intervals: slice) -> ArmColumns:
+        """The columns for a part of a motion, given by its knot intervals."""
+        part = None if self.history is None else self.history[:, intervals]
+        return ArmColumns(self.tree, self.terms, self.reference, self.prescribed, part)
