@@ -145,7 +145,7 @@ class ResultView:
         found = self.session.current
         for box in (self.model, self.table, self.symmetries, self.motion):
             box.clear()
-        notation = Notation(found.model.coordinates)
+        notation = Notation.of_fit(found.model.coordinates, found.model.fit.findings)
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -253,8 +253,7 @@ class ResultView:
         assert motion is not None
         for i, name in enumerate(model.coordinates[:_MOST_DRAWN]):
             unit = "rad" if name in self.session.angles else ""
-            noise = float(model.noise_std[i])
-            figure = await aside(forecast_figure, motion, i, noise, notation.text(name), unit)
+            figure = await aside(forecast_figure, motion, i, notation.text(name), unit)
             if box.is_deleted:
                 return
             with box:
