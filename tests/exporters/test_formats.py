@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import re
+import shutil
 import subprocess
 
 import numpy as np
@@ -118,6 +120,23 @@ def test_sympy_script_with_names_of_its_own():
     assert namespace["lagrangian_"] == model.lagrangian
 
 
+TEX = shutil.which("pdflatex") or shutil.which("lualatex") or shutil.which("tectonic")
+
+
+@pytest.mark.skipif(TEX is None, reason="no TeX engine (Debian: apt-get install texlive-latex-base)")
+@pytest.mark.parametrize("name", ["odd", "driven", "timed"])
+def test_latex_can_be_typeset(name, tmp_path):
+    text = export(timed() if name == "timed" else MODELS[name](), "latex")
+    document = (
+        f"\\documentclass{{article}}\n\\usepackage{{amsmath}}\n\\begin{{document}}\n{text}\\end{{document}}\n"
+    )
+    (tmp_path / "law.tex").write_text(document, encoding="utf-8")
+    options = [] if TEX.endswith("tectonic") else ["-interaction=nonstopmode", "-halt-on-error"]
+    done = subprocess.run([TEX, *options, "law.tex"], cwd=tmp_path, capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (tmp_path / "law.pdf").stat().st_size > 1000
+
+
 def test_latex():
     text = export(MODELS["free"](), "latex")
     assert text == "% Written by leastaction; needs amsmath.\n\\[\nL = 1.5 \\, \\dot{x}^{2}\n\\]\n"
@@ -217,3 +236,105 @@ def test_mass_matrix_that_is_singular_everywhere(casadi, tmp_path):
 def test_casadi_wants_a_model(casadi):
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         la.casadi.functions("model.json")
+
+
+# -------------------------------------------------------------- JAX, Julia, Modelica
+def jax_module(model, stand_in=None):
+    """The exported module, over jax.numpy or over NumPy in its place."""
+    source, namespace = export(model, "jax"), {}
+    if stand_in is not None:
+        source = source.replace("import jax.numpy as jnp", "")
+        namespace["jnp"] = stand_in
+    exec(source, namespace)
+    return namespace
+
+
+def check_jax(model, module):
+    t = (0.7,) if model.timed else ()
+    for q, v, f in states(model):
+        expected = model.acceleration(q, v, f, *t)
+        close = {"rtol": 1e-11, "atol": 1e-11}
+        np.testing.assert_allclose(module["acceleration"](q, v, *t, f), expected, **close)
+        derivative = module["state_derivative"](0.7, np.concatenate([q, v]), f)
+        np.testing.assert_allclose(derivative, [*v, *expected], **close)
+        np.testing.assert_allclose(module["energy"](q, v, *t), model.energy(q, v, *t), **close)
+        np.testing.assert_allclose(module["mass_matrix"](q, v, *t), model.mass_matrix(q, v, *t), **close)
+
+
+@pytest.mark.parametrize("name", [*MODELS, "timed"])
+def test_functions_for_jax_agree(name):
+    model = timed() if name == "timed" else MODELS[name]()
+    check_jax(model, jax_module(model, np))
+
+
+def test_jax_itself_agrees_and_differentiates():
+    jax = pytest.importorskip("jax")
+    model = MODELS["driven"]()
+    jax.config.update("jax_enable_x64", True)
+    module = jax_module(model)
+    check_jax(model, module)
+    q, v = np.array([0.4, -0.9]), np.array([0.7, -0.4])
+    found = jax.jit(jax.jacobian(module["acceleration"]))(q, v)
+    expected = finite_difference(lambda x: model.acceleration(x, v), q, 1e-3)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    with np.errstate(all="ignore"):
+        flat = LagrangianModel(["x", "y"], [ModelTerm("x_dot**2", 1.0), ModelTerm("x*y", 1.0)])
+        assert not np.isfinite(jax_module(flat)["acceleration"](q, v)).all()
+
+
+_GIVEN = {"sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "q", "qdot", "t"}
+_PART = r"\d+\.?\d*(?:e[+-]?\d+)?|\w+|[-+*/^()\[\], ]"
+
+
+def run_statements(lines, sign, given):
+    """Run assignments of scalar code that writes powers with ^ and counts from 1; anything else fails."""
+    scope = {name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign")}
+    scope |= {k: v if np.isscalar(v) else np.concatenate([[np.nan], v]) for k, v in given.items()}
+    for line in lines:
+        name, found, code = line.strip().rstrip(";").partition(f" {sign} ")
+        assert found, line
+        assert re.fullmatch(rf"(?:{_PART})+", code), code
+        names = set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", code))
+        assert names <= _GIVEN | set(scope) | {"reshape"}, names
+        scope[name] = eval(code.replace("^", "**"), {"__builtins__": {}}, scope)
+    return scope
+
+
+def between(text, start, stop):
+    lines = text.partition(f"{start}\n")[2].partition(f"\n{stop}")[0].splitlines()
+    assert lines, start
+    return lines
+
+
+@pytest.mark.parametrize("name", [*MODELS, "timed"])
+def test_julia_and_modelica_agree(name):
+    """Their scalar code is read by rules that both languages share; neither runs where the tests run."""
+    model = timed() if name == "timed" else MODELS[name]()
+    n, close = model.n_dof, {"rtol": 1e-11, "atol": 1e-11}
+    t = {"t": 0.7} if model.timed else {}
+    julia, modelica = export(model, "julia"), export(model, "modelica")
+    arguments = ", ".join(["q", "qdot", *t])
+    assert julia.count("\nfunction ") == julia.count("\nend\n") - 1 == 4
+    assert len(re.findall(r"^ *function ", modelica, re.M)) == 3
+    for q, v, f in states(model):
+        given = {"q": q, "qdot": v, **t}
+        expected = model.mass_matrix(q, v, **t), model.acceleration(q, v, f, **t)
+        body = between(julia, f"function _equations({arguments})", "    return")
+        body = [re.sub(r"reshape\(\[(.*)\], \d+, \d+\)$", r"[\1]", line) for line in body]
+        scope = run_statements(body, "=", given)
+        mass = np.reshape(scope["mass"], (n, n), order="F")
+        np.testing.assert_allclose(mass, expected[0], **close)
+        np.testing.assert_allclose(np.linalg.solve(mass, np.array(scope["right"]) + f), expected[1], **close)
+        body = between(julia, f"function energy({arguments})", "end")
+        body[-1] = body[-1].replace("return ", "energy = ")
+        np.testing.assert_allclose(
+            run_statements(body, "=", given)["energy"], model.energy(q, v, **t), **close
+        )
+        found = {}
+        for part in ("mass_matrix", "right_side", "energy"):
+            whole = modelica.partition(f"  function {part} ")[2].partition(f"  end {part};")[0]
+            body = whole.partition("  algorithm\n")[2].replace("{", "[").replace("}", "]").splitlines()
+            found |= run_statements(body, ":=", given)
+        np.testing.assert_allclose(found["mass"], expected[0], **close)
+        np.testing.assert_allclose(np.linalg.solve(mass, np.array(found["right"]) + f), expected[1], **close)
+        np.testing.assert_allclose(found["stored"], model.energy(q, v, **t), **close)

@@ -246,7 +246,7 @@ _EXPORT_HELP = """Write a model for other programs.
 MODEL is a model.json of discover. What is written needs nothing of leastaction. The formats:
 
 \b
-""" + "\n".join(f"  {name:<8}{text}" for name, text in FORMATS.items())
+""" + "\n".join(f"  {name:<10}{text}" for name, text in FORMATS.items())
 
 
 @click.command(
