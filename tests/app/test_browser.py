@@ -301,3 +301,57 @@ def test_a_port_in_use_is_one_line(address):
     assert result.returncode == 2
     assert result.stderr.startswith(f"error: port {port} is in use")
     assert len(result.stderr.splitlines()) == 1
+
+
+# -------------------------------------------------------------- for everybody: axe-core
+def findings_of_axe(page, grave: tuple[str, ...] = ("serious", "critical")) -> list[str]:
+    """What axe-core finds on a page, with the first element of each kind."""
+    source = app_helpers.axe_source()
+    if source is None:
+        pytest.skip("no axe-core found; npm install axe-core, or pip install axe-playwright-python")
+    page.evaluate(source)
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [
+        f"{v['impact']} {v['id']}: {v['help']} ({len(v['nodes'])} times): {v['nodes'][0]['html'][:200]}"
+        for v in found
+        if v["impact"] in grave
+    ]
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(_LAPTOP, "light"), (_PHONE, "dark")])
+def test_axe_finds_nothing_serious_in_the_app(open_tab, size, scheme):
+    tab = open_tab(size, scheme)
+    found = findings_of_axe(tab.page)
+    tab.page.get_by_role("button", name="Single pendulum").click()
+    tab.see("What was measured")
+    tab.page.locator(".figure svg").first.wait_for(state="attached")
+    found += findings_of_axe(tab.page)
+    tab.click("Continue to the candidates")
+    tab.see("What may the Lagrangian be made of?")
+    found += findings_of_axe(tab.page)
+    tab.click("Find the Lagrangian")
+    tab.page.locator(".running").wait_for()
+    found += findings_of_axe(tab.page)
+    tab.see("How many terms?")
+    tab.page.locator(".stick").wait_for()
+    found += findings_of_axe(tab.page)
+    assert not found, "\n".join(sorted(set(found)))
+
+
+def test_axe_finds_nothing_serious_in_a_report(chromium, tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    from report_helpers import spring
+
+    la.write_report(spring(friction=0.1), tmp_path / "report.html")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=_OPTIONS)
+        for scheme in ("light", "dark"):
+            context = browser.new_context(color_scheme=scheme, bypass_csp=True)
+            page = context.new_page()
+            page.goto((tmp_path / "report.html").as_uri())
+            page.evaluate("document.querySelectorAll('details').forEach((fold) => { fold.open = true; })")
+            assert findings_of_axe(page, ("moderate", "serious", "critical")) == []
+            pages = page.pdf(format="A4")
+            assert pages.startswith(b"%PDF")
+        browser.close()

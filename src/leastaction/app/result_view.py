@@ -9,7 +9,7 @@ from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
 from leastaction.app.motion import frames, is_pendulum
-from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, table, title
+from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
 from leastaction.model.mathml import Notation
@@ -78,7 +78,8 @@ class Running:
     def build(self) -> None:
         title("Searching", "h1")
         with panel("running"):
-            ui.linear_progress(show_value=False).props("indeterminate rounded").classes("bar")
+            bar = ui.linear_progress(show_value=False).props('indeterminate rounded aria-label="Searching"')
+            bar.classes("bar")
             with html.div().classes("now").props("role=status"):
                 self.stage = say("", "stage")
                 self.seconds = say("", "seconds")
@@ -291,7 +292,7 @@ def _coefficients(found: Found, notation: Notation) -> None:
     title("Coefficients")
     if found.stage == "provisional":
         say("Provisional: from the quadratic model.", "hint")
-    with html.div().classes("scroll"), html.table():
+    with scroll("Table of coefficients"), html.table():
         with html.thead(), html.tr():
             for text, side in (("term", ""), ("coefficient", "n"), ("95 % interval", "n"), ("z", "n")):
                 say(text, side, "th")
@@ -315,7 +316,7 @@ def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
     if rows:
         title(captions.SIMPLE_TITLE, "h3")
         columns = ("subject", "value", "number", "chance")
-        table(captions.SIMPLE_HEAD, [[row[name] for name in columns] for row in rows])
+        table(captions.SIMPLE_TITLE, captions.SIMPLE_HEAD, [[row[name] for name in columns] for row in rows])
         say(captions.simple_note(model.simple_constants), "help")
 
 
@@ -328,7 +329,7 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
             return
         say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
-        table(captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
+        table("Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
         say(captions.symmetry_note(model.symmetries), "help")
 
 
