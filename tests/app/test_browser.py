@@ -145,8 +145,23 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     found = la.load(saved)
     assert [term.expression for term in found.terms] == ["theta_dot**2", "cos(theta)"]
     assert found.terms[1].coefficient == pytest.approx(9.81, rel=0.02)
+    page.get_by_role("button", name="Export").click()
+    with page.expect_download() as code:
+        page.get_by_text("Julia module").click()
+    assert "function acceleration" in Path(code.value.path()).read_text(encoding="utf-8")
+    with page.expect_download() as session:
+        tab.click("Save session")
+    session.value.save_as(tmp_path / "mine.leastaction")
     page.reload()
     tab.see("How many terms?")  # a reload loses nothing
+    page.locator(".step").first.click()
+    page.locator("input[type=file]").set_input_files(tmp_path / "mine.leastaction")
+    tab.see("find the Lagrangian again to see its result")
+    page.locator("input[type=file]").set_input_files(
+        [app_helpers.driven_pendulum(tmp_path / f"run{k}.csv") for k in (2, 10)]
+    )
+    tab.see("run2.csv and 1 more")
+    tab.see("6 trials, 30 s")
 
 
 def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):

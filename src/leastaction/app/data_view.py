@@ -9,8 +9,9 @@ from nicegui import events, html, ui
 
 from leastaction.app import columns
 from leastaction.app.figures import data_figure
+from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
 from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
-from leastaction.app.session import EXAMPLES, MOST_BYTES, SUFFIXES
+from leastaction.app.session import EXAMPLES
 from leastaction.cli.text import counted
 from leastaction.findings import sentence
 
@@ -54,17 +55,22 @@ class DataView:
     def _drop_zone(self) -> None:
         upload = self.upload = ui.upload(
             auto_upload=True,
+            multiple=True,
             max_file_size=MOST_BYTES,
             max_files=None,
-            on_upload=self.page.guarded(self._uploaded),
+            on_multi_upload=self.page.guarded(self._uploaded),
             on_rejected=self._rejected,
         )
-        upload.props(f'accept="{",".join(SUFFIXES)},.gz"').classes("uploader").mark("upload")
+        upload.props(f'accept="{",".join(SUFFIXES)},.gz,{SESSION}"').classes("uploader").mark("upload")
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
             title("Another table" if self.session.title else "Your table")
             say("Drop a CSV or Excel file here: a header, a column of times, a column for each coordinate.")
-            button = ui.button("Choose a file", color=None).props("no-caps unelevated").classes("action main")
+            say(
+                "Several files with the same columns are trials of one system. A saved session opens, too.",
+                "help",
+            )
+            button = ui.button("Choose files", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, not by way of the server: only a click may open the file dialog.
             button.on("click", js_handler=f"() => {get}.pickFiles()")
             say("It stays on this computer.", "help")
@@ -86,13 +92,13 @@ class DataView:
                 button.on("click", self.page.guarded(lambda _=None, key=key: self._open_example(key)))
             say("Laboratory recordings by Kaheman et al., MIT licence.", "help")
 
-    async def _uploaded(self, event: events.UploadEventArguments) -> None:
+    async def _uploaded(self, event: events.MultiUploadEventArguments) -> None:
         self._begin()
         try:
-            if event.file.size() > MOST_BYTES:
-                raise columns.InputError(f"the file is larger than {MOST_BYTES // 1_000_000} MB")
-            content = await event.file.read()
-            await aside(self.session.open_upload, event.file.name, content)
+            if sum(file.size() for file in event.files) > MOST_BYTES:
+                raise columns.InputError(f"the files are larger than {MOST_BYTES // 1_000_000} MB")
+            given = [(file.name, await file.read()) for file in event.files]
+            await aside(self.session.open_uploads, given)
         except Exception as error:
             self._show_table()
             self._fail(self.page.words(error))
@@ -157,7 +163,8 @@ class DataView:
         assert session.columns is not None
         names = columns.coordinate_names(columns.moving_columns(session.roles))
         options = [*columns.TIMES, columns.COORDINATE, columns.ANGLE, columns.DEGREES, columns.TRIAL]
-        options += [columns.FORCE + name for name in names.values()] + [columns.UNUSED]
+        kinds = (columns.FORCE, columns.VELOCITY, columns.ACCELERATION)
+        options += [kind + name for kind in kinds for name in names.values()] + [columns.UNUSED]
         with html.div().classes("roles"):
             for column in session.columns.header:
                 role = session.roles[column]
@@ -204,6 +211,8 @@ class DataView:
                         say(value, "", "dd")
             for finding in data.findings:
                 say(f"{sentence(finding, 'page')}.", "help").mark("read")
+            if session.hint:
+                say(session.hint, "hint")
             wild = _not_radians(self.session)
             if wild:
                 say(wild, "hint")

@@ -8,7 +8,20 @@ from typing import Any, TypeVar, cast
 from markupsafe import Markup
 from nicegui import html, run, ui
 
-__all__ = ["Stick", "action", "aside", "drawn", "fault", "field", "math", "panel", "say", "scroll", "table", "title"]
+__all__ = [
+    "Stick",
+    "action",
+    "aside",
+    "drawn",
+    "fault",
+    "field",
+    "math",
+    "panel",
+    "say",
+    "scroll",
+    "table",
+    "title",
+]
 
 
 R = TypeVar("R")

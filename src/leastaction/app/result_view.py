@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
+from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, is_pendulum
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
+from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
 from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
@@ -170,9 +172,12 @@ class ResultView:
                 for name, download, there in (
                     ("report.html", self._report, fitted and not self.session.waiting),
                     ("model.json", self._model, fitted),
+                    ("all.zip", self._everything, fitted and not self.session.waiting),
                 ):
                     button = action(name, self.page.guarded(download), "plain", name.partition(".")[0])
                     button.props("icon=download").set_enabled(there)
+                self._exports(fitted)
+                action("Save session", self.page.guarded(self._save), "plain", "save").props("icon=save")
         if found.stage == "provisional":
             self._provisional()
         else:
@@ -264,6 +269,28 @@ class ResultView:
         text = await aside(self.session.write_report)
         ui.download.content(text.encode(), "report.html", "text/html")
 
+    def _exports(self, fitted: bool) -> None:
+        """A menu of the formats; what each is stands beside it."""
+        button = ui.dropdown_button("Export", auto_close=True, color=None).props("no-caps unelevated no-wrap")
+        button.classes("action plain").mark("export").set_enabled(fitted)
+        with button:
+            for name, what in FORMATS.items():
+                ask = self.page.guarded(lambda _=None, name=name: self._export(name))
+                with ui.item(on_click=ask).mark(f"export-{name}"), ui.item_section():
+                    ui.item_label(name)
+                    ui.item_label(what).props("caption")
+
+    async def _export(self, format: str) -> None:
+        name, content = await aside(exported, self.session.current.model, format)
+        ui.download.content(content, name)
+
+    async def _everything(self) -> None:
+        ui.download.content(await aside(self.session.write_everything), "leastaction.zip", "application/zip")
+
+    async def _save(self) -> None:
+        name = self.session.title.partition(".")[0].replace(" ", "_")
+        ui.download.content(await aside(self.session.save), f"{name}{SESSION}", "application/zip")
+
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
@@ -329,7 +356,9 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
             return
         say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
-        table("Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
+        table(
+            "Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows]
+        )
         say(captions.symmetry_note(model.symmetries), "help")
 
 
