@@ -14,7 +14,7 @@ from leastaction import InputError
 from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import jobs as _jobs
-from leastaction.app.candidates import Choice, friction_choices, split_trials
+from leastaction.app.candidates import Choice, friction_choices, proposed, split_trials
 from leastaction.app.columns import (
     ANGLE,
     COORDINATE,
@@ -30,6 +30,7 @@ from leastaction.app.columns import (
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles
 from leastaction.app.session import Walk
+from leastaction.findings import Finding
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from report_helpers import spring
@@ -377,3 +378,28 @@ def test_frames_follow_the_links():
     # The second link turns with the first one.
     assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
     assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
+
+
+def test_what_one_click_may_do():
+    library = la.Library(["theta_dot**2", "sin(theta)"], ["theta"], dissipation=["theta_dot**2/2"])
+    choice = Choice(more_friction="abs(theta_dot)", delay=0.01)
+
+    def offer(code: str, *subject: str, **values):
+        return proposed(Finding(code, "warning", subject, values, "so it is", "do it"), choice, library)
+
+    words, changed = offer("missing-term", "cos(theta)", constant_force="theta")
+    assert words == "Add cos(theta)"
+    assert changed.text.splitlines() == ["theta_dot**2", "sin(theta)", "cos(theta)"]
+    assert changed.written
+    assert changed.offsets == ["theta"]
+    words, changed = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
+    assert changed.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
+    assert not changed.written
+    words, changed = offer("late-forces", "theta", delay=0.004)
+    assert words == "Let the forces act 14 ms later"
+    assert changed.delay == pytest.approx(0.014)
+    assert offer("form-imitated", "x", family=["exp(-{a}*theta)"])[0] == "Add exp(-{a}*theta)"
+    assert offer("form-imitated", "x") is None
+    assert offer("slight-friction", "theta_dot**2/2", coefficient=-0.1) is None
+    assert offer("motion-in-noise", "theta") is None
+    assert choice == Choice(more_friction="abs(theta_dot)", delay=0.01)

@@ -76,6 +76,8 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         user.find(marker="discover").click()
         await user.should_see("Searching", retries=50)
         session = session_of_page()
+        await user.should_see("Terms so far", retries=200)  # before it is over
+        assert not session.found
         await until(lambda: session.found)
         await user.should_see("How many terms?", retries=50)
         await user.should_see("5 free terms. This is the structure that leastaction chose.")
@@ -104,6 +106,16 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         response = await user.download.next(timeout=30)
         assert b"taken from the curve by hand" in response.content
         assert b"inf %" not in response.content
+        # one click does what a finding proposes
+        user.find(marker="more").click()
+        await until(lambda: session.current.stage == "forecast" and session.place == session.walk.chosen)
+        await user.should_see("Search again with one change:", retries=50)
+        before = session.current.model
+        user.find(marker="remedy").click()
+        await until(lambda: session.found and session.current.model is not before)
+        assert session.choice.more_friction == "abs(theta_dot)**3/3"
+        friction = [term.expression for term in session.current.model.dissipation]
+        assert any(text.startswith("theta_dot**2*sqrt(") for text in friction)  # drag of the air
 
     simulate(script)
 

@@ -43,7 +43,7 @@ def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str,
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = Axes(size)
-        axes.samples(run.t, run.q[:, i], 3.0)
+        axes.samples(run.t, run.q[:, i], 4.4)
         if smooth is not None:
             axes.line(*thin_line(smooth.t, smooth.q[:, i], 1400), "fit", 1.4)
         axes.label("t", name, "s", unit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from nicegui import html, ui
@@ -11,6 +10,7 @@ from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, is_pendulum
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
+from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
 from leastaction.exporters.formats import FORMATS
@@ -20,24 +20,12 @@ from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
+    from leastaction.app.candidates import Choice
     from leastaction.app.jobs import Found
     from leastaction.app.page import Page
 
 __all__ = ["show"]
 
-_STAGES = {
-    "": "Starting",
-    "prepare": "Preparing the data and the candidates",
-    "search": "Searching for structures on the weak form",
-    "shapes": "Looking for shape parameters",
-    "select": "Choosing terms",
-    "knots": "Refining the spline",
-    "coarse": "Comparing with a coarser spline",
-    "confirm": "Confirming on the whole recording",
-    "drift": "Following drifting forces",
-    "verify": "Verifying",
-    "forecast": "Forecasting",
-}
 _MOST_DRAWN = 4
 _USABLE = "Its free runs follow the data; its equations hold to some per cent only:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
@@ -52,80 +40,7 @@ def show(page: Page) -> None:
     elif session.job is not None and session.job.state == "running":
         Running(page).build()
     else:
-        _ended(page)
-
-
-def stage_words(stage: str, details: dict) -> str:
-    """What is being done, in words.
-
-    Examples
-    --------
-    >>> stage_words("select", {"terms": 5.0, "evidence": 12.0})
-    'Choosing terms: 5 so far'
-    """
-    text = _STAGES.get(stage, stage)
-    if "terms" in details:
-        text += f": {int(details['terms'])} so far"
-    elif "knots_per_second" in details:
-        text += f": {details['knots_per_second']:.0f} knots per second"
-    return text
-
-
-class Running:
-    """Stage, terms and seconds of a discovery, and the button that ends it."""
-
-    def __init__(self, page: Page) -> None:
-        self.page = page
-
-    def build(self) -> None:
-        title("Searching", "h1")
-        with panel("running"):
-            bar = ui.linear_progress(show_value=False).props('indeterminate rounded aria-label="Searching"')
-            bar.classes("bar")
-            with html.div().classes("now").props("role=status"):
-                self.stage = say("", "stage")
-                self.seconds = say("", "seconds")
-            self.past = html.ol().classes("past")
-            action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")
-        self._count = 0
-        self.timer = ui.timer(0.2, self.page.guarded(self._follow))
-
-    def _follow(self) -> None:
-        job = self.page.session.job
-        if job is None or job.state != "running":
-            self.timer.deactivate()
-            self.page.show("result")
-            return
-        self.stage.text = stage_words(job.stage, job.details)
-        self.seconds.text = f"{job.seconds:.0f} s"
-        stages = list(job.stages)
-        for (name, began), (_, ended) in pairwise(stages[self._count :]):
-            with self.past:
-                say(f"{_STAGES.get(name, name)}: {ended - began:.1f} s", "", "li")
-            self._count += 1
-
-    def _cancel(self) -> None:
-        self.timer.deactivate()
-        self.page.session.stop()
-        self.page.show("result")
-
-
-def _ended(page: Page) -> None:
-    """A discovery that gave nothing: cancelled, failed, or never begun."""
-    job = page.session.job
-    with panel():
-        if job is not None and job.state == "failed":
-            title("No model", "h1")
-            fault(in_words(job.message, page.session.folder))
-        elif job is not None and job.state == "cancelled":
-            title("Cancelled", "h1")
-            say(f"Stopped after {job.seconds:.0f} s. Data and candidates are as they were.")
-        else:
-            title("Nothing found yet", "h1")
-            say("Choose the candidates and start the search.")
-        with html.div().classes("next"):
-            back = page.guarded(lambda _=None: page.show("candidates"))
-            action("Back to the candidates", back, "main", "back")
+        ended(page)
 
 
 class ResultView:
@@ -182,6 +97,7 @@ class ResultView:
             self._provisional()
         else:
             _status(model)
+            self._remedies()
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
                 if not terms:
@@ -194,7 +110,7 @@ class ResultView:
                             notation.addend(term.written, term.coefficient, term.standard_error, note, k == 0)
                         )
             if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
-                say("The root is dry friction, |velocity|, made smooth near rest.", "help")
+                say("|velocity| is dry friction; near rest it is smoothed.", "help")
 
     def _provisional(self) -> None:
         why = self.session.faults.get(self.session.place)
@@ -268,6 +184,21 @@ class ResultView:
     async def _report(self) -> None:
         text = await aside(self.session.write_report)
         ui.download.content(text.encode(), "report.html", "text/html")
+
+    def _remedies(self) -> None:
+        """One click each: the choices change, and the search begins again."""
+        offers = self.session.remedies()
+        if offers:
+            with html.div().classes("heading offers"):
+                say("Search again with one change:", "help")
+                for words, choice in offers:
+                    ask = self.page.guarded(lambda _=None, choice=choice: self._again(choice))
+                    action(words, ask, "quiet").props("icon=replay").mark("remedy")
+
+    def _again(self, choice: Choice) -> None:
+        self.session.choice = choice
+        self.session.discover()
+        self.page.show("result")
 
     def _exports(self, fitted: bool) -> None:
         """A menu of the formats; what each is stands beside it."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leastaction.app import columns, files
-from leastaction.app.candidates import Choice, Task
+from leastaction.app.candidates import Choice, Task, proposed
 from leastaction.app.jobs import Found, forecast, refine, search
 from leastaction.app.worker import Job, Worker, explain
 from leastaction.errors import DataError, InputError
@@ -28,10 +28,13 @@ __all__ = ["EXAMPLES", "Session", "Walk", "in_words"]
 _PATIENCE = 2.0  # seconds: a process that has been stopped takes as long to come back
 
 EXAMPLES = {
-    "single": ("Single pendulum", "4 trials of 9.2 s, one angle; swings freely, a little friction"),
+    "single": (
+        "Single pendulum",
+        "4 trials of 9.2 s, one angle; swings freely: dry friction, and an encoder whose zero is 1 mrad off",
+    ),
     "double": (
         "Double pendulum",
-        "26 trials of 2.7 s, two angles; the smallest terms show the encoders' zeros",
+        "26 trials of 2.7 s, two angles; dry friction in the first joint, which the published model lacks",
     ),
 }
 """Name of a measured example -> its title, and what it is."""
@@ -217,6 +220,14 @@ class Session:
         self.forget()
         self.job = self.worker.start(search, self.task)
         return self.job
+
+    def remedies(self) -> list[tuple[str, Choice]]:
+        """What one click may do about the findings on the model that is shown: words, and choices."""
+        if self.task is None:
+            return []
+        findings = self.current.model.fit.findings
+        offers = (proposed(finding, self.choice, self.task.library) for finding in findings)
+        return list({words: (words, choice) for words, choice in filter(None, offers)}.values())
 
     def go_to(self, place: int) -> Job | None:
         """Move along the trade-off curve: a provisional model is there at once, where there was none before.

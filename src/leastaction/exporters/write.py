@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, fmu, jax, julia, matlab, modelica, python, sympy
+from leastaction.exporters import c, casadi, fmu, julia, matlab, modelica, python, sympy
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
@@ -25,7 +25,7 @@ _PLAIN = {
     "python": python.write,
     "c": c.write,
     "casadi": casadi.write,
-    "jax": jax.write,
+    "jax": python.write_jax,
     "julia": julia.write,
     "modelica": modelica.write,
 }
