@@ -132,7 +132,7 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     tab.see("How many terms?")
     tab.see("None of the checks has failed")
     assert page.locator(".formula math").count() == 2
-    page.locator(".stick polyline").first.wait_for()
+    page.locator(".stick .limbs").first.wait_for()
     with page.expect_download() as report:
         tab.click("report.html")
     with page.expect_download() as model:
@@ -258,7 +258,7 @@ def test_every_screen_fits_its_window(open_tab, size, scheme):
     assert tab.overflow() <= 0
     tab.click("Find the Lagrangian")
     tab.see("How many terms?")
-    page.locator(".stick polyline").first.wait_for()
+    page.locator(".stick .limbs").first.wait_for()
     assert tab.overflow() <= 0
 
 

@@ -355,6 +355,38 @@ def test_down_is_where_the_potential_is_lowest(terms, down, joined):
     assert found == (down if down is None else pytest.approx(down))
 
 
+def test_a_chain_of_relative_angles_hangs_straight():
+    names = ["a", "b", "c"]
+    texts = ["a_dot**2", "b_dot**2", "c_dot**2", "cos(a)", "cos(a+b)", "cos(c+b+a)"]
+    model = la.LagrangianModel(names, [ModelTerm(text, -1.0 if "cos" in text else 1.0) for text in texts])
+    down, joined = hanging_angles(model)
+    assert joined
+    assert down == pytest.approx([math.pi, 0.0, 0.0])
+    t = np.linspace(0.0, 1.0, 50)
+    rest = np.tile([math.pi, 0.0, 0.0], (50, 1))
+    assert np.abs(frames(Motion("one", True, t, rest, rest, 1.0), model)["measured"]).max() < 1e-4
+
+
+@pytest.mark.parametrize("down", [0.0, math.pi])
+@pytest.mark.parametrize("ahead", [1.0, -1.0])
+def test_a_link_on_a_cart_leans_the_way_it_does(down, ahead):
+    """The bob is at x + ahead l sin(theta), l = 0.5, whatever the zero of the angle."""
+    texts = {
+        "x_dot**2": 1.0,
+        "theta_dot**2": 0.25,
+        "x_dot*theta_dot*cos(theta)": ahead,
+        "cos(theta)": math.cos(down),
+    }
+    model = la.LagrangianModel(["x", "theta"], [ModelTerm(text, value) for text, value in texts.items()])
+    t = np.linspace(0.0, 6.0, 200)
+    q = np.column_stack([0.3 * np.sin(t), down + 0.4 * np.cos(t)])
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind="cart")
+    rows, scale = np.array(shown["measured"]), shown["length"] / 0.5
+    bob = rows[:, 0] + shown["length"] * np.sin(rows[:, 1])
+    expected = scale * (q[:, 0] + ahead * 0.5 * np.sin(q[:, 1]))
+    np.testing.assert_allclose(bob - bob.mean(), expected - expected.mean(), atol=0.02 * scale)
+
+
 def test_without_gravity_the_middle_of_the_motion_is_down():
     t = np.linspace(0.0, 2 * np.pi, 201)
     q = np.pi + 0.5 * np.sin(t)[:, None]

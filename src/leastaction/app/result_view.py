@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
-from leastaction.app.motion import frames, is_pendulum
+from leastaction.app.motion import Kind, frames, stick_kind
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
@@ -158,14 +158,14 @@ class ResultView:
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
                 say("forecast", "key line forecast", "span")
-            turning = is_pendulum(model.coordinates, self.session.angles)
-            with html.div().classes("halves" if turning else "stack"):
-                if turning:
+            kind = stick_kind(model.coordinates, self.session.angles)
+            with html.div().classes("halves" if kind else "stack"):
+                if kind:
                     with html.div():
-                        data = frames(motion, model)
+                        data = frames(motion, model, kind=kind)
                         Stick(data)
-                        say(_stick_words(model, data["down"]), "help")
-                self.figures = html.div().classes("figures" if turning else "figures side")
+                        say(_stick_words(kind, model, data), "help")
+                self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
             0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
         )
@@ -293,10 +293,19 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
         say(captions.symmetry_note(model.symmetries), "help")
 
 
-def _stick_words(model: LagrangianModel, down: bool) -> str:
+def _stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
     parts = []
-    if model.n_dof == 2:
-        parts.append("Both links are drawn equally long: the data do not tell their lengths.")
-    if not down:
+    if kind == "links" and model.n_dof > 1:
+        parts.append("All links are drawn equally long: the data do not tell their lengths.")
+    if kind == "cart":
+        to_scale = shown["length"] is not None and model.n_dof == 2
+        parts.append(
+            "The link has its effective length, to the scale of the cart's way."
+            if to_scale
+            else "The lengths of links are not to the scale of the cart's way."
+        )
+    if kind in ("links", "cart") and not shown["down"]:
         parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
+    if kind == "blocks" and model.n_dof > 1:
+        parts.append("The distance between the blocks is not to scale; their motions are.")
     return " ".join(parts)
