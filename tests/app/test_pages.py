@@ -26,6 +26,8 @@ import socket
 from leastaction.app import page as _page
 from leastaction.app import server as _server
 from leastaction.app.jobs import Found
+from leastaction.app.result_view import compared
+from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 
 
@@ -111,11 +113,22 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         await until(lambda: session.current.stage == "forecast" and session.place == session.walk.chosen)
         await user.should_see("Search again with one change:", retries=50)
         before = session.current.model
+        user.find(marker="keep").click()
+        await user.should_see("Kept: another result will stand beside this one.")
         user.find(marker="remedy").click()
         await until(lambda: session.found and session.current.model is not before)
         assert session.choice.more_friction == "abs(theta_dot)**3/3"
         friction = [term.expression for term in session.current.model.dissipation]
         assert any(text.startswith("theta_dot**2*sqrt(") for text in friction)  # drag of the air
+        await until(lambda: session.current.stage == "forecast")
+        await user.should_see("Compared with the model that was kept", retries=50)
+        notation = Notation(["theta"])
+        rows = compared(session.current, session.kept, notation)
+        assert rows[0] == ("verdict", session.current.model.fit.status, "ok")
+        cells = {str(name): (here, there) for name, here, there in rows[3:]}
+        drag, viscous = (str(notation.term(text)) for text in (friction[-1], "theta_dot**2/2"))
+        assert cells[drag][1] == "–"
+        assert cells[viscous][0] == "–"
 
     simulate(script)
 

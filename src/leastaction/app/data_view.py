@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +20,7 @@ from leastaction.findings import sentence
 if TYPE_CHECKING:
     from leastaction.app.page import Page
 
-__all__ = ["show"]
+__all__ = ["labels", "show"]
 
 _MOST_DRAWN = 6
 
@@ -200,7 +202,7 @@ class DataView:
             with html.div().classes("heading"):
                 title("What was measured")
                 if len(data) > 1:
-                    options = dict(enumerate(data.names))
+                    options = dict(enumerate(labels(data.names)))
                     select = ui.select(options, value=session.shown, label="trial shown")
                     select.props("outlined dense options-dense").classes("trial")
                     select.on_value_change(self.page.guarded(lambda e: self._show_trial(e.value)))
@@ -256,6 +258,26 @@ class DataView:
                 fault(hint)
             for figure in figures:
                 drawn(figure, "figure")
+
+
+def labels(names: Sequence[str]) -> list[str]:
+    """Names without what all of them begin and end with, up to the last sign that parts words.
+
+    Examples
+    --------
+    >>> labels(["2024-05-01_swing_small.csv", "2024-05-01_swing_large.csv"])
+    ['small', 'large']
+    >>> labels(["id-0", "id-10"]), labels(["a", "b"]), labels(["run_1/x", "run_1/y"])
+    (['0', '10'], ['a', 'b'], ['x', 'y'])
+    """
+
+    def shared(columns: Iterable[tuple[str, ...]]) -> int:
+        same = takewhile(lambda signs: len(set(signs)) == 1, columns)
+        return max((k for k, signs in enumerate(same, 1) if not signs[0].isalnum()), default=0)
+
+    start, stop = shared(zip(*names)), shared(zip(*(name[::-1] for name in names)))
+    short = [name[start : len(name) - stop] for name in names]
+    return short if all(short) and len(set(short)) == len(names) else list(names)
 
 
 def _plain(text: str) -> str:

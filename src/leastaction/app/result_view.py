@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
@@ -17,6 +18,7 @@ from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
 from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
+from leastaction.report.text import percent, plain
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -54,6 +56,7 @@ class ResultView:
         with html.div().classes("halves uneven"):
             self.table = panel("follows")
             WalkPanel(self.page, self.refresh).build()
+        self.compared = html.div().classes("stack follows")
         self.symmetries = html.div().classes("stack follows")
         self.motion = html.div().classes("stack follows")
         self.refresh()
@@ -61,7 +64,7 @@ class ResultView:
     def refresh(self) -> None:
         """Show the model of the present place."""
         found = self.session.current
-        for box in (self.model, self.table, self.symmetries, self.motion):
+        for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
         notation = Notation.of_fit(found.model.coordinates, found.model.fit.findings)
         with self.model:
@@ -71,6 +74,8 @@ class ResultView:
             if found.stage != "provisional":  # without errors nothing can be said of either
                 _simple_numbers(found.model, notation)
         if found.stage != "provisional":
+            with self.compared:
+                self._compare(found, notation)
             with self.symmetries:
                 _symmetries(found.model, notation)
         with self.motion:
@@ -195,6 +200,27 @@ class ResultView:
                     ask = self.page.guarded(lambda _=None, choice=choice: self._again(choice))
                     action(words, ask, "quiet").props("icon=replay").mark("remedy")
 
+    def _compare(self, found: Found, notation: Notation) -> None:
+        """The model that is shown beside the one that was kept; a button keeps this one."""
+        kept = self.session.kept
+        if kept is None or kept is found or kept.model.coordinates != found.model.coordinates:
+            with html.div().classes("heading offers"):
+                if kept is found:
+                    say("Kept: another result will stand beside this one.", "help")
+                else:
+                    action("Keep for comparison", self.page.guarded(self._keep), "quiet", "keep")
+            return
+        with panel("compared"):
+            with html.div().classes("heading"):
+                title("Compared with the model that was kept")
+                action("Keep this one instead", self.page.guarded(self._keep), "quiet", "keep")
+            head = (("", ""), ("this model", "n"), ("kept", "n"))
+            table("This model and the one that was kept", head, compared(found, kept, notation))
+
+    def _keep(self) -> None:
+        self.session.kept = self.session.current
+        self.refresh()
+
     def _again(self, choice: Choice) -> None:
         self.session.choice = choice
         self.session.discover()
@@ -225,6 +251,32 @@ class ResultView:
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
+
+
+def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, str, str]]:
+    """Rows for two models of the same coordinates: verdict, forecasts, and every term of either."""
+
+    def numbers(found: Found) -> dict[str, str]:
+        return {
+            row["text"]: row["value"] + (f" ± {row['error']}" if row["error"] else "")
+            for group in coefficient_groups(found.model, notation)
+            for row in group["rows"]
+        }
+
+    def forecast(found: Found) -> str:
+        if found.validation is None or np.isnan(found.validation.rms_over_std).all():
+            return "–"
+        return f"{percent(float(np.nanmax(found.validation.rms_over_std)))} of the spread"
+
+    here, there = numbers(one), numbers(other)
+    rows = [
+        ("verdict", one.model.fit.status, other.model.fit.status),
+        ("forecasts of held-out trials are off by", forecast(one), forecast(other)),
+        ("χ² per sample", *(plain(found.model.fit.chi2_per_sample) for found in (one, other))),
+    ]
+    return rows + [
+        (notation.term(text), here.get(text, "–"), there.get(text, "–")) for text in {**here, **there}
+    ]
 
 
 def _status(model: LagrangianModel) -> None:

@@ -53,7 +53,6 @@ class Session:
     data : Trajectories or None
         As read with these roles; None if that failed, then `fault` says why.
     hint : str
-        What to do next, where that is not plain.
     choice : Choice
     task, job : Task or None, Job or None
         The discovery that runs or ran last; the job is that of a refit or a forecast once there is a model.
@@ -61,6 +60,8 @@ class Session:
         Place on the trade-off curve -> its model, as far as it is.
     faults : dict
         Place -> why its model is not refined any further.
+    kept : Found or None
+        The model that others are compared with.
     walk, place
         The trade-off curve, and where on it the page stands.
     """
@@ -78,6 +79,7 @@ class Session:
     job: Job | None = None
     found: dict[int, Found] = field(default_factory=dict)
     faults: dict[int, str] = field(default_factory=dict)
+    kept: Found | None = None
     walk: Walk = field(default_factory=lambda: Walk(()))
     place: int = 0
 
@@ -195,7 +197,7 @@ class Session:
         self.shown, self._smooth = 0, {}
         self.forget()
         if self.data is not None and (self.data.coordinates, self.data.driven) != before:
-            self.choice = Choice.default(self.data)
+            self.choice, self.kept = Choice.default(self.data), None
 
     def smooth(self) -> SmoothMotion:
         """The smoothing spline of the trial that is shown."""
