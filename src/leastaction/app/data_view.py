@@ -275,7 +275,7 @@ def labels(names: Sequence[str]) -> list[str]:
         same = takewhile(lambda signs: len(set(signs)) == 1, columns)
         return max((k for k, signs in enumerate(same, 1) if not signs[0].isalnum()), default=0)
 
-    start, stop = shared(zip(*names)), shared(zip(*(name[::-1] for name in names)))
+    start, stop = (shared(zip(*some, strict=False)) for some in (names, [name[::-1] for name in names]))
     short = [name[start : len(name) - stop] for name in names]
     return short if all(short) and len(set(short)) == len(names) else list(names)
 
