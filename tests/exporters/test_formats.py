@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import re
 import shutil
 import subprocess
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,8 +19,10 @@ from export_models import COMPILER, MODELS, states, timed
 from helpers import finite_difference
 from leastaction.cli import program
 from leastaction.errors import InputError
+from leastaction.exporters.chains import chain_of
 from leastaction.exporters.formats import FORMATS
 from leastaction.exporters.write import export
+from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel, ModelTerm
 
 
@@ -338,3 +342,98 @@ def test_julia_and_modelica_agree(name):
         np.testing.assert_allclose(found["mass"], expected[0], **close)
         np.testing.assert_allclose(np.linalg.solve(mass, np.array(found["right"]) + f), expected[1], **close)
         np.testing.assert_allclose(found["stored"], model.energy(q, v, **t), **close)
+
+
+# -------------------------------------------------------------- chains of links: MJCF and URDF
+def chain_models():
+    """The double pendulum measured from down; upright with joint friction; three links, relative angles."""
+    double = MODELS["driven"]()
+    friction = [ModelTerm("(theta2_dot-theta1_dot)**2/2", 0.07), ModelTerm("theta1_dot**2/2", 0.04)]
+    upright = [
+        ModelTerm(t.expression, -t.coefficient if t.expression.startswith("cos") else t.coefficient)
+        for t in double.terms
+    ]
+    single = LagrangianModel(["phi"], [ModelTerm("phi_dot**2", 1.0), ModelTerm("cos(phi)", 128.0)])
+    a, b, c = sp.symbols("a b c", real=True)
+    va, vb, vc = sp.symbols("a_dot b_dot c_dot", real=True)
+    angles, rates = (a, a + b, a + b + c), (va, va + vb, va + vb + vc)
+    x = y = vx = vy = 0
+    whole = sp.Integer(0)
+    for angle, rate, mass, length in zip(angles, rates, (1.2, 0.9, 0.5), (0.4, 0.3, 0.25), strict=True):
+        x, y = x + length * sp.sin(angle), y - length * sp.cos(angle)
+        vx, vy = vx + length * sp.cos(angle) * rate, vy + length * sp.sin(angle) * rate
+        whole += mass * (vx**2 + vy**2) / 2 + sp.Rational(1, 100) * rate**2 - mass * 9.81 * y
+    whole = sp.expand(sp.fu(sp.expand(whole)))
+    terms = [
+        ModelTerm(format_expression(p.as_coeff_Mul()[1]), float(p.as_coeff_Mul()[0]))
+        for p in sp.Add.make_args(whole)
+    ]
+    three = LagrangianModel(["a", "b", "c"], terms, [ModelTerm("b_dot**2/2", 0.02)])
+    return {
+        "single": single,
+        "double": LagrangianModel(double.coordinates, double.terms, friction),
+        "upright": LagrangianModel(double.coordinates, upright, friction[1:]),
+        "three": three,
+    }
+
+
+@pytest.mark.parametrize("name", ["single", "double", "upright", "three"])
+def test_a_chain_of_links_moves_as_the_model(name):
+    """In MuJoCo, from the MJCF and from the URDF: the same accelerations, with the joints' own angles."""
+    mujoco = pytest.importorskip("mujoco")
+    model = chain_models()[name]
+    relative = name == "three"
+    for format in ("mjcf", "urdf"):
+        world = mujoco.MjModel.from_xml_string(export(model, format))
+        world.opt.gravity[:] = 0.0, 0.0, -9.81
+        state = mujoco.MjData(world)
+        for q, v, f in states(model):
+            state.qpos[:] = q if relative else np.diff(q, prepend=0.0)
+            state.qvel[:] = v if relative else np.diff(v, prepend=0.0)
+            # torques of joints act on a link and back on the one before
+            joint_torque = f if relative else np.cumsum(f[::-1])[::-1]
+            state.qfrc_applied[:] = joint_torque
+            mujoco.mj_forward(world, state)
+            found = state.qacc if relative else np.cumsum(state.qacc)
+            np.testing.assert_allclose(found, model.acceleration(q, v, f), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["single", "double", "upright", "three"])
+def test_masses_of_a_chain_have_the_coefficients_of_the_law(name):
+    model = chain_models()[name]
+    chain = chain_of(model)
+    assert chain.upright == (name == "upright")
+    assert chain.relative == (name == "three")
+    assert chain.left_out == ()
+    assert all(link.mass > 0 and link.inertia > 0 and link.length > 0 for link in chain.links)
+    names = model.coordinates
+    angles, rates = ([sp.Symbol(f"{c}{end}", real=True) for c in names] for end in ("", "_dot"))
+    if chain.relative:
+        angles, rates = (list(itertools.accumulate(group)) for group in (angles, rates))
+    y = vx = vy = sp.Integer(0)
+    whole, sign = sp.Integer(0), -1 if chain.upright else 1
+    for link, angle, rate in zip(chain.links, angles, rates, strict=True):
+        centre = y - sign * link.centre * sp.cos(angle)
+        cx, cy = vx + link.centre * sp.cos(angle) * rate, vy + link.centre * sp.sin(angle) * rate
+        whole += link.mass * (cx**2 + cy**2) / 2 + link.inertia * rate**2 / 2 - link.mass * 9.81 * centre
+        vx, vy = vx + link.length * sp.cos(angle) * rate, vy + link.length * sp.sin(angle) * rate
+        y -= sign * link.length * sp.cos(angle)
+    difference = sp.lambdify([*sorted(whole.free_symbols, key=str)], whole - model.lagrangian)
+    rng = np.random.default_rng(3)
+    values = [float(difference(*rng.uniform(-2, 2, len(whole.free_symbols)))) for _ in range(5)]
+    np.testing.assert_allclose(
+        values, values[0], atol=1e-9 * float(abs(model.lagrangian.as_coefficients_dict()[1]) + 100)
+    )
+    root = ElementTree.fromstring(export(model, "urdf"))
+    assert [joint.get("type") for joint in root.iter("joint")] == ["continuous"] * len(names)
+
+
+def test_what_is_no_chain_says_so():
+    for name in ("passive", "spherical", "free", "swapped", "odd"):
+        with pytest.raises(InputError, match="not that of a chain of links in a plane"):
+            export(MODELS[name](), "mjcf")
+    dry = LagrangianModel(
+        ["a"], [ModelTerm("a_dot**2", 1.0), ModelTerm("cos(a)", 9.0)], [ModelTerm("abs(a_dot)", 0.2)]
+    )
+    assert chain_of(dry).left_out == ("abs(a_dot)",)
+    assert "Left out, no joint has it: friction abs(a_dot)" in export(dry, "mjcf")

@@ -55,6 +55,8 @@ ENDINGS = {
     "jax": "_jax.py",
     "julia": ".jl",
     "modelica": ".mo",
+    "mjcf": "_mjcf.xml",
+    "urdf": ".urdf",
     "matlab": ".m",
     "fmu2": "_fmi2.fmu",
     "fmu3": "_fmi3.fmu",

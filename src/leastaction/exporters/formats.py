@@ -18,6 +18,8 @@ FORMATS = {
     "jax": "Python module of functions for JAX: acceleration, state derivative, energy, mass matrix",
     "julia": "Julia module without packages: acceleration, state derivative for ODEProblem, energy",
     "modelica": "Modelica package: mass matrix, right side, energy, and a model that moves",
+    "mjcf": "MuJoCo model of a chain of links in a plane, if the law is one",
+    "urdf": "robot description of a chain of links in a plane, if the law is one",
     "matlab": "MATLAB or Octave function file: acceleration, state derivative for ode45, energy",
     "fmu2": "FMU for co-simulation, FMI 2.0: C sources, and compiled for this computer",
     "fmu3": "FMU for co-simulation, FMI 3.0: C sources, and compiled for this computer",

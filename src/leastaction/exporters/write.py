@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, fmu, julia, matlab, modelica, python, sympy
+from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python, sympy
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
@@ -26,8 +26,10 @@ _PLAIN = {
     "c": c.write,
     "casadi": casadi.write,
     "jax": python.write_jax,
-    "julia": julia.write,
-    "modelica": modelica.write,
+    "julia": julia.write_julia,
+    "modelica": julia.write_modelica,
+    "mjcf": chains.write_mjcf,
+    "urdf": chains.write_urdf,
 }
 
 
@@ -38,7 +40,9 @@ def export(
 @overload
 def export(
     model: LagrangianModel,
-    format: Literal["sympy", "latex", "python", "c", "casadi", "jax", "julia", "modelica", "matlab"],
+    format: Literal[
+        "sympy", "latex", "python", "c", "casadi", "jax", "julia", "modelica", "mjcf", "urdf", "matlab"
+    ],
     path: str | os.PathLike[str] | None = None,
 ) -> str: ...
 @overload
@@ -71,6 +75,11 @@ def export(model, format, path=None):
                     ``ODEProblem``
     ``"modelica"``  a package ``LeastactionModel`` with the functions ``mass_matrix``, ``right_side`` and
                     ``energy``, and the model ``Motion`` with ``forces`` as inputs
+    ``"mjcf"``      a MuJoCo model of a chain of links in a plane, for laws that are one: masses, centres,
+                    inertias and lengths with which L is the same up to a constant (more than one set has
+                    it). Joints turn relative to the link before. What friction a joint cannot have is left
+                    out and named in the file
+    ``"urdf"``      the same as a robot description
     ``"matlab"``    a function file for MATLAB and Octave; it returns a structure of function handles:
                     ``acceleration(q, qdot, forces)``, ``state_derivative(t, x, forces)`` with x = [q; qdot]
                     for ``ode45``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``. The function has the name
@@ -97,7 +106,8 @@ def export(model, format, path=None):
     Parameters
     ----------
     model : LagrangianModel
-    format : {"sympy", "latex", "python", "c", "casadi", "jax", "julia", "modelica", "matlab", "fmu2", "fmu3"}
+    format : str
+        One of the formats above.
     path : path, optional
         File to write. For MATLAB and for an FMU its name is also that of the function or model; without a
         path that is ``leastaction_model``.
@@ -111,7 +121,7 @@ def export(model, format, path=None):
     ------
     InputError
         If there is no such format, the file cannot be written or, for MATLAB, has a name that cannot be
-        called; for an FMU, if there is no C compiler.
+        called; for an FMU, if there is no C compiler; for MJCF and URDF, if the law is no chain of links.
 
     Examples
     --------
