@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from importlib.util import find_spec
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -140,3 +141,18 @@ def parts_of(address: str) -> tuple[str, str, str]:
     text = ask(home, cookie=cookie)[2]
     (script, *_) = re.findall(r'src="/([^"]+)"', text)
     return home, cookie, script
+
+
+def axe_source() -> str | None:
+    """The accessibility checker axe-core, from npm or from the Python package that carries it; or None.
+
+    ``npm install axe-core`` in the repository or ``pip install axe-playwright-python`` brings it.
+    """
+    root = Path(__file__).parents[1]
+    places = [root / "node_modules" / "axe-core" / "axe.min.js"]
+    if "AXE_CORE" in os.environ:
+        places.insert(0, Path(os.environ["AXE_CORE"]))
+    carrier = find_spec("axe_playwright_python")
+    if carrier is not None and carrier.origin is not None:
+        places.append(Path(carrier.origin).with_name("axe.min.js"))
+    return next((path.read_text(encoding="utf-8") for path in places if path.is_file()), None)

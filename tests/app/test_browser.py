@@ -132,7 +132,7 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     tab.see("How many terms?")
     tab.see("None of the checks has failed")
     assert page.locator(".formula math").count() == 2
-    page.locator(".stick polyline").first.wait_for()
+    page.locator(".stick .limbs").first.wait_for()
     with page.expect_download() as report:
         tab.click("report.html")
     with page.expect_download() as model:
@@ -145,8 +145,23 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     found = la.load(saved)
     assert [term.expression for term in found.terms] == ["theta_dot**2", "cos(theta)"]
     assert found.terms[1].coefficient == pytest.approx(9.81, rel=0.02)
+    page.get_by_role("button", name="Export").click()
+    with page.expect_download() as code:
+        page.get_by_text("Julia module").click()
+    assert "function acceleration" in Path(code.value.path()).read_text(encoding="utf-8")
+    with page.expect_download() as session:
+        tab.click("Save session")
+    session.value.save_as(tmp_path / "mine.leastaction")
     page.reload()
     tab.see("How many terms?")  # a reload loses nothing
+    page.locator(".step").first.click()
+    page.locator("input[type=file]").set_input_files(tmp_path / "mine.leastaction")
+    tab.see("find the Lagrangian again to see its result")
+    page.locator("input[type=file]").set_input_files(
+        [app_helpers.driven_pendulum(tmp_path / f"run{k}.csv") for k in (2, 10)]
+    )
+    tab.see("run2.csv and 1 more")
+    tab.see("6 trials, 30 s")
 
 
 def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):
@@ -243,7 +258,7 @@ def test_every_screen_fits_its_window(open_tab, size, scheme):
     assert tab.overflow() <= 0
     tab.click("Find the Lagrangian")
     tab.see("How many terms?")
-    page.locator(".stick polyline").first.wait_for()
+    page.locator(".stick .limbs").first.wait_for()
     assert tab.overflow() <= 0
 
 
@@ -301,3 +316,63 @@ def test_a_port_in_use_is_one_line(address):
     assert result.returncode == 2
     assert result.stderr.startswith(f"error: port {port} is in use")
     assert len(result.stderr.splitlines()) == 1
+
+
+# -------------------------------------------------------------- for everybody: axe-core
+def findings_of_axe(page, grave: tuple[str, ...] = ("serious", "critical")) -> list[str]:
+    """What axe-core finds on a page, with the first element of each kind."""
+    source = app_helpers.axe_source()
+    if source is None:
+        pytest.skip("no axe-core found; npm install axe-core, or pip install axe-playwright-python")
+    page.evaluate(source)
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [
+        f"{v['impact']} {v['id']}: {v['help']} ({len(v['nodes'])} times): {v['nodes'][0]['html'][:200]}"
+        for v in found
+        if v["impact"] in grave
+    ]
+
+
+@pytest.mark.parametrize(("size", "scheme"), [(_LAPTOP, "light"), (_PHONE, "dark")])
+def test_axe_finds_nothing_serious_in_the_app(open_tab, size, scheme):
+    tab = open_tab(size, scheme)
+    found = findings_of_axe(tab.page)
+    tab.page.get_by_role("button", name="Single pendulum").click()
+    tab.see("What was measured")
+    tab.page.locator(".figure svg").first.wait_for(state="attached")
+    found += findings_of_axe(tab.page)
+    tab.click("Continue to the candidates")
+    tab.see("What may the Lagrangian be made of?")
+    found += findings_of_axe(tab.page)
+    tab.click("Find the Lagrangian")
+    tab.page.locator(".running").wait_for()
+    found += findings_of_axe(tab.page)
+    tab.see("How many terms?")
+    tab.page.locator(".stick").wait_for()
+    found += findings_of_axe(tab.page)
+    assert not found, "\n".join(sorted(set(found)))
+
+
+def test_axe_finds_nothing_serious_in_a_report(chromium, tmp_path):
+    from playwright.sync_api import sync_playwright
+
+    from report_helpers import spring
+
+    la.write_report(spring(friction=0.1), tmp_path / "report.html")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=_OPTIONS)
+        for scheme in ("light", "dark"):
+            context = browser.new_context(color_scheme=scheme, bypass_csp=True)
+            page = context.new_page()
+            page.goto((tmp_path / "report.html").as_uri())
+            page.evaluate("document.querySelectorAll('details').forEach((fold) => { fold.open = true; })")
+            assert findings_of_axe(page, ("moderate", "serious", "critical")) == []
+            page.emulate_media(color_scheme=scheme)
+            page.pdf(path=tmp_path / "report.pdf", format="A4")
+        browser.close()
+    if shutil.which("pdftotext") is None:
+        return
+    command = ["pdftotext", "-layout", tmp_path / "report.pdf", "-"]
+    text = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    lines = [sum(bool(line.strip()) for line in page.splitlines()) for page in text.split("\f")[:-1]]
+    assert min(lines) >= 8, f"a page with next to nothing on it: {lines} lines"

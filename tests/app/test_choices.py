@@ -14,7 +14,7 @@ from leastaction import InputError
 from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import jobs as _jobs
-from leastaction.app.candidates import Choice, friction_choices, split_trials
+from leastaction.app.candidates import Choice, friction_choices, proposed, split_trials
 from leastaction.app.columns import (
     ANGLE,
     COORDINATE,
@@ -30,6 +30,7 @@ from leastaction.app.columns import (
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles
 from leastaction.app.session import Walk
+from leastaction.findings import Finding
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from report_helpers import spring
@@ -354,6 +355,38 @@ def test_down_is_where_the_potential_is_lowest(terms, down, joined):
     assert found == (down if down is None else pytest.approx(down))
 
 
+def test_a_chain_of_relative_angles_hangs_straight():
+    names = ["a", "b", "c"]
+    texts = ["a_dot**2", "b_dot**2", "c_dot**2", "cos(a)", "cos(a+b)", "cos(c+b+a)"]
+    model = la.LagrangianModel(names, [ModelTerm(text, -1.0 if "cos" in text else 1.0) for text in texts])
+    down, joined = hanging_angles(model)
+    assert joined
+    assert down == pytest.approx([math.pi, 0.0, 0.0])
+    t = np.linspace(0.0, 1.0, 50)
+    rest = np.tile([math.pi, 0.0, 0.0], (50, 1))
+    assert np.abs(frames(Motion("one", True, t, rest, rest, 1.0), model)["measured"]).max() < 1e-4
+
+
+@pytest.mark.parametrize("down", [0.0, math.pi])
+@pytest.mark.parametrize("ahead", [1.0, -1.0])
+def test_a_link_on_a_cart_leans_the_way_it_does(down, ahead):
+    """The bob is at x + ahead l sin(theta), l = 0.5, whatever the zero of the angle."""
+    texts = {
+        "x_dot**2": 1.0,
+        "theta_dot**2": 0.25,
+        "x_dot*theta_dot*cos(theta)": ahead,
+        "cos(theta)": math.cos(down),
+    }
+    model = la.LagrangianModel(["x", "theta"], [ModelTerm(text, value) for text, value in texts.items()])
+    t = np.linspace(0.0, 6.0, 200)
+    q = np.column_stack([0.3 * np.sin(t), down + 0.4 * np.cos(t)])
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind="cart")
+    rows, scale = np.array(shown["measured"]), shown["length"] / 0.5
+    bob = rows[:, 0] + shown["length"] * np.sin(rows[:, 1])
+    expected = scale * (q[:, 0] + ahead * 0.5 * np.sin(q[:, 1]))
+    np.testing.assert_allclose(bob - bob.mean(), expected - expected.mean(), atol=0.02 * scale)
+
+
 def test_without_gravity_the_middle_of_the_motion_is_down():
     t = np.linspace(0.0, 2 * np.pi, 201)
     q = np.pi + 0.5 * np.sin(t)[:, None]
@@ -377,3 +410,28 @@ def test_frames_follow_the_links():
     # The second link turns with the first one.
     assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
     assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
+
+
+def test_what_one_click_may_do():
+    library = la.Library(["theta_dot**2", "sin(theta)"], ["theta"], dissipation=["theta_dot**2/2"])
+    choice = Choice(more_friction="abs(theta_dot)", delay=0.01)
+
+    def offer(code: str, *subject: str, **values):
+        return proposed(Finding(code, "warning", subject, values, "so it is", "do it"), choice, library)
+
+    words, changed = offer("missing-term", "cos(theta)", constant_force="theta")
+    assert words == "Add cos(theta)"
+    assert changed.text.splitlines() == ["theta_dot**2", "sin(theta)", "cos(theta)"]
+    assert changed.written
+    assert changed.offsets == ["theta"]
+    words, changed = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
+    assert changed.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
+    assert not changed.written
+    words, changed = offer("late-forces", "theta", delay=0.004)
+    assert words == "Let the forces act 14 ms later"
+    assert changed.delay == pytest.approx(0.014)
+    assert offer("form-imitated", "x", family=["exp(-{a}*theta)"])[0] == "Add exp(-{a}*theta)"
+    assert offer("form-imitated", "x") is None
+    assert offer("slight-friction", "theta_dot**2/2", coefficient=-0.1) is None
+    assert offer("motion-in-noise", "theta") is None
+    assert choice == Choice(more_friction="abs(theta_dot)", delay=0.01)

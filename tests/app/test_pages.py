@@ -26,6 +26,8 @@ import socket
 from leastaction.app import page as _page
 from leastaction.app import server as _server
 from leastaction.app.jobs import Found
+from leastaction.app.result_view import compared
+from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 
 
@@ -76,6 +78,8 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         user.find(marker="discover").click()
         await user.should_see("Searching", retries=50)
         session = session_of_page()
+        await user.should_see("Terms so far", retries=200)  # before it is over
+        assert not session.found
         await until(lambda: session.found)
         await user.should_see("How many terms?", retries=50)
         await user.should_see("5 free terms. This is the structure that leastaction chose.")
@@ -104,6 +108,27 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         response = await user.download.next(timeout=30)
         assert b"taken from the curve by hand" in response.content
         assert b"inf %" not in response.content
+        # one click does what a finding proposes
+        user.find(marker="more").click()
+        await until(lambda: session.current.stage == "forecast" and session.place == session.walk.chosen)
+        await user.should_see("Search again with one change:", retries=50)
+        before = session.current.model
+        user.find(marker="keep").click()
+        await user.should_see("Kept: another result will stand beside this one.")
+        user.find(marker="remedy").click()
+        await until(lambda: session.found and session.current.model is not before)
+        assert session.choice.more_friction == "abs(theta_dot)**3/3"
+        friction = [term.expression for term in session.current.model.dissipation]
+        assert any(text.startswith("theta_dot**2*sqrt(") for text in friction)  # drag of the air
+        await until(lambda: session.current.stage == "forecast")
+        await user.should_see("Compared with the model that was kept", retries=50)
+        notation = Notation(["theta"])
+        rows = compared(session.current, session.kept, notation)
+        assert rows[0] == ("verdict", session.current.model.fit.status, "ok")
+        cells = {str(name): (here, there) for name, here, there in rows[3:]}
+        drag, viscous = (str(notation.term(text)) for text in (friction[-1], "theta_dot**2/2"))
+        assert cells[drag][1] == "–"
+        assert cells[viscous][0] == "–"
 
     simulate(script)
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import gzip
+import io
+import json
+import math
 import time
+import zipfile
 from dataclasses import replace
 
 import pytest
@@ -11,6 +15,7 @@ import pytest
 import app_helpers
 import leastaction as la
 from leastaction import InputError
+from leastaction.app import files as _files
 from leastaction.app import session as _session
 from leastaction.app.candidates import Choice
 from leastaction.app.columns import (
@@ -22,9 +27,12 @@ from leastaction.app.columns import (
     TIME,
     TRIAL,
     UNUSED,
+    VELOCITY,
 )
 from leastaction.app.session import EXAMPLES, Session, in_words
 from leastaction.app.worker import Worker
+from leastaction.exporters.formats import FORMATS
+from leastaction.model.model import ModelTerm
 
 
 def wait(job, seconds: float = 60.0):
@@ -101,6 +109,91 @@ def test_failures_are_one_line(worker, function, arguments, text):
 
 
 # session
+
+
+def swing(start: float, rows: int = 60, name: str = "x") -> bytes:
+    lines = [f"t,{name},{name}_dot"] + [
+        f"{0.02 * k:.2f},{start * math.cos(0.06 * k)!r},{-3 * start * math.sin(0.06 * k)!r}"
+        for k in range(rows)
+    ]
+    return "\n".join(lines).encode()
+
+
+def test_several_files_are_trials_of_one_system(session):
+    given = [("b.csv", swing(0.5)), ("a.csv", swing(1.0)), ("sub/a.csv", swing(2.0))]
+    session.open_uploads(given)
+    assert list(session.data.names) == ["a", "a_2", "b"]
+    assert [run.q[0, 0] for run in session.data] == [1.0, 2.0, 0.5]
+    assert session.title == "a.csv and 2 more"
+    with pytest.raises(InputError, match=r"c\.csv has other columns than b\.csv"):
+        session.open_uploads([("b.csv", swing(0.5)), ("c.csv", swing(0.5, name="y"))])
+    assert len(session.data) == 3  # what was open is still open
+
+
+def test_measured_velocities_have_a_role(session):
+    session.open_upload("run.csv", swing(1.0))
+    assert session.roles == {"t": TIME, "x": COORDINATE, "x_dot": UNUSED}
+    session.roles["x_dot"] = f"{VELOCITY}x"
+    session.read()
+    assert session.fault == ""
+    (rate,) = session.data.rates
+    assert (rate.quantity, rate.coordinate) == ("velocity", 0)
+    session.roles["x"] = UNUSED
+    session.read()
+    assert "no column is a coordinate" in session.fault
+
+
+def test_a_session_is_saved_and_opened_again(session):
+    session.open_uploads([("a.csv", swing(1.0)), ("b.csv", swing(0.5))])
+    session.roles["x_dot"] = f"{VELOCITY}x"
+    session.read()
+    session.choice.text, session.choice.written, session.choice.held_out = "x_dot**2\nx**2", True, 1
+    session.choice.friction = ["x_dot**2/2"]
+    content = session.save()
+    other = Session()
+    try:
+        other.open_upload("mine.leastaction", content)
+        assert (other.title, other.roles, other.choice) == (session.title, session.roles, session.choice)
+        assert other.data.digest() == session.data.digest()
+        assert "find the Lagrangian again" in other.hint
+        other.open_example("single")
+        assert other.hint == ""
+    finally:
+        other.close()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"choice": {}},
+        {"tables": ["../../etc/passwd"]},
+        {"tables": []},
+        {"roles": 3},
+        {"leastaction session": 99},
+    ],
+)
+def test_a_damaged_session_is_refused(session, change):
+    session.open_upload("a.csv", swing(1.0))
+    with zipfile.ZipFile(io.BytesIO(session.save())) as file:
+        members = {name: file.read(name) for name in file.namelist()}
+    said = json.loads(members["session.json"]) | change
+    members["session.json"] = json.dumps(said).encode()
+    with pytest.raises(InputError, match="no session that can be opened"):
+        session.open_upload("b.leastaction", _files.archive(members))
+    with pytest.raises(InputError, match="no session that can be opened"):
+        session.open_upload("b.leastaction", b"PK nothing")
+    assert session.title == "a.csv"
+
+
+def test_every_export_is_in_the_archive():
+    model = la.LagrangianModel(["x"], [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
+    with zipfile.ZipFile(io.BytesIO(_files.everything(model, {"note.txt": "hello"}))) as file:
+        names, said = set(file.namelist()), file.read("README.txt").decode()
+        assert file.read("note.txt") == b"hello"
+        assert b"def acceleration" in file.read("leastaction_model.py")
+    assert list(_files.ENDINGS) == list(FORMATS)
+    for name, ending in _files.ENDINGS.items():
+        assert f"leastaction_model{ending}" in names or f"{name}: left out, " in said
 
 
 def test_from_upload_to_download(session, tmp_path):
@@ -268,11 +361,11 @@ def test_a_bad_cell_is_named_without_the_temporary_folder(session):
 @pytest.mark.parametrize("name", ["../../etc/passwd.csv", "..\\..\\a.csv", "/abs.csv", "<b>.csv", "....csv"])
 def test_the_name_of_an_upload_stays_in_the_folder(session, name):
     session.open_upload(name, b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(9)))
-    assert session._path.resolve().parent == session.folder.resolve()
+    assert session._paths[0].resolve().parent == session.folder.resolve()
 
 
 def test_uploads_are_limited(session, monkeypatch):
-    monkeypatch.setattr(_session, "MOST_BYTES", 1_000_000)
+    monkeypatch.setattr(_files, "MOST_BYTES", 1_000_000)
     with pytest.raises(InputError, match="larger than 1 MB"):
         session.open_upload("a.csv", b"x" * 1_000_001)
     with pytest.raises(InputError, match="when it is unpacked"):
@@ -337,6 +430,6 @@ def test_a_workbook_is_a_table(session, tmp_path, monkeypatch):
     assert session.columns.sample("theta [deg]") == "0, 10, 20"
     assert session.data[0].q[-1, 0] == pytest.approx(1.2217, rel=1e-4)
     assert [finding.code for finding in session.data.findings] == ["time-unit", "converted-units"]
-    monkeypatch.setattr(_session, "MOST_BYTES", 2 * len(content))
+    monkeypatch.setattr(_files, "MOST_BYTES", 2 * len(content))
     with pytest.raises(InputError, match="when it is unpacked"):
         session.open_upload("run.xlsx", content)

@@ -10,10 +10,11 @@ import pytest
 import leastaction as la
 from export_models import COMPILER, MODELS, states, timed
 from leastaction.errors import InputError
-from leastaction.exporters.fmu import compile_library, platform_name, source_files
+from leastaction.exporters.fmu import compile_library, longest_step, platform_name, source_files
 from leastaction.model.model import LagrangianModel, ModelTerm
 
 fmpy = pytest.importorskip("fmpy")
+pytest.importorskip("fmpy.validation")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
 VERSIONS = (2, 3)
 
@@ -301,12 +302,38 @@ def test_variables_make_way_for_coordinates(version):
 
 
 def test_fast_systems_get_shorter_steps():
-    from leastaction.exporters.fmu import _max_step
-
     spring = MODELS["free"]()
     fast = LagrangianModel(["x"], spring.terms, provenance={"knots_per_second": 1e6})
-    assert _max_step(spring) == 1e-3
-    assert _max_step(fast) == pytest.approx(1e-7)
+    assert longest_step(spring) == 1e-3
+    assert longest_step(fast) == pytest.approx(1e-7)
+
+
+@pytest.mark.parametrize("rate", [1.0, 30.0, 300.0, 2000.0])
+def test_the_step_is_halved_until_the_motion_is_followed(rate):
+    """An oscillator, whose motion is known: RK4 is off by (rate h)^5 / 120 radian a step."""
+    spring = LagrangianModel(["x"], [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -(rate**2) / 2)])
+    step = longest_step(spring)
+    assert step == 1e-3 * 2.0 ** round(np.log2(step / 1e-3))
+    assert (rate * step) ** 5 / 120.0 * 100 < 1e-7 or step == 1e-3 / 2**10
+    assert step == 1e-3 or (2.0 * rate * step) ** 5 / 120.0 * 100 > 1e-9  # no shorter than need be
+
+
+def test_times_and_angles_have_units(version, tmp_path):
+    model = MODELS["passive"]()
+    model = LagrangianModel(model.coordinates, model.terms, provenance={"options": {"angles": ["theta"]}})
+    path = tmp_path / "cart.fmu"
+    if COMPILER is None:
+        pytest.skip("no C compiler")
+    la.export(model, f"fmu{version}", path)
+    assert fmpy.validation.validate_fmu(str(path)) == []
+    found = fmpy.read_model_description(path)
+    units = {v.name: v.unit for v in found.modelVariables}
+    assert units["theta"] == "rad"
+    assert units["theta_dot"] == "rad/s"
+    assert units["theta_dot_dot"] == "rad/s2"
+    assert units["max_step"] == "s"
+    assert units["x"] is None
+    assert {unit.name for unit in found.unitDefinitions} == {"s", "rad", "rad/s", "rad/s2"}
 
 
 @needs_compiler

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
+import re
+import shutil
 import subprocess
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,8 +19,10 @@ from export_models import COMPILER, MODELS, states, timed
 from helpers import finite_difference
 from leastaction.cli import program
 from leastaction.errors import InputError
+from leastaction.exporters.chains import chain_of
 from leastaction.exporters.formats import FORMATS
 from leastaction.exporters.write import export
+from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel, ModelTerm
 
 
@@ -118,6 +124,23 @@ def test_sympy_script_with_names_of_its_own():
     assert namespace["lagrangian_"] == model.lagrangian
 
 
+TEX = shutil.which("pdflatex") or shutil.which("lualatex") or shutil.which("tectonic")
+
+
+@pytest.mark.skipif(TEX is None, reason="no TeX engine (Debian: apt-get install texlive-latex-base)")
+@pytest.mark.parametrize("name", ["odd", "driven", "timed"])
+def test_latex_can_be_typeset(name, tmp_path):
+    text = export(timed() if name == "timed" else MODELS[name](), "latex")
+    document = (
+        f"\\documentclass{{article}}\n\\usepackage{{amsmath}}\n\\begin{{document}}\n{text}\\end{{document}}\n"
+    )
+    (tmp_path / "law.tex").write_text(document, encoding="utf-8")
+    options = [] if TEX.endswith("tectonic") else ["-interaction=nonstopmode", "-halt-on-error"]
+    done = subprocess.run([TEX, *options, "law.tex"], cwd=tmp_path, capture_output=True, timeout=120)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert (tmp_path / "law.pdf").stat().st_size > 1000
+
+
 def test_latex():
     text = export(MODELS["free"](), "latex")
     assert text == "% Written by leastaction; needs amsmath.\n\\[\nL = 1.5 \\, \\dot{x}^{2}\n\\]\n"
@@ -217,3 +240,200 @@ def test_mass_matrix_that_is_singular_everywhere(casadi, tmp_path):
 def test_casadi_wants_a_model(casadi):
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         la.casadi.functions("model.json")
+
+
+# -------------------------------------------------------------- JAX, Julia, Modelica
+def jax_module(model, stand_in=None):
+    """The exported module, over jax.numpy or over NumPy in its place."""
+    source, namespace = export(model, "jax"), {}
+    if stand_in is not None:
+        source = source.replace("import jax.numpy as jnp", "")
+        namespace["jnp"] = stand_in
+    exec(source, namespace)
+    return namespace
+
+
+def check_jax(model, module):
+    t = (0.7,) if model.timed else ()
+    for q, v, f in states(model):
+        expected = model.acceleration(q, v, f, *t)
+        close = {"rtol": 1e-11, "atol": 1e-11}
+        np.testing.assert_allclose(module["acceleration"](q, v, *t, f), expected, **close)
+        derivative = module["state_derivative"](0.7, np.concatenate([q, v]), f)
+        np.testing.assert_allclose(derivative, [*v, *expected], **close)
+        np.testing.assert_allclose(module["energy"](q, v, *t), model.energy(q, v, *t), **close)
+        np.testing.assert_allclose(module["mass_matrix"](q, v, *t), model.mass_matrix(q, v, *t), **close)
+
+
+@pytest.mark.parametrize("name", [*MODELS, "timed"])
+def test_functions_for_jax_agree(name):
+    model = timed() if name == "timed" else MODELS[name]()
+    check_jax(model, jax_module(model, np))
+
+
+def test_jax_itself_agrees_and_differentiates():
+    jax = pytest.importorskip("jax")
+    model = MODELS["driven"]()
+    jax.config.update("jax_enable_x64", True)
+    module = jax_module(model)
+    check_jax(model, module)
+    q, v = np.array([0.4, -0.9]), np.array([0.7, -0.4])
+    found = jax.jit(jax.jacobian(module["acceleration"]))(q, v)
+    expected = finite_difference(lambda x: model.acceleration(x, v), q, 1e-3)
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    with np.errstate(all="ignore"):
+        flat = LagrangianModel(["x", "y"], [ModelTerm("x_dot**2", 1.0), ModelTerm("x*y", 1.0)])
+        assert not np.isfinite(jax_module(flat)["acceleration"](q, v)).all()
+
+
+_GIVEN = {"sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign", "q", "qdot", "t"}
+_PART = r"\d+\.?\d*(?:e[+-]?\d+)?|\w+|[-+*/^()\[\], ]"
+
+
+def run_statements(lines, sign, given):
+    """Run assignments of scalar code that writes powers with ^ and counts from 1; anything else fails."""
+    scope = {name: getattr(np, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "abs", "sign")}
+    scope |= {k: v if np.isscalar(v) else np.concatenate([[np.nan], v]) for k, v in given.items()}
+    for line in lines:
+        name, found, code = line.strip().rstrip(";").partition(f" {sign} ")
+        assert found, line
+        assert re.fullmatch(rf"(?:{_PART})+", code), code
+        names = set(re.findall(r"(?<![\w.])[A-Za-z_]\w*", code))
+        assert names <= _GIVEN | set(scope) | {"reshape"}, names
+        scope[name] = eval(code.replace("^", "**"), {"__builtins__": {}}, scope)
+    return scope
+
+
+def between(text, start, stop):
+    lines = text.partition(f"{start}\n")[2].partition(f"\n{stop}")[0].splitlines()
+    assert lines, start
+    return lines
+
+
+@pytest.mark.parametrize("name", [*MODELS, "timed"])
+def test_julia_and_modelica_agree(name):
+    """Their scalar code is read by rules that both languages share; neither runs where the tests run."""
+    model = timed() if name == "timed" else MODELS[name]()
+    n, close = model.n_dof, {"rtol": 1e-11, "atol": 1e-11}
+    t = {"t": 0.7} if model.timed else {}
+    julia, modelica = export(model, "julia"), export(model, "modelica")
+    arguments = ", ".join(["q", "qdot", *t])
+    assert julia.count("\nfunction ") == julia.count("\nend\n") - 1 == 4
+    assert len(re.findall(r"^ *function ", modelica, re.M)) == 3
+    for q, v, f in states(model):
+        given = {"q": q, "qdot": v, **t}
+        expected = model.mass_matrix(q, v, **t), model.acceleration(q, v, f, **t)
+        body = between(julia, f"function _equations({arguments})", "    return")
+        body = [re.sub(r"reshape\(\[(.*)\], \d+, \d+\)$", r"[\1]", line) for line in body]
+        scope = run_statements(body, "=", given)
+        mass = np.reshape(scope["mass"], (n, n), order="F")
+        np.testing.assert_allclose(mass, expected[0], **close)
+        np.testing.assert_allclose(np.linalg.solve(mass, np.array(scope["right"]) + f), expected[1], **close)
+        body = between(julia, f"function energy({arguments})", "end")
+        body[-1] = body[-1].replace("return ", "energy = ")
+        np.testing.assert_allclose(
+            run_statements(body, "=", given)["energy"], model.energy(q, v, **t), **close
+        )
+        found = {}
+        for part in ("mass_matrix", "right_side", "energy"):
+            whole = modelica.partition(f"  function {part} ")[2].partition(f"  end {part};")[0]
+            body = whole.partition("  algorithm\n")[2].replace("{", "[").replace("}", "]").splitlines()
+            found |= run_statements(body, ":=", given)
+        np.testing.assert_allclose(found["mass"], expected[0], **close)
+        np.testing.assert_allclose(np.linalg.solve(mass, np.array(found["right"]) + f), expected[1], **close)
+        np.testing.assert_allclose(found["stored"], model.energy(q, v, **t), **close)
+
+
+# -------------------------------------------------------------- chains of links: MJCF and URDF
+def chain_models():
+    """The double pendulum measured from down; upright with joint friction; three links, relative angles."""
+    double = MODELS["driven"]()
+    friction = [ModelTerm("(theta2_dot-theta1_dot)**2/2", 0.07), ModelTerm("theta1_dot**2/2", 0.04)]
+    upright = [
+        ModelTerm(t.expression, -t.coefficient if t.expression.startswith("cos") else t.coefficient)
+        for t in double.terms
+    ]
+    single = LagrangianModel(["phi"], [ModelTerm("phi_dot**2", 1.0), ModelTerm("cos(phi)", 128.0)])
+    a, b, c = sp.symbols("a b c", real=True)
+    va, vb, vc = sp.symbols("a_dot b_dot c_dot", real=True)
+    angles, rates = (a, a + b, a + b + c), (va, va + vb, va + vb + vc)
+    x = y = vx = vy = 0
+    whole = sp.Integer(0)
+    for angle, rate, mass, length in zip(angles, rates, (1.2, 0.9, 0.5), (0.4, 0.3, 0.25), strict=True):
+        x, y = x + length * sp.sin(angle), y - length * sp.cos(angle)
+        vx, vy = vx + length * sp.cos(angle) * rate, vy + length * sp.sin(angle) * rate
+        whole += mass * (vx**2 + vy**2) / 2 + sp.Rational(1, 100) * rate**2 - mass * 9.81 * y
+    whole = sp.expand(sp.fu(sp.expand(whole)))
+    terms = [
+        ModelTerm(format_expression(p.as_coeff_Mul()[1]), float(p.as_coeff_Mul()[0]))
+        for p in sp.Add.make_args(whole)
+    ]
+    three = LagrangianModel(["a", "b", "c"], terms, [ModelTerm("b_dot**2/2", 0.02)])
+    return {
+        "single": single,
+        "double": LagrangianModel(double.coordinates, double.terms, friction),
+        "upright": LagrangianModel(double.coordinates, upright, friction[1:]),
+        "three": three,
+    }
+
+
+@pytest.mark.parametrize("name", ["single", "double", "upright", "three"])
+def test_a_chain_of_links_moves_as_the_model(name):
+    """In MuJoCo, from the MJCF and from the URDF: the same accelerations, with the joints' own angles."""
+    mujoco = pytest.importorskip("mujoco")
+    model = chain_models()[name]
+    relative = name == "three"
+    for format in ("mjcf", "urdf"):
+        world = mujoco.MjModel.from_xml_string(export(model, format))
+        world.opt.gravity[:] = 0.0, 0.0, -9.81
+        state = mujoco.MjData(world)
+        for q, v, f in states(model):
+            state.qpos[:] = q if relative else np.diff(q, prepend=0.0)
+            state.qvel[:] = v if relative else np.diff(v, prepend=0.0)
+            # torques of joints act on a link and back on the one before
+            joint_torque = f if relative else np.cumsum(f[::-1])[::-1]
+            state.qfrc_applied[:] = joint_torque
+            mujoco.mj_forward(world, state)
+            found = state.qacc if relative else np.cumsum(state.qacc)
+            np.testing.assert_allclose(found, model.acceleration(q, v, f), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["single", "double", "upright", "three"])
+def test_masses_of_a_chain_have_the_coefficients_of_the_law(name):
+    model = chain_models()[name]
+    chain = chain_of(model)
+    assert chain.upright == (name == "upright")
+    assert chain.relative == (name == "three")
+    assert chain.left_out == ()
+    assert all(link.mass > 0 and link.inertia > 0 and link.length > 0 for link in chain.links)
+    names = model.coordinates
+    angles, rates = ([sp.Symbol(f"{c}{end}", real=True) for c in names] for end in ("", "_dot"))
+    if chain.relative:
+        angles, rates = (list(itertools.accumulate(group)) for group in (angles, rates))
+    y = vx = vy = sp.Integer(0)
+    whole, sign = sp.Integer(0), -1 if chain.upright else 1
+    for link, angle, rate in zip(chain.links, angles, rates, strict=True):
+        centre = y - sign * link.centre * sp.cos(angle)
+        cx, cy = vx + link.centre * sp.cos(angle) * rate, vy + link.centre * sp.sin(angle) * rate
+        whole += link.mass * (cx**2 + cy**2) / 2 + link.inertia * rate**2 / 2 - link.mass * 9.81 * centre
+        vx, vy = vx + link.length * sp.cos(angle) * rate, vy + link.length * sp.sin(angle) * rate
+        y -= sign * link.length * sp.cos(angle)
+    difference = sp.lambdify([*sorted(whole.free_symbols, key=str)], whole - model.lagrangian)
+    rng = np.random.default_rng(3)
+    values = [float(difference(*rng.uniform(-2, 2, len(whole.free_symbols)))) for _ in range(5)]
+    np.testing.assert_allclose(
+        values, values[0], atol=1e-9 * float(abs(model.lagrangian.as_coefficients_dict()[1]) + 100)
+    )
+    root = ElementTree.fromstring(export(model, "urdf"))
+    assert [joint.get("type") for joint in root.iter("joint")] == ["continuous"] * len(names)
+
+
+def test_what_is_no_chain_says_so():
+    for name in ("passive", "spherical", "free", "swapped", "odd"):
+        with pytest.raises(InputError, match="not that of a chain of links in a plane"):
+            export(MODELS[name](), "mjcf")
+    dry = LagrangianModel(
+        ["a"], [ModelTerm("a_dot**2", 1.0), ModelTerm("cos(a)", 9.0)], [ModelTerm("abs(a_dot)", 0.2)]
+    )
+    assert chain_of(dry).left_out == ("abs(a_dot)",)
+    assert "Left out, no joint has it: friction abs(a_dot)" in export(dry, "mjcf")

@@ -25,7 +25,7 @@ from leastaction.report.captions import (
 from leastaction.report.figures_model import pareto_figure, whisker
 from leastaction.report.series import Series
 from leastaction.report.tables import pareto_rows
-from leastaction.report.verdict import verdict
+from leastaction.report.verdict import in_symbols, verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 from report_helpers import Page, spring
 
@@ -149,15 +149,44 @@ def test_least_sure_term_is_named():
     model = spring()
     model = replace(model, dissipation=(ModelTerm("x_dot**2", 0.1, 0.02),), fit=FitSummary("ok", 1.0))
     facts = {f["name"]: f for f in verdict(model, None, Notation(["x"]))["facts"]}
-    assert facts["Least sure term"]["value"] == "±39 %"
+    assert facts["Least sure coefficient"]["value"] == "± 20 %"
     assert "Forecast error" not in facts
     assert facts["Terms found"]["value"] == "2"
 
 
 @pytest.mark.parametrize(
+    ("result", "against"),
+    [
+        (None, False),
+        (forecast(0.03, 0.03), False),
+        (forecast(0.3, 0.01), True),  # 60 % of the spread, and an exact model would be right
+        (forecast(0.3, 0.29), False),  # chaos: an exact model would be as far off
+        (forecast(np.inf, 0.01, "diverged"), True),
+        (forecast(0.03, 0.01, std=0.2), False),
+        (forecast(0.03, 0.01, std=0.001), True),  # outside the band that should hold 95 %
+    ],
+)
+def test_nothing_is_green_beside_a_contradiction(result, against):
+    head = verdict(spring(), result, Notation(["x"]))
+    assert head["status"] == "ok"
+    assert bool(head["against"]) == against
+    assert head["tone"] == ("doubtful" if against else "ok")
+
+
+def test_sentences_have_symbols_where_they_have_names():
+    notation = Notation(["theta1", "a", "speed"])
+    text = "a term with theta1_dot**2, theta1 and speed_dot: see units={'theta1': 'deg'} & speed"
+    page = Page(str(in_symbols(text, notation, ["theta1_dot**2"])))
+    assert len(page.root.all("math")) == 3
+    assert page.text.count("θ") == 2
+    assert page.text.startswith("a term with ")
+    assert page.text.endswith("see units={'theta1': 'deg'} & speed")
+
+
+@pytest.mark.parametrize(
     ("term", "kind", "title"),
     [
-        (ModelTerm("x", -2.0, 0.1), "sure", "±9.8 % of the coefficient"),
+        (ModelTerm("x", -2.0, 0.1), "sure", "9.8 % of the coefficient"),
         (ModelTerm("x", 2.0, 2.0), "weak", "includes zero"),
         (ModelTerm("x", 0.0, 0.1), "weak", "includes zero"),
         (ModelTerm("x", 2.0, np.nan), "sure", "no standard error"),

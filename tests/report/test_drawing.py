@@ -344,3 +344,22 @@ def test_many_dots_are_little_markup():
     assert source.count("h0") == 3000
     assert source.count("--measured") == 1
     assert len(source) < 35_000
+
+
+@pytest.mark.parametrize("n", [20, 300, 30_000])
+def test_every_sample_is_inside_what_is_drawn(n, rng):
+    t = np.sort(rng.uniform(0.0, 1.0, n))
+    y = rng.standard_normal(n)
+    y[n // 2] = 9.0
+    axes = Axes()
+    axes.samples(t, y, 2.0)
+    frame = axes.frame()
+    source = str(axes.svg("a", "b", "c"))
+    assert len(source) < 16_000
+    strokes = drawn(axes).paths("--measured")[0]
+    ends = np.array([[s[0][0], s[:, 1].min(), s[:, 1].max()] for s in strokes])
+    x, up = frame.x(t), frame.y(y)
+    nearest = np.abs(ends[:, 0] - x[:, None]) < 1.05
+    inside = (ends[:, 1] - 0.1 <= up[:, None]) & (up[:, None] <= ends[:, 2] + 0.1)
+    assert (nearest & inside).any(axis=1).all()
+    assert len(strokes) <= n

@@ -14,11 +14,13 @@ from leastaction import (
     write_report,
 )
 from leastaction.curve.bspline import SplineGrid, uniform_space
+from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 from leastaction.report.captions import motion_note
-from leastaction.report.series import Energy, Series, legible_samples, thin_line, thin_points
+from leastaction.report.law import contributions, correlations, equations, unsmoothed
+from leastaction.report.series import Energy, Series, thin_line
 from leastaction.report.tables import motion_rows, path_rows, symmetry_rows
 from leastaction.report.text import plain
 from report_helpers import Page, spring
@@ -49,6 +51,45 @@ def test_terms_as_mathml(text, expected):
     page = Notation(["theta1", "x_cart"]).term(text)
     assert expected in page
     Page(str(page))
+
+
+def test_smoothed_absolute_values_are_written_as_they_were_given():
+    notation = Notation(["theta1", "x_cart"], [0.03, 0.5])
+    for text in ("sqrt(theta1_dot**2 + 9/10000)", "sqrt((theta1_dot - x_cart_dot)**2 + 1/4)"):
+        assert '<mo form="prefix">|</mo>' in notation.term(text)
+        assert "abs(" in unsmoothed(text, notation.widths)
+    for text in ("sqrt(theta1_dot**2 + 1/10)", "sqrt(x_cart**3 + 1/4)", "sqrt(9/10000 + theta1)"):
+        assert "<msqrt>" in notation.term(text)
+        assert unsmoothed(text, notation.widths) == text
+
+
+def test_equations_of_the_report_are_those_of_the_model(rng):
+    texts = ["x_dot**2", "y_dot**2*cos(x)", "x_dot*y_dot*sin(x-y)", "x**2*y", "exp(-x*y)", "x_dot*y"]
+    terms = [ModelTerm(text, float(c)) for text, c in zip(texts, rng.uniform(0.5, 2.0, 6), strict=True)]
+    friction = [ModelTerm("(x_dot-y_dot)**2/2", 0.3), ModelTerm("sqrt(x_dot**2+1/100)", 0.2)]
+    names = ("x", "y")
+    model = LagrangianModel(names, terms, friction)
+    state = rng.uniform(-1.0, 1.0, (3, 2))
+    values = dict(zip([s for group in state_symbols(names) for s in group], state.ravel(), strict=True))
+    q, qdot, qddot = state
+    # forces that the law needs for this acceleration, from its own mass matrix and acceleration without any
+    forces = model.mass_matrix(q) @ (qddot - model.acceleration(q, qdot))
+    for i in range(2):
+        both = [(t, True) for t in terms] + [(t, False) for t in friction]
+        parts = [t.coefficient * p for t, of_l in both for p in contributions(t, of_l, names, i)]
+        assert sum(float(p.subs(values)) for p in parts) == pytest.approx(forces[i], rel=1e-12)
+    shown = equations(model, Notation(names))
+    assert [len(row["addends"]) > 5 for row in shown] == [True, True]
+
+
+def test_correlations_are_those_of_the_covariance():
+    covariance = np.array([[4.0, -1.8, 0.0], [-1.8, 1.0, 0.1], [0.0, 0.1, 1.0]])
+    terms = [ModelTerm("x_dot**2", 1.0, known=True), ModelTerm("x", 1.0, 2.0), ModelTerm("x**2", 1.0, 1.0)]
+    model = LagrangianModel("x", terms, [ModelTerm("x_dot**2/2", 1.0, 1.0)], covariance)
+    found = correlations(model, Notation(["x"]))
+    assert [row["cells"] for row in found["table"]] == [["−0.90", ""], ["0.00", "+0.10"]]
+    assert found["strongest"]["value"] == "−0.90"
+    assert correlations(replace(model, covariance=None), Notation(["x"])) == {}
 
 
 def test_symmetries_in_a_table():
@@ -148,15 +189,11 @@ def test_thinning_keeps_peaks_and_ends():
     t = np.linspace(0.0, 1.0, 50_000)
     y = np.sin(40 * t)
     y[12_345], y[40_000] = 9.0, np.nan
-    for thin in (thin_line, thin_points):
-        thin_t, thin_y = thin(t, y, 1000)
-        assert thin_t.size <= 1100
-        assert np.nanmax(thin_y) == 9.0
-        assert (np.diff(thin_t) > 0).all()
-    assert thin_line(t, y, 1000)[0][-1] == 1.0
-    few, _, above = legible_samples(t, np.sin(t), 1e-6)
-    assert few.size <= 40
-    assert above
+    thin_t, thin_y = thin_line(t, y, 1000)
+    assert thin_t.size <= 1100
+    assert np.nanmax(thin_y) == 9.0
+    assert (np.diff(thin_t) > 0).all()
+    assert thin_t[-1] == 1.0
 
 
 def test_residuals_and_their_correlation():

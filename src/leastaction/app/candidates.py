@@ -13,8 +13,9 @@ from leastaction.errors import InputError
 
 if TYPE_CHECKING:
     from leastaction import Library, Trajectories
+    from leastaction.findings import Finding
 
-__all__ = ["Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
+__all__ = ["Choice", "Task", "faults", "friction_choices", "proposed", "shown_names", "split_trials"]
 
 _MOST_LINES = 1500
 
@@ -205,6 +206,35 @@ class Task:
         parts = (self.fitted, self.held_out)
         fitted, held_out = (part and shift_forces(part, self.forces.delay) for part in parts)
         return replace(self, fitted=fitted, held_out=held_out, forces=replace(self.forces, delay=0.0))
+
+
+def proposed(finding: Finding, choice: Choice, library: Library) -> tuple[str, Choice] | None:
+    """What one click may do about a finding: the words of the button, and the choices that it leads to.
+
+    `library` has the candidates of the discovery that the finding is of; None where a person has to decide.
+    """
+    values, subject = finding.values, list(finding.subject)
+    lacking = values.get("family") if finding.code == "form-imitated" else subject
+    if finding.code in ("missing-term", "time-dependent", "form-imitated") and isinstance(
+        lacking, (list, tuple)
+    ):
+        new = [str(text) for text in lacking]
+        if not new:
+            return None
+        pushed = values.get("constant_force")
+        offsets = [*choice.offsets, pushed] if isinstance(pushed, str) and pushed else choice.offsets
+        text = "\n".join([*(term.text for term in library), *new])
+        return f"Add {', '.join(new)}", replace(choice, written=True, text=text, offsets=offsets)
+    size = values.get("coefficient")
+    brakes = isinstance(size, float) and size > 0.0  # a negative one would feed energy in
+    if finding.code in ("unmodelled-friction", "slight-friction") and brakes:
+        more = "\n".join(filter(None, [choice.more_friction.strip(), *subject]))
+        return f"Add {', '.join(subject)} to the friction", replace(choice, more_friction=more)
+    delay = values.get("delay")
+    if finding.code == "late-forces" and isinstance(delay, float):
+        later = choice.delay + delay
+        return f"Let the forces act {1e3 * later:.2g} ms later", replace(choice, delay=later)
+    return None
 
 
 def lines(text: str) -> list[str]:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from leastaction import Trajectories
 
 __all__ = [
+    "ACCELERATION",
     "ANGLE",
     "COORDINATE",
     "DATES",
@@ -31,6 +32,7 @@ __all__ = [
     "TIMES",
     "TRIAL",
     "UNUSED",
+    "VELOCITY",
     "Columns",
     "guess_roles",
     "peek",
@@ -40,8 +42,8 @@ __all__ = [
 UNUSED, TIME, TRIAL = "not used", "time (s)", "trial"
 MILLISECONDS, MICROSECONDS, DATES = "time (ms)", "time (µs)", "time (dates)"
 COORDINATE, ANGLE, DEGREES = "coordinate", "angle (rad)", "angle (degrees)"
-FORCE = "force on "
-"""A role is one of these, or `FORCE` and the name of a coordinate."""
+FORCE, VELOCITY, ACCELERATION = "force on ", "velocity of ", "acceleration of "
+"""A role is one of these, or one of the last three and the name of a coordinate."""
 
 TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
 """Role of the times -> their unit; dates have none."""
@@ -166,8 +168,8 @@ def moving_columns(roles: Mapping[str, str]) -> list[str]:
     return [column for column, role in roles.items() if role in _MOVING]
 
 
-def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
-    """Read the table as the roles say; angles are converted to radians and unwrapped.
+def read(path: Path | Sequence[Path], roles: Mapping[str, str]) -> Trajectories:
+    """Read the table, or several, as the roles say; angles are converted to radians and unwrapped.
 
     Raises
     ------
@@ -187,15 +189,7 @@ def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
         first, second = list(times)[:2]
         raise InputError(f"{first!r} and {second!r} are both marked as time; choose one")
     ((time, time_role),) = times.items()
-    forces = {}
-    for column, role in roles.items():
-        if role.startswith(FORCE):
-            target = role.removeprefix(FORCE)
-            if target not in names.values():
-                raise InputError(f"{column!r} is the force on {target!r}, which is no coordinate any more")
-            if target in forces:
-                raise InputError(f"two columns are the force on {target!r}; choose one")
-            forces[target] = column
+    forces = _belonging(roles, FORCE, names)
     # what is said here wins over what the file says
     turning = [column for column in moving if roles[column] != COORDINATE]
     units = {column: "deg" if roles[column] == DEGREES else "rad" for column in turning}
@@ -204,12 +198,28 @@ def read(path: Path, roles: Mapping[str, str]) -> Trajectories:
         {names[column]: column for column in moving},
         time=time,
         forces=forces or None,
+        velocities=_belonging(roles, VELOCITY, names) or None,
+        accelerations=_belonging(roles, ACCELERATION, names) or None,
         trial=_only(roles, TRIAL),
         time_unit=TIMES[time_role],
         units=units,
     )
     angles = [names[column] for column in turning]
     return data.unwrap(angles) if angles else data
+
+
+def _belonging(roles: Mapping[str, str], kind: str, names: Mapping[str, str]) -> dict[str, str]:
+    """Coordinate -> the column that is its force, or its velocity or acceleration."""
+    found: dict[str, str] = {}
+    for column, role in roles.items():
+        if role.startswith(kind):
+            target = role.removeprefix(kind)
+            if target not in names.values():
+                raise InputError(f"{column!r} is the {kind}{target!r}, which is no coordinate any more")
+            if target in found:
+                raise InputError(f"two columns are the {kind}{target!r}; choose one")
+            found[target] = column
+    return found
 
 
 def _only(roles: Mapping[str, str], role: str) -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,15 +11,16 @@ from nicegui import events, html, ui
 
 from leastaction.app import columns
 from leastaction.app.figures import data_figure
+from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
 from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
-from leastaction.app.session import EXAMPLES, MOST_BYTES, SUFFIXES
+from leastaction.app.session import EXAMPLES
 from leastaction.cli.text import counted
 from leastaction.findings import sentence
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page
 
-__all__ = ["show"]
+__all__ = ["labels", "show"]
 
 _MOST_DRAWN = 6
 
@@ -54,17 +57,22 @@ class DataView:
     def _drop_zone(self) -> None:
         upload = self.upload = ui.upload(
             auto_upload=True,
+            multiple=True,
             max_file_size=MOST_BYTES,
             max_files=None,
-            on_upload=self.page.guarded(self._uploaded),
+            on_multi_upload=self.page.guarded(self._uploaded),
             on_rejected=self._rejected,
         )
-        upload.props(f'accept="{",".join(SUFFIXES)},.gz"').classes("uploader").mark("upload")
+        upload.props(f'accept="{",".join(SUFFIXES)},.gz,{SESSION}"').classes("uploader").mark("upload")
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
             title("Another table" if self.session.title else "Your table")
             say("Drop a CSV or Excel file here: a header, a column of times, a column for each coordinate.")
-            button = ui.button("Choose a file", color=None).props("no-caps unelevated").classes("action main")
+            say(
+                "Several files with the same columns are trials of one system. A saved session opens, too.",
+                "help",
+            )
+            button = ui.button("Choose files", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, not by way of the server: only a click may open the file dialog.
             button.on("click", js_handler=f"() => {get}.pickFiles()")
             say("It stays on this computer.", "help")
@@ -86,13 +94,13 @@ class DataView:
                 button.on("click", self.page.guarded(lambda _=None, key=key: self._open_example(key)))
             say("Laboratory recordings by Kaheman et al., MIT licence.", "help")
 
-    async def _uploaded(self, event: events.UploadEventArguments) -> None:
+    async def _uploaded(self, event: events.MultiUploadEventArguments) -> None:
         self._begin()
         try:
-            if event.file.size() > MOST_BYTES:
-                raise columns.InputError(f"the file is larger than {MOST_BYTES // 1_000_000} MB")
-            content = await event.file.read()
-            await aside(self.session.open_upload, event.file.name, content)
+            if sum(file.size() for file in event.files) > MOST_BYTES:
+                raise columns.InputError(f"the files are larger than {MOST_BYTES // 1_000_000} MB")
+            given = [(file.name, await file.read()) for file in event.files]
+            await aside(self.session.open_uploads, given)
         except Exception as error:
             self._show_table()
             self._fail(self.page.words(error))
@@ -157,7 +165,8 @@ class DataView:
         assert session.columns is not None
         names = columns.coordinate_names(columns.moving_columns(session.roles))
         options = [*columns.TIMES, columns.COORDINATE, columns.ANGLE, columns.DEGREES, columns.TRIAL]
-        options += [columns.FORCE + name for name in names.values()] + [columns.UNUSED]
+        kinds = (columns.FORCE, columns.VELOCITY, columns.ACCELERATION)
+        options += [kind + name for kind in kinds for name in names.values()] + [columns.UNUSED]
         with html.div().classes("roles"):
             for column in session.columns.header:
                 role = session.roles[column]
@@ -193,7 +202,7 @@ class DataView:
             with html.div().classes("heading"):
                 title("What was measured")
                 if len(data) > 1:
-                    options = dict(enumerate(data.names))
+                    options = dict(enumerate(labels(data.names)))
                     select = ui.select(options, value=session.shown, label="trial shown")
                     select.props("outlined dense options-dense").classes("trial")
                     select.on_value_change(self.page.guarded(lambda e: self._show_trial(e.value)))
@@ -204,6 +213,8 @@ class DataView:
                         say(value, "", "dd")
             for finding in data.findings:
                 say(f"{sentence(finding, 'page')}.", "help").mark("read")
+            if session.hint:
+                say(session.hint, "hint")
             wild = _not_radians(self.session)
             if wild:
                 say(wild, "hint")
@@ -247,6 +258,26 @@ class DataView:
                 fault(hint)
             for figure in figures:
                 drawn(figure, "figure")
+
+
+def labels(names: Sequence[str]) -> list[str]:
+    """Names without what all of them begin and end with, up to the last sign that parts words.
+
+    Examples
+    --------
+    >>> labels(["2024-05-01_swing_small.csv", "2024-05-01_swing_large.csv"])
+    ['small', 'large']
+    >>> labels(["id-0", "id-10"]), labels(["a", "b"]), labels(["run_1/x", "run_1/y"])
+    (['0', '10'], ['a', 'b'], ['x', 'y'])
+    """
+
+    def shared(columns: Iterable[tuple[str, ...]]) -> int:
+        same = takewhile(lambda signs: len(set(signs)) == 1, columns)
+        return max((k for k, signs in enumerate(same, 1) if not signs[0].isalnum()), default=0)
+
+    start, stop = (shared(zip(*some, strict=False)) for some in (names, [name[::-1] for name in names]))
+    short = [name[start : len(name) - stop] for name in names]
+    return short if all(short) and len(set(short)) == len(names) else list(names)
 
 
 def _plain(text: str) -> str:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from leastaction.report.axes import Axes
 from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
-from leastaction.report.series import legible_samples, thin_line, thin_points
+from leastaction.report.series import thin_line
 
 if TYPE_CHECKING:
     from leastaction import Trajectory
@@ -39,33 +39,30 @@ def _both(
 
 
 def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str, unit: str) -> Markup:
-    """Samples of a coordinate as dots, with the smoothing spline as a line once it is there."""
+    """Samples of a coordinate, with the smoothing spline as a line once it is there."""
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = Axes(size)
-        if smooth is None:
-            axes.dots(*thin_points(run.t, run.q[:, i]), "measured", 2.8)
-        else:
-            t, q, quiet = legible_samples(run.t, run.q[:, i], float(smooth.noise_std[i]))
-            axes.dots(t, q, "measured", 4.2 if quiet else 2.8, above=quiet)
+        axes.samples(run.t, run.q[:, i], 4.4)
+        if smooth is not None:
             axes.line(*thin_line(smooth.t, smooth.q[:, i], 1400), "fit", 1.4)
         axes.label("t", name, "s", unit)
         return axes
 
     line = ", the smoothing spline as a line" if smooth is not None else ""
-    return _both(draw, (1080, 190), (350, 200), f"{name} over time", f"samples as dots{line}")
+    return _both(draw, (1080, 190), (350, 200), f"{name} over time", f"every sample{line}")
 
 
-def forecast_figure(motion: Motion, i: int, noise_std: float, name: str, unit: str) -> Markup:
+def forecast_figure(motion: Motion, i: int, name: str, unit: str) -> Markup:
     """Measured samples of a coordinate and the free run of the model."""
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = Axes(size)
-        draw_forecast(axes, motion.t, motion.measured[:, i], motion.forecast[:, i], noise_std)
+        draw_forecast(axes, motion.t, motion.measured[:, i], motion.forecast[:, i])
         axes.label("t", name, "s", unit)
         return axes
 
-    alt = "measured samples as dots, the forecast as a line"
+    alt = "measured samples, the forecast as a line"
     return _both(draw, (560, 210), (350, 200), f"forecast of {name}", alt)
 
 

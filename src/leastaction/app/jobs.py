@@ -141,5 +141,7 @@ def _motion(model: LagrangianModel, task: Task) -> Motion:
 
 
 def _plain(details: dict) -> dict:
-    """Numbers only: what else a stage may report need not travel."""
-    return {k: float(v) for k, v in details.items() if isinstance(v, (int, float, np.number))}
+    """Numbers, and the law so far: what else a stage may report need not travel."""
+    numbers = {k: float(v) for k, v in details.items() if isinstance(v, (int, float, np.number))}
+    law = details.get("coefficients")
+    return numbers if not isinstance(law, dict) else {**numbers, "coefficients": law}

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -13,74 +14,140 @@ if TYPE_CHECKING:
     from leastaction import LagrangianModel
     from leastaction.app.jobs import Motion
 
-__all__ = ["frames", "hanging_angles", "is_pendulum"]
+__all__ = ["Kind", "effective_length", "frames", "hanging_angles", "stick_kind"]
 
 
-def is_pendulum(coordinates: Sequence[str], angles: Sequence[str]) -> bool:
-    """Whether one or two links that turn in a plane can stand for the motion.
+Kind = Literal["links", "cart", "plane", "blocks", ""]
+"""What is drawn: links from a fixed joint or on a cart, a point in a plane, blocks on a rail; or nothing."""
+
+_REACH = 98.0  # px: length of all links together, or half the way of what slides
+_MOST_LINKS, _MOST_BLOCKS = 7, 4
+
+
+def stick_kind(coordinates: Sequence[str], angles: Sequence[str]) -> Kind:
+    """Which figure can stand for the motion.
 
     Examples
     --------
-    >>> is_pendulum(["theta"], ["theta"]), is_pendulum(["x", "theta"], ["theta"])
-    (True, False)
+    >>> stick_kind(["theta"], ["theta"]), stick_kind(["x", "theta"], ["theta"])
+    ('links', 'cart')
+    >>> stick_kind(["x", "y"], []), stick_kind(["x1", "x2"], []), stick_kind(["x", "y", "theta"], ["theta"])
+    ('plane', 'blocks', '')
     """
-    return 1 <= len(coordinates) <= 2 and set(coordinates) == set(angles)
+    turning = [name in angles for name in coordinates]
+    if all(turning):
+        return "links" if len(turning) <= _MOST_LINKS else ""
+    if any(turning):
+        return "cart" if turning in ([False, True], [False, True, True]) else ""
+    across, up = coordinates if len(coordinates) == 2 else ("", "")
+    if across.endswith("x") and up.endswith("y") and across[:-1] == up[:-1]:
+        return "plane"
+    return "blocks" if len(turning) <= _MOST_BLOCKS else ""
 
 
-def hanging_angles(model: LagrangianModel) -> tuple[list[float] | None, bool]:
-    """Where each link hangs, and whether the second angle is counted from the first link.
+def hanging_angles(model: LagrangianModel, links: Sequence[str] = ()) -> tuple[list[float] | None, bool]:
+    """Where each link hangs, and whether each angle is counted from the link before.
 
     L = T − V holds a cos q + b sin q = R cos(q − δ) for a link in a uniform field, with its minimum of V
     at q = δ if R is counted positive: this is where the link points down.
 
+    Parameters
+    ----------
+    model : LagrangianModel
+    links : sequence of str
+        The angles of the links; all coordinates by default.
+
     Returns
     -------
     list of float, or None
-        δ for each coordinate; None where the model has no such field: then nothing is known to be down.
+        δ for each link; None where the model has no such field: then nothing is known to be down.
     bool
     """
-    names = model.coordinates
+    names = tuple(links) or model.coordinates
     values = {term.expression.replace(" ", ""): term.coefficient for term in model.terms}
-    joined = len(names) == 2 and any(_has_sum(text, names) for text in values if "_dot" not in text)
+    joined = len(names) > 1 and any(_has_sum(text, names) for text in values if "_dot" not in text)
     down = []
     for k, name in enumerate(names):
-        inside = [name] if not (joined and k == 1) else [f"{names[0]}+{name}", f"{name}+{names[0]}"]
+        chain = names[: k + 1]
+        inside = [name] if not joined or k == 0 else ["+".join(chain), "+".join(reversed(chain))]
         a, b = (sum(values.get(f"{f}({text})", 0.0) for text in inside) for f in ("cos", "sin"))
         down.append(math.atan2(b, a) if math.hypot(a, b) > 0 else 0.0)
         if k == 0 and math.hypot(a, b) == 0:
             return None, joined
-    if joined:
-        down[1] -= down[0]  # δ of the sum, less that of the first link
+    if joined:  # δ of each sum, less that of the one before
+        down = [down[0], *(after - before for before, after in pairwise(down))]
     return down, joined
 
 
 def _has_sum(text: str, names: Sequence[str]) -> bool:
-    first, second = map(re.escape, names)
-    return re.search(rf"\((?:{first}\+{second}|{second}\+{first})\)", text) is not None
+    first, second = map(re.escape, names[:2])
+    return re.search(rf"\((?:{first}\+{second}|{second}\+{first})", text) is not None
 
 
-def frames(motion: Motion, model: LagrangianModel, most: int = 900) -> dict[str, Any]:
-    """Times and the directions of the links, from down and anticlockwise, as JSON types.
+def effective_length(model: LagrangianModel, slide: str, link: str) -> float | None:
+    """Length of a link on a cart in units of the cart's way: twice its inertia over its coupling; or None.
 
-    A missing sample repeats the one before; where the forecast has ended there is null.
+    Examples
+    --------
+    >>> from leastaction import LagrangianModel
+    >>> from leastaction.model.term import ModelTerm
+    >>> terms = [ModelTerm("a_dot**2", 0.25), ModelTerm("x_dot*a_dot*cos(a)", -1.0)]
+    >>> effective_length(LagrangianModel(["x", "a"], terms), "x", "a")
+    0.5
+    """
+    coupling = _coupling(model, slide, link)
+    inertia = sum(t.coefficient for t in model.terms if t.expression.replace(" ", "") == f"{link}_dot**2")
+    return 2.0 * inertia / abs(coupling) if coupling and inertia > 0.0 else None
+
+
+def _coupling(model: LagrangianModel, slide: str, link: str) -> float:
+    """Coefficient of the product of both velocities and the cosine: positive where the link points ahead."""
+    texts = {f"{a}_dot*{b}_dot*cos({link})" for a, b in ((slide, link), (link, slide))}
+    return sum(term.coefficient for term in model.terms if term.expression.replace(" ", "") in texts)
+
+
+def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind = "links") -> dict[str, Any]:
+    """Times and what is drawn at each, as JSON types.
+
+    Links are given by their directions from down, anticlockwise; what slides in pixels to the right, and in
+    a plane upwards. A missing sample repeats the one before; where the forecast has ended there is null.
     """
     step = -(-motion.t.size // most)
     t = motion.t[::step]
-    down, joined = hanging_angles(model)
-    middle = np.nan_to_num(np.nanmean(_filled(motion.measured), axis=0))
-    offset = middle if down is None else np.array(down)
+    slides = {"links": 0, "cart": 1}.get(kind, model.n_dof)
+    measured, forecast = _filled(motion.measured), motion.forecast
+    middle = np.nan_to_num(np.nanmean(measured, axis=0))
+    down, joined = (
+        hanging_angles(model, model.coordinates[slides:]) if slides < model.n_dof else (None, False)
+    )
+    offset = middle.copy()
+    if down is not None:
+        offset[slides:] = down
+    way = max(float(np.nanmax(np.abs(measured - middle)[:, :slides], initial=0.0)), 1e-12)
+    length = effective_length(model, *model.coordinates[:2]) if kind == "cart" else None
+    # Links of a cart are drawn to scale where that leaves both to be seen.
+    scale = _REACH / way if length is None else min(_REACH / way, max(_REACH / (3.0 * way), 60.0 / length))
 
-    def directions(q: np.ndarray) -> np.ndarray:
-        turned = q - offset
-        return np.cumsum(turned, axis=1) if joined else turned
+    turn = 1.0
+    if kind == "cart" and down is not None:
+        # Which way a link leans for a positive angle, the coupling tells.
+        turn = math.copysign(1.0, _coupling(model, *model.coordinates[:2]) * math.cos(down[0]))
 
-    measured = directions(_filled(motion.measured)[::step])
-    forecast = directions(motion.forecast[::step])
+    def places(q: np.ndarray) -> np.ndarray:
+        shifted = q[::step] - offset
+        shifted[:, :slides] *= scale
+        if joined:
+            shifted[:, slides:] = np.cumsum(shifted[:, slides:], axis=1)
+        shifted[:, slides:] *= turn
+        return shifted
+
+    drawn = {"measured": _rows(places(measured)), "forecast": _rows(places(forecast))}
     return {
+        "kind": kind,
         "t": [round(float(x - t[0]), 5) for x in t],
-        "measured": _rows(measured),
-        "forecast": _rows(forecast),
+        **drawn,
         "down": down is not None,
+        "length": None if length is None else round(length * scale, 2),
     }
 
 

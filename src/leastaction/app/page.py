@@ -24,6 +24,10 @@ _MOST_SESSIONS = 6
 _STEPS = {"data": "Data", "candidates": "Candidates", "result": "Result"}
 _VIEWS = {"data": data_view.show, "candidates": candidates_view.show, "result": result_view.show}
 _THEMES = {None: "Light or dark as the system", False: "Light", True: "Dark"}
+# The bar that Quasar shows while it waits for the server has a role but no name.
+_NAME_LOADING = """document.querySelectorAll('.q-loading-bar').forEach((bar) => {
+  bar.setAttribute('aria-label', 'Waiting for the server');
+});"""
 _HERE = Path(__file__).parent
 
 _sessions: OrderedDict[str, Session] = OrderedDict()
@@ -69,6 +73,7 @@ class Page:
         self._name_theme()
         self.main = html.main().classes("content")
         self.show(self.session.view)
+        ui.run_javascript(_NAME_LOADING)
         self.session.worker.warm_up()
 
     def show(self, view: str) -> None:

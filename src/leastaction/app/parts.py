@@ -8,7 +8,20 @@ from typing import Any, TypeVar, cast
 from markupsafe import Markup
 from nicegui import html, run, ui
 
-__all__ = ["Stick", "action", "aside", "drawn", "fault", "field", "math", "panel", "say", "table", "title"]
+__all__ = [
+    "Stick",
+    "action",
+    "aside",
+    "drawn",
+    "fault",
+    "field",
+    "math",
+    "panel",
+    "say",
+    "scroll",
+    "table",
+    "title",
+]
 
 
 R = TypeVar("R")
@@ -36,9 +49,14 @@ def panel(classes: str = "") -> ui.element:
     return html.section().classes(f"panel {classes}")
 
 
-def table(head: Sequence[tuple[str, str]], rows: Iterable[Sequence[str]]) -> ui.element:
+def scroll(name: str) -> ui.element:
+    """A box that scrolls by itself, with the keyboard too."""
+    return html.div().classes("scroll").props(f'tabindex=0 role=region aria-label="{name}"')
+
+
+def table(name: str, head: Sequence[tuple[str, str]], rows: Iterable[Sequence[str]]) -> ui.element:
     """A table that scrolls by itself; headings with the class of their column, cells of text or of markup."""
-    box = html.div().classes("scroll")
+    box = scroll(name)
     with box, html.table():
         with html.thead(), html.tr():
             for text, side in head:

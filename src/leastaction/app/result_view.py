@@ -2,40 +2,32 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
-from leastaction.app.motion import frames, is_pendulum
-from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, table, title
+from leastaction.app.files import SESSION, exported
+from leastaction.app.motion import Kind, frames, stick_kind
+from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
+from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
+from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
 from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
+from leastaction.report.text import percent, plain
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
+    from leastaction.app.candidates import Choice
     from leastaction.app.jobs import Found
     from leastaction.app.page import Page
 
 __all__ = ["show"]
 
-_STAGES = {
-    "": "Starting",
-    "prepare": "Preparing the data and the candidates",
-    "search": "Searching for structures on the weak form",
-    "shapes": "Looking for shape parameters",
-    "select": "Choosing terms",
-    "knots": "Refining the spline",
-    "coarse": "Comparing with a coarser spline",
-    "confirm": "Confirming on the whole recording",
-    "drift": "Following drifting forces",
-    "verify": "Verifying",
-    "forecast": "Forecasting",
-}
 _MOST_DRAWN = 4
 _USABLE = "Its free runs follow the data; its equations hold to some per cent only:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
@@ -50,79 +42,7 @@ def show(page: Page) -> None:
     elif session.job is not None and session.job.state == "running":
         Running(page).build()
     else:
-        _ended(page)
-
-
-def stage_words(stage: str, details: dict) -> str:
-    """What is being done, in words.
-
-    Examples
-    --------
-    >>> stage_words("select", {"terms": 5.0, "evidence": 12.0})
-    'Choosing terms: 5 so far'
-    """
-    text = _STAGES.get(stage, stage)
-    if "terms" in details:
-        text += f": {int(details['terms'])} so far"
-    elif "knots_per_second" in details:
-        text += f": {details['knots_per_second']:.0f} knots per second"
-    return text
-
-
-class Running:
-    """Stage, terms and seconds of a discovery, and the button that ends it."""
-
-    def __init__(self, page: Page) -> None:
-        self.page = page
-
-    def build(self) -> None:
-        title("Searching", "h1")
-        with panel("running"):
-            ui.linear_progress(show_value=False).props("indeterminate rounded").classes("bar")
-            with html.div().classes("now").props("role=status"):
-                self.stage = say("", "stage")
-                self.seconds = say("", "seconds")
-            self.past = html.ol().classes("past")
-            action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")
-        self._count = 0
-        self.timer = ui.timer(0.2, self.page.guarded(self._follow))
-
-    def _follow(self) -> None:
-        job = self.page.session.job
-        if job is None or job.state != "running":
-            self.timer.deactivate()
-            self.page.show("result")
-            return
-        self.stage.text = stage_words(job.stage, job.details)
-        self.seconds.text = f"{job.seconds:.0f} s"
-        stages = list(job.stages)
-        for (name, began), (_, ended) in pairwise(stages[self._count :]):
-            with self.past:
-                say(f"{_STAGES.get(name, name)}: {ended - began:.1f} s", "", "li")
-            self._count += 1
-
-    def _cancel(self) -> None:
-        self.timer.deactivate()
-        self.page.session.stop()
-        self.page.show("result")
-
-
-def _ended(page: Page) -> None:
-    """A discovery that gave nothing: cancelled, failed, or never begun."""
-    job = page.session.job
-    with panel():
-        if job is not None and job.state == "failed":
-            title("No model", "h1")
-            fault(in_words(job.message, page.session.folder))
-        elif job is not None and job.state == "cancelled":
-            title("Cancelled", "h1")
-            say(f"Stopped after {job.seconds:.0f} s. Data and candidates are as they were.")
-        else:
-            title("Nothing found yet", "h1")
-            say("Choose the candidates and start the search.")
-        with html.div().classes("next"):
-            back = page.guarded(lambda _=None: page.show("candidates"))
-            action("Back to the candidates", back, "main", "back")
+        ended(page)
 
 
 class ResultView:
@@ -136,6 +56,7 @@ class ResultView:
         with html.div().classes("halves uneven"):
             self.table = panel("follows")
             WalkPanel(self.page, self.refresh).build()
+        self.compared = html.div().classes("stack follows")
         self.symmetries = html.div().classes("stack follows")
         self.motion = html.div().classes("stack follows")
         self.refresh()
@@ -143,9 +64,9 @@ class ResultView:
     def refresh(self) -> None:
         """Show the model of the present place."""
         found = self.session.current
-        for box in (self.model, self.table, self.symmetries, self.motion):
+        for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
-        notation = Notation(found.model.coordinates)
+        notation = Notation.of_fit(found.model.coordinates, found.model.fit.findings)
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -153,6 +74,8 @@ class ResultView:
             if found.stage != "provisional":  # without errors nothing can be said of either
                 _simple_numbers(found.model, notation)
         if found.stage != "provisional":
+            with self.compared:
+                self._compare(found, notation)
             with self.symmetries:
                 _symmetries(found.model, notation)
         with self.motion:
@@ -169,13 +92,17 @@ class ResultView:
                 for name, download, there in (
                     ("report.html", self._report, fitted and not self.session.waiting),
                     ("model.json", self._model, fitted),
+                    ("all.zip", self._everything, fitted and not self.session.waiting),
                 ):
                     button = action(name, self.page.guarded(download), "plain", name.partition(".")[0])
                     button.props("icon=download").set_enabled(there)
+                self._exports(fitted)
+                action("Save session", self.page.guarded(self._save), "plain", "save").props("icon=save")
         if found.stage == "provisional":
             self._provisional()
         else:
             _status(model)
+            self._remedies()
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
                 if not terms:
@@ -188,7 +115,7 @@ class ResultView:
                             notation.addend(term.written, term.coefficient, term.standard_error, note, k == 0)
                         )
             if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
-                say("The root is dry friction, |velocity|, made smooth near rest.", "help")
+                say("|velocity| is dry friction; near rest it is smoothed.", "help")
 
     def _provisional(self) -> None:
         why = self.session.faults.get(self.session.place)
@@ -236,14 +163,14 @@ class ResultView:
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
                 say("forecast", "key line forecast", "span")
-            turning = is_pendulum(model.coordinates, self.session.angles)
-            with html.div().classes("halves" if turning else "stack"):
-                if turning:
+            kind = stick_kind(model.coordinates, self.session.angles)
+            with html.div().classes("halves" if kind else "stack"):
+                if kind:
                     with html.div():
-                        data = frames(motion, model)
+                        data = frames(motion, model, kind=kind)
                         Stick(data)
-                        say(_stick_words(model, data["down"]), "help")
-                self.figures = html.div().classes("figures" if turning else "figures side")
+                        say(_stick_words(kind, model, data), "help")
+                self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
             0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
         )
@@ -253,8 +180,7 @@ class ResultView:
         assert motion is not None
         for i, name in enumerate(model.coordinates[:_MOST_DRAWN]):
             unit = "rad" if name in self.session.angles else ""
-            noise = float(model.noise_std[i])
-            figure = await aside(forecast_figure, motion, i, noise, notation.text(name), unit)
+            figure = await aside(forecast_figure, motion, i, notation.text(name), unit)
             if box.is_deleted:
                 return
             with box:
@@ -264,9 +190,93 @@ class ResultView:
         text = await aside(self.session.write_report)
         ui.download.content(text.encode(), "report.html", "text/html")
 
+    def _remedies(self) -> None:
+        """One click each: the choices change, and the search begins again."""
+        offers = self.session.remedies()
+        if offers:
+            with html.div().classes("heading offers"):
+                say("Search again with one change:", "help")
+                for words, choice in offers:
+                    ask = self.page.guarded(lambda _=None, choice=choice: self._again(choice))
+                    action(words, ask, "quiet").props("icon=replay").mark("remedy")
+
+    def _compare(self, found: Found, notation: Notation) -> None:
+        """The model that is shown beside the one that was kept; a button keeps this one."""
+        kept = self.session.kept
+        if kept is None or kept is found or kept.model.coordinates != found.model.coordinates:
+            with html.div().classes("heading offers"):
+                if kept is found:
+                    say("Kept: another result will stand beside this one.", "help")
+                else:
+                    action("Keep for comparison", self.page.guarded(self._keep), "quiet", "keep")
+            return
+        with panel("compared"):
+            with html.div().classes("heading"):
+                title("Compared with the model that was kept")
+                action("Keep this one instead", self.page.guarded(self._keep), "quiet", "keep")
+            head = (("", ""), ("this model", "n"), ("kept", "n"))
+            table("This model and the one that was kept", head, compared(found, kept, notation))
+
+    def _keep(self) -> None:
+        self.session.kept = self.session.current
+        self.refresh()
+
+    def _again(self, choice: Choice) -> None:
+        self.session.choice = choice
+        self.session.discover()
+        self.page.show("result")
+
+    def _exports(self, fitted: bool) -> None:
+        """A menu of the formats; what each is stands beside it."""
+        button = ui.dropdown_button("Export", auto_close=True, color=None).props("no-caps unelevated no-wrap")
+        button.classes("action plain").mark("export").set_enabled(fitted)
+        with button:
+            for name, what in FORMATS.items():
+                ask = self.page.guarded(lambda _=None, name=name: self._export(name))
+                with ui.item(on_click=ask).mark(f"export-{name}"), ui.item_section():
+                    ui.item_label(name)
+                    ui.item_label(what).props("caption")
+
+    async def _export(self, format: str) -> None:
+        name, content = await aside(exported, self.session.current.model, format)
+        ui.download.content(content, name)
+
+    async def _everything(self) -> None:
+        ui.download.content(await aside(self.session.write_everything), "leastaction.zip", "application/zip")
+
+    async def _save(self) -> None:
+        name = self.session.title.partition(".")[0].replace(" ", "_")
+        ui.download.content(await aside(self.session.save), f"{name}{SESSION}", "application/zip")
+
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
+
+
+def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, str, str]]:
+    """Rows for two models of the same coordinates: verdict, forecasts, and every term of either."""
+
+    def numbers(found: Found) -> dict[str, str]:
+        return {
+            row["text"]: row["value"] + (f" ± {row['error']}" if row["error"] else "")
+            for group in coefficient_groups(found.model, notation)
+            for row in group["rows"]
+        }
+
+    def forecast(found: Found) -> str:
+        if found.validation is None or np.isnan(found.validation.rms_over_std).all():
+            return "–"
+        return f"{percent(float(np.nanmax(found.validation.rms_over_std)))} of the spread"
+
+    here, there = numbers(one), numbers(other)
+    rows = [
+        ("verdict", one.model.fit.status, other.model.fit.status),
+        ("forecasts of held-out trials are off by", forecast(one), forecast(other)),
+        ("χ² per sample", *(plain(found.model.fit.chi2_per_sample) for found in (one, other))),
+    ]
+    return rows + [
+        (notation.term(text), here.get(text, "–"), there.get(text, "–")) for text in {**here, **there}
+    ]
 
 
 def _status(model: LagrangianModel) -> None:
@@ -292,7 +302,7 @@ def _coefficients(found: Found, notation: Notation) -> None:
     title("Coefficients")
     if found.stage == "provisional":
         say("Provisional: from the quadratic model.", "hint")
-    with html.div().classes("scroll"), html.table():
+    with scroll("Table of coefficients"), html.table():
         with html.thead(), html.tr():
             for text, side in (("term", ""), ("coefficient", "n"), ("95 % interval", "n"), ("z", "n")):
                 say(text, side, "th")
@@ -316,7 +326,7 @@ def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
     if rows:
         title(captions.SIMPLE_TITLE, "h3")
         columns = ("subject", "value", "number", "chance")
-        table(captions.SIMPLE_HEAD, [[row[name] for name in columns] for row in rows])
+        table(captions.SIMPLE_TITLE, captions.SIMPLE_HEAD, [[row[name] for name in columns] for row in rows])
         say(captions.simple_note(model.simple_constants), "help")
 
 
@@ -329,14 +339,25 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
             return
         say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
-        table(captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows])
+        table(
+            "Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows]
+        )
         say(captions.symmetry_note(model.symmetries), "help")
 
 
-def _stick_words(model: LagrangianModel, down: bool) -> str:
+def _stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
     parts = []
-    if model.n_dof == 2:
-        parts.append("Both links are drawn equally long: the data do not tell their lengths.")
-    if not down:
+    if kind == "links" and model.n_dof > 1:
+        parts.append("All links are drawn equally long: the data do not tell their lengths.")
+    if kind == "cart":
+        to_scale = shown["length"] is not None and model.n_dof == 2
+        parts.append(
+            "The link has its effective length, to the scale of the cart's way."
+            if to_scale
+            else "The lengths of links are not to the scale of the cart's way."
+        )
+    if kind in ("links", "cart") and not shown["down"]:
         parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
+    if kind == "blocks" and model.n_dof > 1:
+        parts.append("The distance between the blocks is not to scale; their motions are.")
     return " ".join(parts)

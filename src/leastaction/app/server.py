@@ -12,8 +12,8 @@ from nicegui import app, core, ui
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.requests import HTTPConnection
 
+from leastaction.app.files import MOST_BYTES
 from leastaction.app.page import close_sessions, root
-from leastaction.app.session import MOST_BYTES
 from leastaction.errors import InputError
 
 __all__ = ["HOST", "Keys", "free_port", "serve"]

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import gzip
-import io
 import math
-import re
 import shutil
 import tempfile
-import zipfile
-import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from leastaction.app import columns
-from leastaction.app.candidates import Choice, Task
+from leastaction.app import columns, files
+from leastaction.app.candidates import Choice, Task, proposed
 from leastaction.app.jobs import Found, forecast, refine, search
 from leastaction.app.worker import Job, Worker, explain
 from leastaction.errors import DataError, InputError
@@ -27,20 +23,18 @@ if TYPE_CHECKING:
     from leastaction.curve.motion import SmoothMotion
     from leastaction.model.diagnostics import PathPoint
 
-__all__ = ["EXAMPLES", "MOST_BYTES", "SUFFIXES", "Session", "Walk", "in_words"]
-
-MOST_BYTES = 200_000_000
-"""Largest upload, and largest table inside a compressed one."""
+__all__ = ["EXAMPLES", "Session", "Walk", "in_words"]
 
 _PATIENCE = 2.0  # seconds: a process that has been stopped takes as long to come back
 
-SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
-
 EXAMPLES = {
-    "single": ("Single pendulum", "4 trials of 9.2 s, one angle; swings freely, a little friction"),
+    "single": (
+        "Single pendulum",
+        "4 trials of 9.2 s, one angle; swings freely: dry friction, and an encoder whose zero is 1 mrad off",
+    ),
     "double": (
         "Double pendulum",
-        "26 trials of 2.7 s, two angles; the smallest terms show the encoders' zeros",
+        "26 trials of 2.7 s, two angles; dry friction in the first joint, which the published model lacks",
     ),
 }
 """Name of a measured example -> its title, and what it is."""
@@ -58,6 +52,7 @@ class Session:
         Header and first rows of the table; column -> role.
     data : Trajectories or None
         As read with these roles; None if that failed, then `fault` says why.
+    hint : str
     choice : Choice
     task, job : Task or None, Job or None
         The discovery that runs or ran last; the job is that of a refit or a forecast once there is a model.
@@ -65,6 +60,8 @@ class Session:
         Place on the trade-off curve -> its model, as far as it is.
     faults : dict
         Place -> why its model is not refined any further.
+    kept : Found or None
+        The model that others are compared with.
     walk, place
         The trade-off curve, and where on it the page stands.
     """
@@ -75,19 +72,21 @@ class Session:
     roles: dict[str, str] = field(default_factory=dict)
     data: Trajectories | None = None
     fault: str = ""
+    hint: str = ""
     shown: int = 0
     choice: Choice = field(default_factory=Choice)
     task: Task | None = None
     job: Job | None = None
     found: dict[int, Found] = field(default_factory=dict)
     faults: dict[int, str] = field(default_factory=dict)
+    kept: Found | None = None
     walk: Walk = field(default_factory=lambda: Walk(()))
     place: int = 0
 
     def __post_init__(self) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="leastaction-app-"))
         self.worker = Worker()
-        self._path = self.folder / "none"
+        self._paths: list[Path] = []
         self._job_place: int | None = None
         self._smooth: dict[int, SmoothMotion] = {}
 
@@ -103,21 +102,52 @@ class Session:
         return [name for column, name in names.items() if self.roles[column] != columns.COORDINATE]
 
     def open_upload(self, name: str, content: bytes) -> None:
-        """Keep an uploaded file in the temporary folder and look at its columns.
+        """Open one uploaded file: a table, or a saved session."""
+        self.open_uploads([(name, content)])
+
+    def open_uploads(self, given: Sequence[tuple[str, bytes]]) -> None:
+        """Keep uploaded files in the temporary folder and look at their columns.
+
+        Several tables are trials of one system and have the same columns.
 
         Raises
         ------
         InputError
-            If it is too large, of an unknown kind, or no table; what was open before is then still open.
+            If one is too large, of an unknown kind, or no table; what was open before is then still open.
         """
-        suffix = next((s for s in sorted(SUFFIXES, key=len, reverse=True) if name.lower().endswith(s)), None)
-        if suffix is None:
-            raise InputError(f"{_safe(name)} is no table; give a file with one of {', '.join(SUFFIXES)}")
-        _check_size(name, content)
-        # The name is for people; only letters, digits and the like reach the disk.
-        path = self.folder / (_safe(name[: -len(suffix)]) + suffix)
-        path.write_bytes(content)
-        self._open(path, path.name, None)
+        if len(given) == 1 and given[0][0].lower().endswith(files.SESSION):
+            files.check_size(*given[0])
+            self._open_saved(files.open_saved(given[0][1]))
+            return
+        paths = self._kept(given)
+        title = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
+        self._open(paths, title, None)
+
+    def _kept(self, given: Sequence[tuple[str, bytes]]) -> list[Path]:
+        """The files in the folder, under names of their own."""
+        named: dict[str, bytes] = {}
+        for name, content in sorted(given, key=lambda pair: files.by_number(pair[0])):
+            suffix = files.kind_of(name)
+            files.check_size(name, content)
+            # The name is for people; only letters, digits and the like reach the disk.
+            stem, number = files.plain_name(name[: -len(suffix)]), 2
+            free = stem
+            while free + suffix in named:
+                free, number = f"{stem}_{number}", number + 1
+            named[free + suffix] = content
+        for name, content in named.items():
+            (self.folder / name).write_bytes(content)
+        return [self.folder / name for name in named]
+
+    def _open_saved(self, saved: files.Saved) -> None:
+        paths = self._kept(list(saved.tables.items()))
+        self._open(paths, saved.title, saved.choice, saved.roles)
+        self.hint = "This session is as it was saved: find the Lagrangian again to see its result."
+
+    def save(self) -> bytes:
+        """The session as one file: tables, meaning of the columns, choices."""
+        tables = {path.name: path.read_bytes() for path in self._paths}
+        return files.saved(files.Saved(self.title, tables, self.roles, self.choice))
 
     def open_example(self, key: str) -> None:
         """Open one of the measured pendulums of the package, with the candidates of the demonstration."""
@@ -136,13 +166,23 @@ class Session:
             known="\n".join(f"{text} = {value:g}" for text, value in demo.known.items()),
             every_third=True,
         )
-        self._open(path, EXAMPLES[key][0], choice)
+        self._open([path], EXAMPLES[key][0], choice)
 
-    def _open(self, path: Path, title: str, choice: Choice | None) -> None:
-        table = columns.peek(path)
+    def _open(
+        self, paths: Sequence[Path], title: str, choice: Choice | None, roles: Mapping[str, str] | None = None
+    ) -> None:
+        table = columns.peek(paths[0])
+        for other in paths[1:]:
+            if columns.peek(other).header != table.header:
+                raise InputError(
+                    f"{other.name} has other columns than {paths[0].name}; files that are opened together "
+                    "are trials of one system, with the same header"
+                )
         self.stop()
-        self._path, self.title, self.columns = path, title, table
+        self._paths, self.title, self.columns, self.hint = list(paths), title, table, ""
         self.roles = columns.guess_roles(table)
+        if roles is not None:
+            self.roles |= {column: role for column, role in roles.items() if column in self.roles}
         self.read()
         if choice is not None:
             self.choice = choice
@@ -151,13 +191,13 @@ class Session:
         """Read the table with the present roles; the candidates begin anew if they no longer fit."""
         before = None if self.data is None else (self.data.coordinates, self.data.driven)
         try:
-            self.data, self.fault = columns.read(self._path, self.roles), ""
+            self.data, self.fault = columns.read(self._paths, self.roles), ""
         except (InputError, DataError) as error:
             self.data, self.fault = None, in_words(str(error), self.folder)
         self.shown, self._smooth = 0, {}
         self.forget()
         if self.data is not None and (self.data.coordinates, self.data.driven) != before:
-            self.choice = Choice.default(self.data)
+            self.choice, self.kept = Choice.default(self.data), None
 
     def smooth(self) -> SmoothMotion:
         """The smoothing spline of the trial that is shown."""
@@ -182,6 +222,14 @@ class Session:
         self.forget()
         self.job = self.worker.start(search, self.task)
         return self.job
+
+    def remedies(self) -> list[tuple[str, Choice]]:
+        """What one click may do about the findings on the model that is shown: words, and choices."""
+        if self.task is None:
+            return []
+        findings = self.current.model.fit.findings
+        offers = (proposed(finding, self.choice, self.task.library) for finding in findings)
+        return list({words: (words, choice) for words, choice in filter(None, offers)}.values())
 
     def go_to(self, place: int) -> Job | None:
         """Move along the trade-off curve: a provisional model is there at once, where there was none before.
@@ -279,6 +327,11 @@ class Session:
         self.current.model.save(path)
         return path.read_text(encoding="utf-8")
 
+    def write_everything(self) -> bytes:
+        """Report, model and every export of the model that is shown, in one archive."""
+        texts = {"report.html": self.write_report(), "model.json": self.write_model()}
+        return files.everything(self.current.model, texts)
+
 
 def in_words(text: str, folder: Path | None = None) -> str:
     """Put messages, which name files and Python arguments, in terms of the page.
@@ -293,41 +346,6 @@ def in_words(text: str, folder: Path | None = None) -> str:
     text = text.replace("(trial=...)", "(as the trial)")
     text = text.replace("leave out time_unit", f"mark them as {columns.DATES}")
     return explain(InputError(text))
-
-
-def _safe(name: str) -> str:
-    return re.sub(r"[^\w.+-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[:80] or "table"
-
-
-def _check_size(name: str, content: bytes) -> None:
-    limit = f"{MOST_BYTES // 1_000_000} MB"
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{_safe(name)} is larger than {limit}; leave out columns or use the command line")
-    if content[:2] == b"PK":
-        _check_workbook(name, content, limit)
-    if content[:2] != b"\x1f\x8b":
-        return
-    total = 0
-    try:
-        with gzip.open(io.BytesIO(content)) as stream:
-            while chunk := stream.read(1 << 20):
-                total += len(chunk)
-                if total > MOST_BYTES:
-                    raise InputError(
-                        f"{_safe(name)} holds more than {limit} when it is unpacked; use the command line"
-                    )
-    except (OSError, EOFError, zlib.error):
-        return  # damaged: the reader says so
-
-
-def _check_workbook(name: str, content: bytes, limit: str) -> None:
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as book:
-            total = sum(part.file_size for part in book.infolist())
-    except zipfile.BadZipFile:
-        return  # damaged: the reader says so
-    if total > MOST_BYTES:
-        raise InputError(f"{_safe(name)} holds more than {limit} when it is unpacked; use the command line")
 
 
 @dataclass(frozen=True)

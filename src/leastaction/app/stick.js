@@ -1,18 +1,19 @@
-// Links of a plane pendulum: the measured ones behind, the forecast ones in front. Colours come from the style sheet.
+// Links, a cart with links, a point in a plane, or blocks on a rail: measured behind, forecast in front. Colours come
+// from the style sheet; motion.py says what is drawn.
 export default {
   template: `
     <figure>
-      <svg :viewBox="box" role="img" aria-label="Pendulum: measured in grey, forecast in colour">
+      <svg :viewBox="box" role="img" :aria-label="words + ': measured in grey, forecast in colour'">
+        <path v-if="rail" class="rail" :d="rail" />
         <path :d="trail" class="trail" />
-        <g class="measured" v-if="links(frames.measured)">
-          <polyline :points="links(frames.measured)" />
-          <circle v-for="p in joints(frames.measured)" :cx="p[0]" :cy="p[1]" r="4.5" />
-        </g>
-        <g class="forecast" v-if="links(frames.forecast)">
-          <polyline :points="links(frames.forecast)" />
-          <circle v-for="p in joints(frames.forecast)" :cx="p[0]" :cy="p[1]" r="4.5" />
-        </g>
-        <circle class="pivot" cx="0" cy="0" r="3" />
+        <template v-for="side in ['measured', 'forecast']">
+          <g :class="side" v-if="shape(side)">
+            <path v-if="shape(side).line" class="limbs" :d="shape(side).line" />
+            <rect v-for="p in shape(side).carts" :x="p[0] - 13" :y="p[1] - 8" width="26" height="16" rx="3" />
+            <circle v-for="p in shape(side).joints" :cx="p[0]" :cy="p[1]" r="4.5" />
+          </g>
+        </template>
+        <circle v-if="frames.kind === 'links'" class="pivot" cx="0" cy="0" r="3" />
       </svg>
       <div class="controls">
         <button type="button" @click="toggle" class="play">{{ playing ? "Pause" : "Play" }}</button>
@@ -27,7 +28,7 @@ export default {
   },
   computed: {
     box() {
-      // What the ends of the links reach, and the pivot.
+      // What anything reaches, and the pivot.
       let [left, right, top, bottom] = [-30, 30, -12, 12];
       for (const rows of [this.frames.measured, this.frames.forecast]) {
         for (const row of rows) {
@@ -39,7 +40,18 @@ export default {
           }
         }
       }
-      return `${left - 8} ${top - 8} ${right - left + 16} ${bottom - top + 16}`;
+      const room = this.sliding ? 18 : 8;
+      return `${left - room} ${top - room} ${right - left + 2 * room} ${bottom - top + 2 * room}`;
+    },
+    sliding() {
+      return this.frames.kind === "cart" || this.frames.kind === "blocks";
+    },
+    words() {
+      const names = { links: "Links", cart: "Cart with links", plane: "Point in the plane", blocks: "Blocks" };
+      return names[this.frames.kind];
+    },
+    rail() {
+      return this.sliding ? "M-1000 10H1000" : "";
     },
     paceText() {
       return this.pace === 1 ? "1 ×" : "¼ ×";
@@ -55,22 +67,28 @@ export default {
     },
   },
   methods: {
-    points(angles) {
-      if (!angles) return null;
-      const length = 98 / angles.length;
-      const points = [[0, 0]];
+    points(row) {
+      if (!row) return null;
+      const kind = this.frames.kind;
+      if (kind === "plane") return [[row[0], -row[1]]];
+      if (kind === "blocks") return row.map((x, k) => [x + 260 * (k - (row.length - 1) / 2), 0]);
+      const angles = kind === "cart" ? row.slice(1) : row;
+      const length = angles.length === 1 && this.frames.length ? this.frames.length : 98 / angles.length;
+      const points = [[kind === "cart" ? row[0] : 0, 0]];
       for (const a of angles) {
         const [x, y] = points[points.length - 1];
         points.push([x + length * Math.sin(a), y + length * Math.cos(a)]);
       }
       return points;
     },
-    links(rows) {
-      const p = this.points(rows[this.frame]);
-      return p && p.map((x) => x.join(",")).join(" ");
-    },
-    joints(rows) {
-      return this.points(rows[this.frame]).slice(1);
+    shape(side) {
+      const points = this.points(this.frames[side][this.frame]);
+      if (!points) return null;
+      const kind = this.frames.kind;
+      if (kind === "plane") return { line: "", carts: [], joints: points };
+      if (kind === "blocks") return { line: "", carts: points, joints: [] };
+      const line = "M" + points.map((p) => p.join(" ")).join("L");
+      return { line, carts: kind === "cart" ? [points[0]] : [], joints: points.slice(1) };
     },
     toggle() {
       if (this.playing) return this.stop();

@@ -247,7 +247,7 @@ _EXPORT_HELP = """Write a model for other programs.
 MODEL is a model.json written by discover. The output does not depend on leastaction. Formats:
 
 \b
-""" + "\n".join(f"  {name:<8}{text}" for name, text in FORMATS.items())
+""" + "\n".join(f"  {name:<10}{text}" for name, text in FORMATS.items())
 
 
 @click.command(

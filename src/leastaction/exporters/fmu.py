@@ -17,6 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
 import sympy as sp
 
 from leastaction.errors import InputError
@@ -26,13 +27,17 @@ from leastaction.exporters.shared import about, clock
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["COMPILERS", "compile_library", "platform_name", "source_files", "write"]
+__all__ = ["COMPILERS", "compile_library", "longest_step", "platform_name", "source_files", "write"]
 
 COMPILERS = ("cc", "gcc", "clang")
 _SECONDS = 600  # that a compilation may take
 
-_MAX_STEP = 1e-3  # seconds, unless the knots of the discovery ask for less
+_MAX_STEP = 1e-3  # seconds, unless the knots of the discovery or the halving test ask for less
 _STEPS_PER_KNOT = 10
+_HALVINGS = 10  # most
+_STEPS_TRIED = 100
+_STATES_TRIED = 16
+_TOLERANCE = 1e-8  # change of the state after so many steps when they are halved, relative to the motion
 _SHARED_NAMES = (
     "leastaction_acceleration",
     "leastaction_energy",
@@ -52,14 +57,15 @@ def write(model: LagrangianModel, version: int, file: str | None = None) -> byte
         If there is no C compiler.
     """
     name = _identifier(file)
-    table = variables(model, _max_step(model))
+    step = longest_step(model)
+    table = variables(model, step)
     # The token ties the description to the library: whatever changes either must change it.
     parts = [
         model_description(name, version, table, ""),
-        *(text for _, text in sorted(source_files(model, version, name, "").items())),
+        *(text for _, text in sorted(source_files(model, version, name, "", step).items())),
     ]
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, ''.join(parts))}}}"
-    sources = source_files(model, version, name, token)
+    sources = source_files(model, version, name, token, step)
     library, suffix = compile_library(sources, [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"])
     members: dict[str, bytes] = {
         "modelDescription.xml": model_description(name, version, table, token).encode(),
@@ -71,7 +77,9 @@ def write(model: LagrangianModel, version: int, file: str | None = None) -> byte
     return _archive(members)
 
 
-def source_files(model: LagrangianModel, version: int, name: str, token: str) -> dict[str, str]:
+def source_files(
+    model: LagrangianModel, version: int, name: str, token: str, step: float = _MAX_STEP
+) -> dict[str, str]:
     """File name -> text: what is the same for every model, and the equations with parameters."""
     ours = files("leastaction.exporters") / "sources"
     out = {
@@ -92,7 +100,7 @@ def source_files(model: LagrangianModel, version: int, name: str, token: str) ->
     out["model.h"] = (
         f"{comment}\n#ifndef MODEL_H\n#define MODEL_H\n\n"
         f'#define MODEL_PREFIX {name}_\n#define MODEL_TOKEN "{token}"\n'
-        f"#define START_MAX_STEP {_max_step(model)!r}\n\n"
+        f"#define START_MAX_STEP {step!r}\n\n"
         f"enum {{ N_DOF = {n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
         f"#define START_COEFFICIENTS {{{numbers}}}\n\n"
         "/* What the equations are functions of. */\n"
@@ -120,10 +128,59 @@ def _identifier(file: str | None) -> str:
     return stem if stem[:1].isalpha() else f"model_{stem}"
 
 
-def _max_step(model: LagrangianModel) -> float:
+def longest_step(model: LagrangianModel) -> float:
+    """Step of the integration inside, in seconds: halved until halving it once more changes nothing.
+
+    The start is 1 ms, or a tenth of a knot interval of the discovery if that is shorter. States are followed
+    that lie on the fitted curve, or about zero where a file keeps none.
+    """
     knots = model.provenance.get("knots_per_second")
     fastest = float(knots) if isinstance(knots, (int, float)) and knots > 0 else 0.0
-    return min(_MAX_STEP, 1.0 / (_STEPS_PER_KNOT * fastest)) if fastest else _MAX_STEP
+    step = min(_MAX_STEP, 1.0 / (_STEPS_PER_KNOT * fastest)) if fastest else _MAX_STEP
+    start, t = _states_to_try(model)
+    with np.errstate(all="ignore"):
+        for _ in range(_HALVINGS):
+            coarse = _followed(model, start, t, step, _STEPS_TRIED)
+            fine = _followed(model, start, t, step / 2.0, 2 * _STEPS_TRIED)
+            there = np.isfinite(fine)
+            size = np.abs(np.where(there, fine, 0.0)).max(axis=0) + np.abs(start).max(axis=0) + 1e-300
+            lost = there & ~np.isfinite(coarse)
+            if not lost.any() and np.nanmax(np.abs(coarse - fine) / size, initial=0.0) <= _TOLERANCE:
+                break
+            step /= 2.0
+    return step
+
+
+def _states_to_try(model: LagrangianModel) -> tuple[np.ndarray, np.ndarray]:
+    """(n_states, 2 n_dof) coordinates and velocities, and their times."""
+    if model.diagnostics is not None:
+        trial = model.diagnostics.trajectories[0]
+        t = np.linspace(trial.t[0], trial.t[-1], _STATES_TRIED)
+        times = [t, *(other.t[:1] for other in model.diagnostics.trajectories[1:])]
+        q, qdot = (model.diagnostics.curve(times, nu)[0] for nu in (0, 1))
+        return np.hstack([q, qdot]), t
+    states = np.random.default_rng(0).uniform(-1.0, 1.0, (_STATES_TRIED, 2 * model.n_dof))
+    return states, np.zeros(_STATES_TRIED)
+
+
+def _followed(
+    model: LagrangianModel, start: np.ndarray, t: np.ndarray, step: float, count: int
+) -> np.ndarray:
+    """The states after so many steps of the classical Runge-Kutta method, as the C code takes them."""
+    n, x = model.n_dof, start.copy()
+
+    def rates(x: np.ndarray, time: np.ndarray) -> np.ndarray:
+        given = time if model.timed else None
+        return np.hstack([x[:, n:], model.acceleration(x[:, :n], x[:, n:], t=given)])
+
+    for k in range(count):
+        now = t + k * step
+        one = rates(x, now)
+        two = rates(x + step / 2.0 * one, now + step / 2.0)
+        three = rates(x + step / 2.0 * two, now + step / 2.0)
+        four = rates(x + step * three, now + step)
+        x = x + step / 6.0 * (one + 2.0 * two + 2.0 * three + four)
+    return x
 
 
 def _archive(members: dict[str, bytes]) -> bytes:

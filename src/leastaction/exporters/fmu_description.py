@@ -22,6 +22,16 @@ class Variable:
     variability: str
     initial: str | None = None
     start: float | None = None
+    unit: str = ""
+
+
+_UNITS = {
+    "s": {"s": "1"},
+    "rad": {"rad": "1"},
+    "rad/s": {"rad": "1", "s": "-1"},
+    "rad/s2": {"rad": "1", "s": "-2"},
+}
+"""Units that are known whatever the data: name -> exponents of its base units."""
 
 
 def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
@@ -35,20 +45,22 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
         taken.add(free)
         out.append(Variable(free, *rest, **more))
 
-    add("time", "time in seconds", "independent", "continuous")
-    for c in model.coordinates:
-        add(c, f"coordinate {c}", "output", "continuous", initial="exact", start=0.0, keep=True)
-    for c in model.coordinates:
-        text = f"velocity of {c}"
-        add(f"{c}_dot", text, "output", "continuous", initial="exact", start=0.0, keep=True)
-    for c in model.coordinates:
-        add(f"{c}_dot_dot", f"acceleration of {c}", "output", "continuous", initial="calculated")
+    angle = {c: "rad" if c in model.angles else "" for c in model.coordinates}
+    exact = {"initial": "exact", "start": 0.0, "keep": True}
+    add("time", "time in seconds", "independent", "continuous", unit="s")
+    for c, unit in angle.items():
+        add(c, f"coordinate {c}", "output", "continuous", unit=unit, **exact)
+    for c, unit in angle.items():
+        add(f"{c}_dot", f"velocity of {c}", "output", "continuous", unit=unit and f"{unit}/s", **exact)
+    for c, unit in angle.items():
+        text = f"acceleration of {c}"
+        add(f"{c}_dot_dot", text, "output", "continuous", initial="calculated", unit=unit and f"{unit}/s2")
     add("energy", "sum of qdot * dL/dqdot, less L", "output", "continuous", initial="calculated")
     for c in model.coordinates:
         what = f"acceleration of {c}" if c in model.prescribed else f"generalised force on {c}"
         add(f"{c}_force", what, "input", "continuous", start=0.0)
     text = "longest step of the integration inside, in seconds"
-    add("max_step", text, "parameter", "tunable", initial="exact", start=max_step)
+    add("max_step", text, "parameter", "tunable", initial="exact", start=max_step, unit="s")
     groups = (
         ("lagrangian", "L", model.terms, model.expressions),
         ("dissipation", "the dissipation function", model.dissipation, model.dissipation_expressions),
@@ -77,6 +89,11 @@ def model_description(name: str, version: int, table: list[Variable], token: str
         sources = ET.SubElement(interface, "SourceFiles")
         for file in _units(version):
             ET.SubElement(sources, "File", {"name": file})
+    used = {variable.unit for variable in table}
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for unit, exponents in _UNITS.items():
+        if unit in used:
+            ET.SubElement(ET.SubElement(definitions, "Unit", {"name": unit}), "BaseUnit", exponents)
     categories = ET.SubElement(root, "LogCategories")
     for category in ("logStatusDiscard", "logStatusError"):
         ET.SubElement(categories, "Category", {"name": category})
@@ -100,7 +117,8 @@ def _attributes(reference: int, variable: Variable) -> dict[str, str]:
 
 
 def _start(variable: Variable) -> dict[str, str]:
-    return {} if variable.start is None else {"start": repr(variable.start)}
+    unit = {"unit": variable.unit} if variable.unit else {}
+    return unit if variable.start is None else {**unit, "start": repr(variable.start)}
 
 
 def _variable2(listed: ET.Element, reference: int, variable: Variable) -> None:

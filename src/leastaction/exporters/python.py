@@ -1,11 +1,13 @@
-"""A model as a Python module that imports only `math`."""
+"""A model as a Python module: one that imports only `math`, and one of functions for JAX."""
 
 from __future__ import annotations
+
+import sympy as sp
 
 from leastaction.exporters.shared import PythonPrinter, about, assignments, clock, equations
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["write"]
+__all__ = ["write", "write_jax"]
 
 _SOLVE = '''
 
@@ -29,7 +31,7 @@ def _solve(a, b):
 
 
 def write(model: LagrangianModel) -> str:
-    """Return the module."""
+    """Return the module that imports only `math`."""
     n, mechanics = model.n_dof, model.mechanics
     code, t = PythonPrinter().doprint, clock(mechanics)
     lines = [*(f"# {line}" for line in about(model)), "import math", "", f"N_DOF = {n}", "", ""]
@@ -55,3 +57,77 @@ def write(model: LagrangianModel) -> str:
         f"    return {values[0]}",
     ]
     return "\n".join(lines) + "\n" + _SOLVE
+
+
+class _JaxPrinter(PythonPrinter):
+    """Python code over `jax.numpy`, with all digits of the numbers."""
+
+    def _module_format(self, fqn, register=True):
+        return f"jnp.{fqn.rpartition('.')[2]}"
+
+    def _print_RealAbs(self, expr):
+        return f"jnp.abs({self._print(expr.args[0])})"
+
+    def _print_RealSign(self, expr):
+        return f"jnp.sign({self._print(expr.args[0])})"
+
+    def _print_Pow(self, expr, rational=False):
+        if abs(expr.exp) == sp.S.Half:
+            return super()._print_Pow(expr, rational)
+        return f"({self._print(expr.base)})**({self._print(expr.exp)})"
+
+
+_JAX = '''
+
+def mass_matrix(q, qdot{t}):
+    """Mass matrix, shape ({n}, {n})."""
+    return _equations(q, qdot{t})[0]
+
+
+def acceleration(q, qdot{t}, forces=None):
+    """Accelerations, shape ({n},); not finite where the mass matrix is singular."""
+    mass, right = _equations(q, qdot{t})
+    if forces is not None:
+        right = right + jnp.asarray(forces)
+    return jnp.linalg.solve(mass, right)
+
+
+def state_derivative(t, x, forces=None):
+    """Derivative of x = [q, qdot], for integrators that call f(t, x, args)."""
+    q, qdot = x[:{n}], x[{n}:]
+    return jnp.concatenate([qdot, acceleration(q, qdot{t}, forces)])
+'''
+
+
+def write_jax(model: LagrangianModel) -> str:
+    """Return the module over `jax.numpy`."""
+    n, mechanics = model.n_dof, model.mechanics
+    code, t = _JaxPrinter().doprint, clock(mechanics)
+    lines = [
+        *(f"# {line}" for line in about(model)),
+        "# Functions of one state, for jax.vmap, jax.grad, jax.jacobian and jax.jit.",
+        '# JAX computes in single precision unless told: jax.config.update("jax_enable_x64", True).',
+        "import jax.numpy as jnp",
+        "",
+        f"N_DOF = {n}",
+        "",
+        "",
+    ]
+    first, values = assignments(equations(mechanics), mechanics, code)
+    rows = ", ".join(f"[{', '.join(values[i * n : (i + 1) * n])}]" for i in range(n))
+    lines += [
+        f"def _equations(q, qdot{t}):",
+        *(f"    {name} = {value}" for name, value in first),
+        f"    right = [{', '.join(values[n * n :])}]",
+        f"    return jnp.array([{rows}], dtype=float), jnp.array(right, dtype=float)",
+        "",
+        "",
+    ]
+    first, values = assignments([mechanics.energy_expression], mechanics, code)
+    lines += [
+        f"def energy(q, qdot{t}):",
+        '    """Energy, the sum of qdot * dL/dqdot, less L."""',
+        *(f"    {name} = {value}" for name, value in first),
+        f"    return {values[0]}",
+    ]
+    return "\n".join(lines) + "\n" + _JAX.format(n=n, t=t)

@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, fmu, matlab, python, sympy
+from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python, sympy
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
@@ -25,6 +25,11 @@ _PLAIN = {
     "python": python.write,
     "c": c.write,
     "casadi": casadi.write,
+    "jax": python.write_jax,
+    "julia": julia.write_julia,
+    "modelica": julia.write_modelica,
+    "mjcf": chains.write_mjcf,
+    "urdf": chains.write_urdf,
 }
 
 
@@ -35,7 +40,9 @@ def export(
 @overload
 def export(
     model: LagrangianModel,
-    format: Literal["sympy", "latex", "python", "c", "casadi", "matlab"],
+    format: Literal[
+        "sympy", "latex", "python", "c", "casadi", "jax", "julia", "modelica", "mjcf", "urdf", "matlab"
+    ],
     path: str | os.PathLike[str] | None = None,
 ) -> str: ...
 @overload
@@ -45,44 +52,62 @@ def export(
 def export(model, format, path=None):
     """Write a model as a text or file that needs nothing of leastaction.
 
-    ============  =========================================================================================
-    format        content
-    ============  =========================================================================================
-    ``"sympy"``   a Python script that makes ``lagrangian`` and ``dissipation_function`` with SymPy, over real
-                  symbols with the names of the coordinates and ``<coordinate>_dot``; all digits are kept
-    ``"latex"``   L and ψ as a displayed formula (needs the package amsmath), rounded to their errors
-    ``"python"``  a module that imports only `math`: ``acceleration(q, qdot, forces=None)`` -> list and
-                  ``energy(q, qdot)`` -> float of plain sequences
-    ``"c"``       C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces, qddot)``,
-                  ``double leastaction_energy(q, qdot)`` of arrays; ``forces`` may be ``NULL``
-    ``"casadi"``  a Python module that imports `casadi` and holds three ``casadi.Function``:
-                  ``acceleration(q, qdot, forces)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``; without a
-                  file, `leastaction.casadi.functions` makes the same
-    ``"matlab"``  a function file for MATLAB and Octave; it returns a structure of function handles:
-                  ``acceleration(q, qdot, forces)``, ``state_derivative(t, x, forces)`` with x = [q; qdot] for
-                  ``ode45``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``. The function has the name of the
-                  file
-    ``"fmu2"``    an FMU for co-simulation (FMI 2.0) with its C sources, compiled for this computer by the C
-                  compiler on the PATH. Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
-                  ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
-                  first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
-                  ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms,
-                  or a tenth of a knot interval of the discovery if that is shorter; Coulomb friction can
-                  need less). Inputs are held over a communication step
-    ``"fmu3"``    the same for FMI 3.0
-    ============  =========================================================================================
+    ==============  =========================================================================================
+    format          content
+    ==============  =========================================================================================
+    ``"sympy"``     a Python script that makes ``lagrangian`` and ``dissipation_function`` with SymPy, over
+                    real symbols with the names of the coordinates and ``<coordinate>_dot``; all digits are
+                    kept
+    ``"latex"``     L and ψ as a displayed formula (needs the package amsmath), rounded to their errors
+    ``"python"``    a module that imports only `math`: ``acceleration(q, qdot, forces=None)`` -> list and
+                    ``energy(q, qdot)`` -> float of plain sequences
+    ``"c"``         C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces,
+                    qddot)``, ``double leastaction_energy(q, qdot)`` of arrays; ``forces`` may be ``NULL``
+    ``"casadi"``    a Python module that imports `casadi` and holds three ``casadi.Function``:
+                    ``acceleration(q, qdot, forces)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``; without
+                    a file, `leastaction.casadi.functions` makes the same
+    ``"jax"``       a Python module that imports `jax.numpy`: ``acceleration(q, qdot, forces=None)``,
+                    ``state_derivative(t, x, forces=None)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)`` of
+                    one state, to be mapped, differentiated and compiled; double precision is the user's to
+                    ask for
+    ``"julia"``     a module ``LeastactionModel`` that needs no package: ``acceleration(q, qdot, forces)``,
+                    ``energy(q, qdot)``, ``mass_matrix(q, qdot)``, and ``state_derivative!(dx, x, p, t)`` for
+                    ``ODEProblem``
+    ``"modelica"``  a package ``LeastactionModel`` with the functions ``mass_matrix``, ``right_side`` and
+                    ``energy``, and the model ``Motion`` with ``forces`` as inputs
+    ``"mjcf"``      a MuJoCo model of a chain of links in a plane, for laws that are one: masses, centres,
+                    inertias and lengths with which L is the same up to a constant (more than one set has
+                    it). Joints turn relative to the link before. What friction a joint cannot have is left
+                    out and named in the file
+    ``"urdf"``      the same as a robot description
+    ``"matlab"``    a function file for MATLAB and Octave; it returns a structure of function handles:
+                    ``acceleration(q, qdot, forces)``, ``state_derivative(t, x, forces)`` with x = [q; qdot]
+                    for ``ode45``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``. The function has the name
+                    of the file
+    ``"fmu2"``      an FMU for co-simulation (FMI 2.0) with its C sources, compiled for this computer by the
+                    C compiler on the PATH. Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
+                    ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
+                    first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
+                    ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms
+                    or a tenth of a knot interval of the discovery, halved until another halving changes 100
+                    steps by less than 1e-8 of the motion). Inputs are held over a communication step. Times
+                    and angles have units
+    ``"fmu3"``      the same for FMI 3.0
+    ==============  =========================================================================================
 
-    A law that holds the time takes it, ``t``, behind q and qdot in Python, C, CasADi and MATLAB. That of an
-    FMU is the time of the simulation, and the script for SymPy has a symbol ``t``.
+    A law that holds the time takes it, ``t``, behind q and qdot in Python, C, CasADi, JAX, Julia and MATLAB.
+    That of an FMU and of Modelica's ``Motion`` is the time of the simulation, and the script for SymPy has a
+    symbol ``t``.
 
     Where the mass matrix is exactly singular the accelerations are NaN (MATLAB also warns, an FMU refuses the
     step); where a function is not defined (logarithm of a negative number), C and CasADi return NaN,
-    Python raises what `math` raises, and MATLAB stops with its own message.
+    Python raises what `math` raises; MATLAB, Julia and Modelica stop with their own message.
 
     Parameters
     ----------
     model : LagrangianModel
-    format : {"sympy", "latex", "python", "c", "casadi", "matlab", "fmu2", "fmu3"}
+    format : str
+        One of the formats above.
     path : path, optional
         File to write. For MATLAB and for an FMU its name is also that of the function or model; without a
         path that is ``leastaction_model``.
@@ -96,7 +121,7 @@ def export(model, format, path=None):
     ------
     InputError
         If there is no such format, the file cannot be written or, for MATLAB, has a name that cannot be
-        called; for an FMU, if there is no C compiler.
+        called; for an FMU, if there is no C compiler; for MJCF and URDF, if the law is no chain of links.
 
     Examples
     --------

@@ -6,13 +6,15 @@ Terms are written from their own text, so that factors stay in the sequence in w
 from __future__ import annotations
 
 import ast
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import NamedTuple
 
 from markupsafe import Markup
 
+from leastaction.findings import Finding
 from leastaction.identifiers import split_name, split_names, written_name
 from leastaction.model.notation import rounded
 
@@ -35,11 +37,21 @@ class Notation:
     ----------
     coordinates : sequence of str
         ``theta1`` becomes θ₁; names that would look alike are left as they are.
+    widths : sequence of float
+        Widths ε of smoothed absolute values: √(u² + ε²) is written as abs(u), as the user wrote it.
     """
 
-    def __init__(self, coordinates: Sequence[str]) -> None:
+    def __init__(self, coordinates: Sequence[str], widths: Sequence[float] = ()) -> None:
         self.coordinates = tuple(coordinates)
+        self.widths = tuple(widths)
         self._parts = split_names(self.coordinates)
+
+    @classmethod
+    def of_fit(cls, coordinates: Sequence[str], findings: Iterable[Finding]) -> Notation:
+        """With the widths that a fit has smoothed its candidates by."""
+        found = [f.values.get("widths") for f in findings if f.code == "friction-smoothed"]
+        lists = [widths for widths in found if isinstance(widths, (list, tuple))]
+        return cls(coordinates, [float(w) for widths in lists for w in widths if isinstance(w, (int, float))])
 
     def text(self, coordinate: str, derivative: int = 0) -> str:
         """Name of a coordinate, or of its derivative, as plain text for figures.
@@ -137,13 +149,17 @@ class Notation:
         raise ValueError("not in the grammar")
 
     def _name(self, name: str, power: str = "") -> str:
-        for coordinate, derivative in ((name, 0), (name.removesuffix("_dot"), 1)):
-            if coordinate in self._parts and (derivative == 0 or name.endswith("_dot")):
+        for derivative, ending in enumerate(("", "_dot", "_dot_dot")):
+            coordinate = name.removesuffix(ending)
+            if coordinate in self._parts and name.endswith(ending):
                 return self._symbol(coordinate, derivative, power)
         base = f"<mi>{escape('π' if name == 'pi' else name)}</mi>"
         return f"<msup>{base}{power}</msup>" if power else base
 
     def _call(self, name: str, argument: ast.expr, power: str = "") -> str:
+        softened = self._softened(argument) if name == "sqrt" else None
+        if softened is not None:
+            name, argument = "abs", softened
         inner = self._at(0, argument)
         if name in ("sqrt", "abs"):
             body = f"<msqrt>{inner}</msqrt>" if name == "sqrt" else _fenced("|", inner, "|")
@@ -151,6 +167,16 @@ class Notation:
         function = f"<mi>{escape(name)}</mi>"
         function = f"<msup>{function}{power}</msup>" if power else function
         return f"<mrow>{function}{_APPLY}{_parentheses(inner)}</mrow>"
+
+    def _softened(self, node: ast.expr) -> ast.expr | None:
+        """The u of u² + ε² where ε is one of the widths, else None."""
+        if not (isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add)):
+            return None
+        square, rest = node.left, _value(node.right)
+        if not (isinstance(square, ast.BinOp) and isinstance(square.op, ast.Pow)) or rest is None:
+            return None
+        known = any(math.isclose(rest, width**2, rel_tol=1e-9) for width in self.widths)
+        return square.left if known and _value(square.right) == 2 else None
 
     def _binary(self, node: ast.BinOp) -> tuple[str, int]:
         left, right = node.left, node.right
@@ -274,6 +300,16 @@ def _unsigned(node: ast.expr) -> ast.expr | None:
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Mult, ast.Div)):
         left = _unsigned(node.left)
         return None if left is None else ast.BinOp(left, node.op, node.right)
+    return None
+
+
+def _value(node: ast.expr) -> float | None:
+    """A number, or a quotient of two; None for all else."""
+    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
+        return float(node.value)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
+        over, under = _value(node.left), _value(node.right)
+        return over / under if over is not None and under else None
     return None
 
 

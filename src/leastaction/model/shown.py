@@ -80,7 +80,7 @@ class ShownModel(Shown):
 
     def _card(self) -> Card:
         model = cast("LagrangianModel", self)
-        notation = Notation(model.coordinates)
+        notation = Notation.of_fit(model.coordinates, model.fit.findings)
         header, *body = rows(model)
         table = [header, *((Typeset(row[0], notation.term(row[0])), *row[1:]) for row in body)]
         status = f"fit: {model.fit.status}{_statements(model)}"
@@ -113,7 +113,7 @@ def _reach(term: ModelTerm) -> tuple[float, float]:
 
 def _formulas(model: LagrangianModel) -> Markup:
     """L, and ψ if there is one, each coefficient with its error below."""
-    notation = Notation(model.coordinates)
+    notation = Notation.of_fit(model.coordinates, model.fit.findings)
     lines: list[Markup] = []
     for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
         if terms:

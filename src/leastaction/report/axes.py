@@ -12,7 +12,7 @@ from html import escape
 import numpy as np
 from markupsafe import Markup
 
-from leastaction.report.svg import Colour, dot_path, line_path, number, path, stroke, text
+from leastaction.report.svg import Colour, dot_path, line_path, number, path, sample_path, stroke, text
 from leastaction.report.ticks import Linear, Scale, Ticks, with_power
 
 __all__ = ["HALF", "THIRD", "Axes", "Frame", "shortened"]
@@ -26,6 +26,7 @@ _UPRIGHT = Linear(room=45.0, share=0.06, steps=(1.0, 2.0, 2.5, 5.0))
 # Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
 _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
 _DIGIT, _LETTER = 9.8, 10.5
+_SPARSE = 16.0  # px from sample to sample, from which on dots do not hide the line below them
 _WIDER = {"−": 1.35, ".": 0.5}  # in digits
 _BEHIND, _GRID, _FILL, _DOTS, _LINES, _ABOVE = range(6)  # what is drawn later covers what was earlier
 
@@ -120,6 +121,20 @@ class Axes:
             return "".join(path(d, style) for style in styles)
 
         self._add(_ABOVE if above else _DOTS, draw)
+
+    def samples(self, x: np.ndarray, y: np.ndarray, size: float) -> None:
+        """Draw every sample: dots above the lines where they are few, else strokes of this width below.
+
+        Samples that share a pixel become one stroke from the lowest to the highest.
+        """
+        there = np.isfinite(x) & np.isfinite(y)
+        x, y = x[there], y[there]
+        if x.size * _SPARSE < self.width:
+            self.dots(x, y, "measured", 1.3 * size, above=True)
+            return
+        self._know(x, y)
+        style = stroke("measured", size, cap="round")
+        self._add(_DOTS, lambda frame: path(sample_path(frame.x(x), frame.y(y)), style))
 
     def bars(self, heights: np.ndarray, edges: np.ndarray, colour: Colour, opacity: float) -> None:
         """Fill a histogram: one bar from zero between each two edges."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,11 +11,13 @@ import numpy as np
 
 from leastaction.model.constants import SimpleConstants
 from leastaction.model.diagnostics import PathPoint
+from leastaction.model.linear import Equilibrium, Linearisation
+from leastaction.model.mathml import Notation
 from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import ShapeParameter
 from leastaction.model.text import CONSERVED, agreement
 from leastaction.report.series import Series
-from leastaction.report.text import listed, percent, plain, plural, signed
+from leastaction.report.text import listed, percent, plain, plural, signed, typeset_all
 from leastaction.simulation.forecast import ForecastResult
 
 __all__ = [
@@ -30,12 +33,16 @@ __all__ = [
     "energy_title",
     "forecast_title",
     "motion_note",
+    "motion_summary",
     "pareto_title",
     "path_title",
+    "placed",
     "profile_title",
     "residual_title",
     "simple_note",
     "symmetry_note",
+    "symmetry_summary",
+    "zoom_title",
 ]
 
 # Headings are pairs of a text and a class, "n" for columns of numbers.
@@ -55,6 +62,7 @@ NO_MOTIONS = (
 )
 NO_SYMMETRIES = "None are looked for where the law holds the time."
 
+_PI = re.compile(r"(?<![\d.])3\.14159(?!\d)")  # to the digits of an equilibrium
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
 _SLOW = 0.05
@@ -94,6 +102,12 @@ def curve_title(series: Series, i: int, name: str) -> str:
         return f"{name}: the curve is as far from the samples as their noise explains ({ratio:.2f} σ rms)"
     where = "closer to" if ratio < 1.0 else "farther from"
     return f"{name}: the curve is {where} the samples than their noise explains ({ratio:.2f} σ rms)"
+
+
+def zoom_title(series: Series, name: str) -> str:
+    """Which stretch is drawn."""
+    start, stop = series.zoom
+    return f"{name} from {plain(start, 4)} to {plain(stop, 4)} s, with its velocity and acceleration"
 
 
 def _ratio(series: Series, i: int) -> float:
@@ -181,6 +195,36 @@ def motion_note(left_out: Sequence[str]) -> str:
     if left_out:
         text += f" Left out, since it has no derivative at rest: dry friction, {listed(left_out)}."
     return text
+
+
+def symmetry_summary(symmetries: Sequence[Symmetry]) -> str:
+    """How many symmetries there are, and what stays constant."""
+    text = plural(len(symmetries), "symmetry", "symmetries")
+    constant = [CONSERVED[s.kind] for s in symmetries if s.kind in CONSERVED and not s.obstacles]
+    return f"{text}; conserved: {', '.join(dict.fromkeys(constant)) or 'nothing'}"
+
+
+def motion_summary(motions: Sequence[tuple[Equilibrium, Linearisation | None]], notation: Notation) -> str:
+    """Natural frequencies about the first stable equilibrium; empty where none swings."""
+    for rest, system in motions:
+        paces = () if system is None else [m.pace.partition(",")[0] for m in system.modes if m.pole.imag]
+        if rest.stability != "unstable" and paces:
+            names = [notation.text(name) for name in notation.coordinates]
+            several = "Natural frequencies" if len(paces) > 1 else "Natural frequency"
+            place = placed(rest.place(names))
+            return f"{several} about {place} ({rest.standing}): {typeset_all(listed(paces))}."
+    return ""
+
+
+def placed(text: str) -> str:
+    """Where an equilibrium is, for people.
+
+    Examples
+    --------
+    >>> placed("θ = 3.14159, x -0.5")
+    'θ = π, x −0.5'
+    """
+    return typeset_all(_PI.sub("π", text))
 
 
 def energy_title(energy: dict[str, Any]) -> str:

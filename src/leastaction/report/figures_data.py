@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from leastaction.model.mathml import Notation
 from leastaction.report.axes import HALF, Axes
-from leastaction.report.series import Series, legible_samples, sample_times, thin_line, thin_points
+from leastaction.report.series import Series, sample_times, thin_line
 from leastaction.report.text import plain
 
 __all__ = ["DataFigures"]
@@ -31,15 +31,11 @@ class DataFigures:
         axes = Axes(HALF)
         start, stop = self.series.zoom
         axes.band(x=(start, stop))
-        noise = float(self.series.model.noise_std[i])
-        seen_t, seen, quiet = legible_samples(trial.t, trial.q[:, i], noise, self._share(_POINTS))
-        axes.dots(seen_t, seen, "measured", 4.0 if quiet else 2.6, above=quiet)
+        axes.samples(trial.t, trial.q[:, i], 4.4)
         t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
         axes.line(*thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), "fit", 1.1)
         axes.label("t (s)", name, y_unit=self._unit(i))
-        said = (
-            f"{trial.n_samples} samples as dots, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
-        )
+        said = f"{trial.n_samples} samples, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
         return axes.svg(f"overview{i}", f"{name} over the whole trial {trial.name}", said)
 
     def zoom(self, i: int, derivative: int) -> Markup:
@@ -50,13 +46,11 @@ class DataFigures:
         t = sample_times(start, stop, self._share(_ZOOM_POINTS))
         if derivative == 0:
             inside = (trial.t >= start) & (trial.t <= stop)
-            noise = float(self.series.model.noise_std[i])
-            seen_t, seen, quiet = legible_samples(trial.t[inside], trial.q[inside, i], noise)
-            axes.dots(seen_t, seen, "measured", 4.5 if quiet else 3.2, above=quiet)
+            axes.samples(trial.t[inside], trial.q[inside, i], 4.4)
         curve = self.series.curve(t, derivative)[:, i]
-        axes.line(t, curve, "fit")
+        axes.line(t, curve, "fit", 1.3)
         axes.label("t (s)", name, y_unit=self._unit(i, derivative))
-        what = "Samples as dots and the fitted curve" if derivative == 0 else "The fitted curve"
+        what = "Samples and the fitted curve" if derivative == 0 else "The fitted curve"
         said = f"{what}. {self._range(curve, i, derivative)}"
         return axes.svg(f"zoom{i}{derivative}", f"{name} from {start:.3g} to {stop:.3g} s", said)
 
@@ -65,16 +59,12 @@ class DataFigures:
         name, trial = self._name(i), self.series.shown
         sigma = float(self.series.model.noise_std[i])
         axes = Axes()
-        axes.dots(
-            *thin_points(trial.t, self.series.residuals[self.series.trial][:, i], self._share(_POINTS)),
-            "measured",
-            2.2,
-        )
+        axes.samples(trial.t, self.series.residuals[self.series.trial][:, i], 2.2)
         for end in (-1.96 * sigma, 1.96 * sigma):
             axes.rule(end, "fit", 1.0, dashes="4 3")
         axes.limit(x=(trial.t[0], trial.t[-1]))
         axes.label("t (s)", f"{name}, measured − fitted", y_unit=self._unit(i))
-        said = f"Dots, and dashed lines at ±1.96 σ, where σ is {plain(sigma)} {self._unit(i)}"
+        said = f"95 % of normal noise lies between the dashed lines; σ is {plain(sigma)} {self._unit(i)}"
         return axes.svg(f"residual{i}", f"Residuals of {name} over time", said)
 
     def histogram(self, i: int) -> Markup:
@@ -106,7 +96,7 @@ class DataFigures:
         reach = max(0.25, 1.1 * float(np.max(np.abs(np.nan_to_num(values)), initial=0.0)))
         axes.limit(x=(0.0, max(values.size, 1) + 1.0), y=(-reach, reach))
         axes.label("lag (samples)", f"autocorrelation, {self._name(i)}")
-        said = f"Lags of 1 to {values.size} samples; white noise stays within ±{bound:.2g}"
+        said = f"Lags of 1 to {values.size} samples; white noise stays within {bound:.2g} of zero"
         return axes.svg(f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
 
     def _share(self, points: int) -> int:

@@ -13,8 +13,8 @@ from scipy.interpolate import PchipInterpolator
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.notation import interval_text, rounded
 from leastaction.model.term import INTERVAL_RISE, ModelTerm, ShapeParameter
-from leastaction.report.axes import HALF, THIRD, Axes
-from leastaction.report.series import Energy, legible_samples, thin_line
+from leastaction.report.axes import HALF, Axes
+from leastaction.report.series import Energy, thin_line
 from leastaction.report.text import plain, signed
 from leastaction.report.ticks import Folded, Linear
 from leastaction.simulation.forecast import ForecastTrace
@@ -35,7 +35,6 @@ __all__ = [
 
 _MOST_TRIALS = 60
 _OTHER_POINTS = 200  # of a trial that is one line among many
-_MOST_DOTS = 500  # of the error of one forecast
 
 
 def path_figure(path: Sequence[PathPoint]) -> Markup:
@@ -149,17 +148,17 @@ def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
     return axes.svg("energies", "Total energy along the fitted curves of all trials", said)
 
 
-def forecast_panel(trace: ForecastTrace, i: int, noise_std: float, name: str, unit: str, key: str) -> Markup:
+def forecast_panel(trace: ForecastTrace, i: int, name: str, unit: str, key: str) -> Markup:
     """Measured samples and the free run of one coordinate, and below them what is between the two."""
-    axes = Axes()
+    axes = Axes(HALF)
     reach = None if trace.reach is None else trace.reach[:, i]
-    draw_forecast(axes, trace.t, trace.measured[:, i], trace.forecast[:, i], noise_std)
+    draw_forecast(axes, trace.t, trace.measured[:, i], trace.forecast[:, i])
     if reach is not None:
         axes.strip(trace.t, trace.forecast[:, i] - reach, trace.forecast[:, i] + reach, "forecast")
     axes.label("t (s)", name, y_unit=unit)
     far = "no error known" if np.isnan(trace.rms[i]) else f"rms error {plain(float(trace.rms[i]))} {unit}"
     title = f"{name} of trial {trace.trial} from {trace.origin:.4g} s: forecast and samples"
-    said = f"Measured samples as dots, the free run as a line; {far}"
+    said = f"Measured samples, and the free run as a line; {far}"
     return axes.svg(key, title, said) + _errors_of_forecast(trace, i, reach, (name, unit), f"{key}e")
 
 
@@ -167,7 +166,7 @@ def _errors_of_forecast(
     trace: ForecastTrace, i: int, reach: np.ndarray | None, label: tuple[str, str], key: str
 ) -> Markup:
     """Measured less forecast, as far as it is near, in the band that should hold 95 % of the samples."""
-    axes, error = Axes((THIRD[0], 130.0)), trace.measured[:, i] - trace.forecast[:, i]
+    axes, error = Axes((HALF[0], 130.0)), trace.measured[:, i] - trace.forecast[:, i]
     there = np.isfinite(error)
     if not there.any():
         return Markup("")
@@ -176,18 +175,16 @@ def _errors_of_forecast(
     if reach is not None:
         axes.strip(trace.t, -reach, reach, "forecast")
     axes.rule(0.0, "forecast", 1.2)
-    some = np.flatnonzero(there)[:: 1 + int(there.sum()) // _MOST_DOTS]
-    axes.dots(trace.t[some], error[some], "measured", 3.2)
+    axes.samples(trace.t, error, 2.4)
     axes.limit(x=(trace.t[0], trace.t[-1]), y=(-1.1 * most or -1.0, 1.1 * most or 1.0))
     axes.label("t (s)", "measured − forecast", y_unit=label[1])
     title = f"{label[0]} of trial {trace.trial} from {trace.origin:.4g} s: measured less forecast"
     return axes.svg(key, title, f"Errors of the forecast as dots, in units of {label[1] or 'the coordinate'}")
 
 
-def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray, noise_std: float) -> None:
+def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray) -> None:
     """Draw samples, and over them the free run as far as it is near them."""
-    t_seen, some, quiet = legible_samples(t, measured, noise_std)
-    axes.dots(t_seen, some, "measured", 4.5 if quiet else 3.2, above=quiet)
+    axes.samples(t, measured, 4.6)
     there = np.isfinite(run)
     seen = measured[np.isfinite(measured)]
     if seen.size:
@@ -198,7 +195,7 @@ def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarr
         ends = np.concatenate([seen, np.clip(run[there], low - reach, high + reach)])
         pad = 0.06 * max(float(np.ptp(ends)), 1e-12)
         axes.limit(y=(ends.min() - pad, ends.max() + pad))
-    axes.line(*thin_line(t[there], run[there]), "forecast")
+    axes.line(*thin_line(t[there], run[there]), "forecast", 1.3)
     axes.limit(x=(t[0], t[-1]))
 
 
@@ -267,4 +264,4 @@ def _in_words(share: float) -> str:
         return "no standard error"
     if share >= 1.0:
         return "the 95 % interval includes zero"
-    return f"95 % interval: ±{rounded(100 * share, digits=2)} % of the coefficient"
+    return f"the 95 % interval ends {rounded(100 * share, digits=2)} % of the coefficient to either side"

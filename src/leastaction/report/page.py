@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import platform
 from collections.abc import Mapping
+from datetime import date
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any
@@ -16,7 +17,7 @@ from markupsafe import Markup
 from leastaction.findings import because
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
-from leastaction.report import captions, tables
+from leastaction.report import captions, law, tables
 from leastaction.report import figures_model as figures
 from leastaction.report.figures_data import DataFigures
 from leastaction.report.series import Energy, Series
@@ -29,7 +30,11 @@ __all__ = ["render"]
 _MOST_DRAWN = 6  # coordinates with figures
 _MOST_ROWS = 30  # trials listed
 _MOST_ENERGIES = 60
-_MOST_OPEN = 10  # rows of a table that need no folding away
+_TITLES = {
+    "ok": "This model holds along the data",
+    "usable": "This model forecasts, and its equations hold to some per cent only",
+    "doubtful": "Do not rely on these coefficients yet",
+}
 
 
 def render(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> str:
@@ -55,8 +60,10 @@ def _context(
 ) -> dict[str, Any]:
     diagnostics = model.diagnostics
     assert diagnostics is not None
-    notation, series = Notation(model.coordinates), Series(model)
-    options = _options(model)
+    today, series = date.today(), Series(model)
+    notation = Notation.of_fit(model.coordinates, model.fit.findings)
+    widths = notation.widths
+    options = {name: _as_given(value, widths) for name, value in _options(model).items()}
     angles = options.get("angles") or ()
     units = tuple("rad" if c in angles else "units" for c in model.coordinates)
     trials = tables.trial_rows(series)
@@ -65,6 +72,12 @@ def _context(
         "model": model,
         "symbols": [notation.heading(c) for c in model.coordinates],
         "names": [notation.text(c) for c in model.coordinates],
+        "date": f"{today.day} {today:%B %Y}",
+        "titles": _TITLES,
+        "widths": " and ".join(map(plain, sorted({*widths}))),
+        "equations": law.equations(model, notation),
+        "correlations": law.correlations(model, notation),
+        "driven": series.trajectories.driven,
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
         "groups": groups,
@@ -72,6 +85,7 @@ def _context(
         "simple_title": captions.SIMPLE_TITLE,
         "simple_head": captions.SIMPLE_HEAD,
         "simple_note": captions.simple_note(model.simple_constants),
+        "symmetry_summary": captions.symmetry_summary(model.symmetries),
         "symmetries": tables.symmetry_rows(model, notation),
         "no_symmetries": captions.NO_SYMMETRIES,
         "symmetry_title": captions.SYMMETRY_TITLE,
@@ -88,6 +102,7 @@ def _context(
         "panels": [
             {
                 "curve": captions.curve_title(series, i, notation.text(name)),
+                "zoom": captions.zoom_title(series, notation.text(name)),
                 "residuals": captions.residual_title(series, i, notation.text(name)),
             }
             for i, name in enumerate(model.coordinates[:_MOST_DRAWN])
@@ -100,8 +115,6 @@ def _context(
         "trials": trials[:_MOST_ROWS],
         "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
-        "n_open": _MOST_OPEN,
-        "notes": model.fit.notes,
         "plain": plain,
         "plural": plural,
         "has_units": "units" in units,
@@ -138,9 +151,12 @@ def _motions(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     return {
         "motions": tables.motion_rows(model, notation),
         "n_motions": len(model.small_motions),
+        "motion_summary": captions.motion_summary(model.small_motions, notation),
         "motion_title": captions.MOTION_TITLE,
         "motion_head": captions.MOTION_HEAD,
-        "motion_note": captions.motion_note(systems[0].left_out if systems else ()),
+        "motion_note": captions.motion_note(
+            [law.unsmoothed(text, notation.widths) for text in (systems[0].left_out if systems else ())]
+        ),
         "no_motions": captions.NO_MOTIONS,
     }
 
@@ -156,6 +172,15 @@ def _profiles(model: LagrangianModel) -> dict[str, Any]:
 def _options(model: LagrangianModel) -> Mapping[str, Any]:
     options = model.provenance.get("options")
     return options if isinstance(options, Mapping) else {}
+
+
+def _as_given(value: Any, widths: tuple[float, ...]) -> Any:
+    """An option with the candidates that the user wrote."""
+    if isinstance(value, Mapping):
+        return {law.unsmoothed(str(key), widths): item for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [law.unsmoothed(item, widths) if isinstance(item, str) else item for item in value]
+    return value
 
 
 def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
@@ -251,7 +276,6 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
                 figures.forecast_panel(
                     trace,
                     i,
-                    result.noise_std[i],
                     notation.text(result.coordinates[i]),
                     units[i],
                     f"forecast{k}-{i}",
@@ -276,14 +300,15 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
 
 
 def _typical_starts(result: ForecastResult) -> list[tuple[str, ForecastTrace]]:
-    """Forecasts with the smallest, the median and the largest error, relative to the spread."""
+    """Forecasts with the median and the largest error, relative to the spread."""
 
-    def size(trace: ForecastTrace) -> float:
+    def size(trace: ForecastTrace) -> tuple[float, bool]:
         relative = trace.rms / result.std
-        return float(np.nanmax(relative)) if np.isfinite(relative).any() else math.inf
+        far = float(np.nanmax(relative)) if np.isfinite(relative).any() else math.inf
+        return far, trace.status != "ok"
 
     ranked = sorted(result.traces, key=size)
-    picks = {0: "smallest error", len(ranked) - 1: "largest error", len(ranked) // 2: "median error"}
+    picks = {(len(ranked) - 1) // 2: "median error", len(ranked) - 1: "largest error"}
     if len(ranked) < 3:
         picks = dict.fromkeys(range(len(ranked)), "forecast")
     return [(picks[k], ranked[k]) for k in sorted(picks)]

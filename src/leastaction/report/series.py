@@ -14,12 +14,10 @@ from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import Diagnostics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["Energy", "Series", "legible_samples", "sample_times", "thin_line", "thin_points"]
+__all__ = ["Energy", "Series", "sample_times", "thin_line"]
 
 _ZOOM_SAMPLES = (100, 260)  # fewest and most sampling intervals of the zoom
 _LINE_POINTS = 900
-_DOTS = 2000
-_FEW = 25  # dots upon a line that they must not hide
 _LAGS = 40
 
 
@@ -157,30 +155,6 @@ def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tup
             keep |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
     index = np.array(sorted(keep))
     return t[index], y[index]
-
-
-def thin_points(t: np.ndarray, y: np.ndarray, n_points: int = _DOTS) -> tuple[np.ndarray, np.ndarray]:
-    """Every k-th measured point, and the most extreme ones whatever k is."""
-    index = np.flatnonzero(np.isfinite(y))
-    if index.size <= n_points:
-        return t[index], y[index]
-    step = -(-index.size // n_points)
-    extreme = index[np.argsort(np.abs(y[index] - np.median(y[index])), kind="stable")[-20:]]
-    index = np.union1d(index[::step], extreme)
-    return t[index], y[index]
-
-
-def legible_samples(
-    t: np.ndarray, y: np.ndarray, noise_std: float, n_points: int = _DOTS
-) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Samples to draw with a line, and whether above it: where noise cannot be seen, a few of them above."""
-    there = np.isfinite(y)
-    t, y = t[there], y[there]
-    quiet = bool(t.size > 1 and noise_std < 0.015 * np.ptp(y))
-    if not quiet:
-        return *thin_points(t, y, n_points), False
-    step = -(-t.size // _FEW)
-    return t[::step], y[::step], True
 
 
 def sample_times(start: float, stop: float, n_times: int) -> np.ndarray:

@@ -18,6 +18,7 @@ from leastaction.model.notation import interval_text
 from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import ModelTerm
 from leastaction.model.text import CONSERVED, outcome, reach, shown_quantity
+from leastaction.report.captions import placed
 from leastaction.report.figures_model import whisker
 from leastaction.report.series import Series
 from leastaction.report.text import aligned, listed, percent, plain, signed, typeset, typeset_all
@@ -144,7 +145,7 @@ def motion_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, An
         modes = [(m.pace, ", ".join(m.deviations(free))) for m in (() if system is None else system.modes)]
         rows.append(
             {
-                "place": typeset_all(rest.place(names)),
+                "place": placed(rest.place(names)),
                 "standing": rest.standing,
                 "modes": [tuple(map(typeset_all, mode)) for mode in modes],
             }

@@ -1,31 +1,140 @@
-"""The head of the report: status, warnings, what to do, and the few numbers that decide."""
+"""The head of the report: status, warnings, reservations, what to do, and the few numbers that decide."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
+from leastaction.findings import Finding
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
 from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["verdict"]
+__all__ = ["in_symbols", "verdict"]
+
+_HELD = 0.9
+"""Share of held-out samples in the 95 % band below which forecasts contradict the model's own errors."""
+_FAR = 0.2
+"""Forecast error over spread above which a forecast without a band contradicts a fit that is ok."""
+_LETTERS = frozenset("bcdefghijklmnopqrstuvwxyzABCDEFGHJKLMNOPQRSTUVWXYZ")
+"""Names of one letter that are no words; "a" and "I" are."""
+_PREPARED = frozenset(
+    {
+        *(
+            "time-unit",
+            "dates",
+            "converted-units",
+            "units-row",
+            "decimal-comma",
+            "first-sheet",
+            "text-encoding",
+        ),
+        *("angle-unwrapped", "forces-unused", "rates-unused", "outliers-left-out"),
+        *("friction-smoothed", "undefined-candidates", "rate-noise", "groups-alike", "text"),
+    }
+)
+"""Notes on what was done to the data; all others qualify the result."""
 
 
 def verdict(model: LagrangianModel, validation: ForecastResult | None, notation: Notation) -> dict[str, Any]:
     """What the first section shows."""
+    findings = model.fit.findings
+    notes = [f for f in findings if f.severity == "note"]
+    words = _terms_in(model, findings)
+    against = _against(validation) if model.fit.status == "ok" else []
+    said = {
+        key: [_in_words(group, notation, words) for group in _alike(some)]
+        for key, some in {
+            "reservations": [f for f in notes if f.code not in _PREPARED and f.code != "forecasts"],
+            "prepared": [f for f in notes if f.code in _PREPARED],
+        }.items()
+    }
     return {
         "status": model.fit.status,
-        "warnings": [(f.message, f.remedy) for f in model.fit.findings if f.severity == "warning"],
-        "statements": [(name.capitalize(), text) for name, text in _statements(model, validation).items()],
+        "tone": "doubtful" if against else model.fit.status,
+        "against": against,
+        "warnings": [
+            (in_symbols(f.message, notation, words), in_symbols(f.remedy, notation, words))
+            for f in findings
+            if f.severity == "warning"
+        ],
+        **said,
+        "statements": [
+            (name.capitalize(), in_symbols(text, notation, words))
+            for name, text in _statements(model, validation).items()
+        ],
         "forecast": validation is not None,
         "forecasts": _free_runs(model),
         "facts": [*_forecast_facts(validation), *_fit_facts(model, notation), *_size_facts(model)],
     }
+
+
+def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Markup:
+    """A sentence whose coordinates, velocities and terms are written as mathematics.
+
+    What stands in quotes or after an equals sign is code, and stays as it is. So does a name that is a word,
+    such as ``angle``.
+
+    Examples
+    --------
+    >>> in_symbols("q < 1", Notation(["q"])).endswith("</math> &lt; 1")
+    True
+    >>> print(in_symbols("angles=['theta']", Notation(["theta"])))
+    angles=[&#39;theta&#39;]
+    """
+    names = [name for name in notation.coordinates if notation.text(name) != name or name in _LETTERS]
+    rates = [f"{name}{ending}" for name in notation.coordinates for ending in ("_dot_dot", "_dot")]
+    words = sorted({*terms, *rates, *names}, key=len, reverse=True)
+    pattern = re.compile(rf"(?<![\w'\"=.])(?:{'|'.join(map(re.escape, words))})(?![\w'\"=(]|\*\*)")
+    parts, at = [], 0
+    for found in pattern.finditer(text):
+        parts += [escape(text[at : found.start()]), notation.term(found[0])]
+        at = found.end()
+    return Markup("").join([*parts, escape(text[at:])])
+
+
+def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
+    """Terms that a sentence may name: those of the law, of its rivals, and those that findings are about."""
+    path = () if model.diagnostics is None else model.diagnostics.path
+    texts = {t.written for t in (*model.terms, *model.dissipation)}
+    texts |= {text for point in path for text in point.written}
+    return texts | {text for finding in findings for text in finding.subject if re.search(r"[*(]", text)}
+
+
+def _alike(findings: Iterable[Finding]) -> Iterator[list[Finding]]:
+    """Neighbours that say the same of several subjects."""
+    for _, group in groupby(findings, key=lambda f: (f.code, f.remedy if f.code != "text" else id(f))):
+        yield list(group)
+
+
+def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str]) -> Markup:
+    message, remedy = "; ".join(f.message for f in findings), findings[0].remedy
+    return in_symbols(f"{message}: {remedy}" if remedy else message, notation, terms)
+
+
+def _against(result: ForecastResult | None) -> list[str]:
+    """What forecasts of held-out trials say against a fit that is ok."""
+    if result is None:
+        return []
+    if result.n_diverged:
+        starts = plural(result.n_starts, "forecast", "forecasts")
+        return [f"{result.n_diverged} of {starts} of held-out trials diverged"]
+    inside = result.coverage[np.isfinite(result.coverage)]
+    if inside.size and inside.min() < _HELD:
+        share = percent(float(inside.min()))
+        return [f"only {share} of the samples of held-out trials lie in the band that should hold 95 %"]
+    ratios = (result.rms / result.expected_rms)[np.isfinite(result.rms)]
+    if not inside.size and _worst(result) > _FAR and ratios.size and ratios.max() > 2.0:
+        return [f"forecasts of held-out trials are off by {percent(_worst(result))} of the spread"]
+    return []
 
 
 def _statements(model: LagrangianModel, validation: ForecastResult | None) -> dict[str, str]:
@@ -72,11 +181,11 @@ def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any
     ]
     if free:
         weakest = min(free, key=lambda t: abs(t.z))
-        share = (weakest.upper - weakest.coefficient) / abs(weakest.coefficient)
-        value = f"±{percent(share)}" if share < 10 else "open"
+        share = 1.0 / abs(weakest.z)
+        value = f"± {percent(share)}" if share < 5 else "open"
         text = weakest.written
         note = text if notation.is_long(text) else notation.term(text)
-        facts.append({"name": "Least sure term", "value": value, "note": note})
+        facts.append({"name": "Least sure coefficient", "value": value, "note": note})
     return facts
 
 

@@ -1,0 +1,257 @@
+"""Files that go into the app and out of it: checked uploads, exports, and a session as one file.
+
+A saved session is a ZIP archive of the tables and of what was chosen. Results are not in it, since reading
+them back would mean to run what a stranger's file says: they are found again from the same choices.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import re
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from leastaction.app.candidates import Choice
+from leastaction.errors import DataError, InputError
+from leastaction.exporters.formats import FORMATS
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel
+
+__all__ = [
+    "ENDINGS",
+    "MOST_BYTES",
+    "SESSION",
+    "SUFFIXES",
+    "Saved",
+    "archive",
+    "by_number",
+    "check_size",
+    "everything",
+    "exported",
+    "kind_of",
+    "open_saved",
+    "plain_name",
+    "saved",
+]
+
+MOST_BYTES = 200_000_000
+"""Largest upload, and largest table inside a compressed one."""
+SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".csv.gz", ".tsv.gz", ".txt.gz", ".dat.gz")
+SESSION = ".leastaction"
+"""Suffix of a saved session."""
+ENDINGS = {
+    "sympy": "_sympy.py",
+    "latex": ".tex",
+    "python": ".py",
+    "c": ".c",
+    "casadi": "_casadi.py",
+    "jax": "_jax.py",
+    "julia": ".jl",
+    "modelica": ".mo",
+    "mjcf": "_mjcf.xml",
+    "urdf": ".urdf",
+    "matlab": ".m",
+    "fmu2": "_fmi2.fmu",
+    "fmu3": "_fmi3.fmu",
+}
+"""Format of an export -> how its file ends."""
+_VERSION = 1
+_MOST_FILES = 1000
+_MOST_SAID = 100_000  # bytes of session.json
+
+
+def exported(model: LagrangianModel, format: str) -> tuple[str, bytes]:
+    """Name and content of an export.
+
+    Raises
+    ------
+    InputError
+        If the format needs something that is not there, such as a C compiler.
+    """
+    import leastaction as la
+
+    content = la.export(model, format)
+    return f"leastaction_model{ENDINGS[format]}", content.encode() if isinstance(content, str) else content
+
+
+def everything(model: LagrangianModel, more: Mapping[str, str]) -> bytes:
+    """A ZIP archive of every export, of `more` texts by name, and of a list of what is in it."""
+    members = {name: text.encode() for name, text in more.items()}
+    lines = ["Written by leastaction: one model, for several programs.", ""]
+    for format, what in FORMATS.items():
+        try:
+            name, content = exported(model, format)
+        except (InputError, DataError) as error:
+            lines.append(f"{format}: left out, {error}")
+        else:
+            members[name] = content
+            lines.append(f"{name}: {what}")
+    return archive({**members, "README.txt": ("\n".join(lines) + "\n").encode()})
+
+
+def archive(members: Mapping[str, bytes]) -> bytes:
+    """A ZIP archive of files by name."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, content in members.items():
+            file.writestr(name, content)
+    return out.getvalue()
+
+
+class Saved:
+    """What a saved session holds.
+
+    Attributes
+    ----------
+    title : str
+    tables : dict
+        Name of a file -> its content, in the order in which they were given.
+    roles : dict
+        Column -> role.
+    choice : Choice
+    """
+
+    def __init__(
+        self, title: str, tables: Mapping[str, bytes], roles: Mapping[str, str], choice: Choice
+    ) -> None:
+        self.title, self.tables, self.roles, self.choice = title, dict(tables), dict(roles), choice
+
+
+def saved(session: Saved) -> bytes:
+    """A session as one file."""
+    said = {
+        "leastaction session": _VERSION,
+        "title": session.title,
+        "tables": list(session.tables),
+        "roles": session.roles,
+        "choice": asdict(session.choice),
+    }
+    tables = {f"tables/{name}": content for name, content in session.tables.items()}
+    return archive({"session.json": json.dumps(said, ensure_ascii=False, indent=1).encode(), **tables})
+
+
+def open_saved(content: bytes) -> Saved:
+    """Read a saved session; nothing in it is run, and everything in it is checked.
+
+    Raises
+    ------
+    InputError
+        If it is no session, or a damaged one.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
+            sizes = {part.filename: part.file_size for part in file.infolist()}
+            if sum(sizes.values()) > MOST_BYTES or sizes.get("session.json", 0) > _MOST_SAID:
+                raise InputError(
+                    f"this session holds more than {MOST_BYTES // 1_000_000} MB when it is unpacked"
+                )
+            said = json.loads(file.read("session.json"))
+            names = _texts(said["tables"])
+            tables = {plain_name(name): file.read(f"tables/{name}") for name in names}
+            roles = {str(column): str(role) for column, role in said["roles"].items()}
+            if said["leastaction session"] != _VERSION or not names or len(names) > _MOST_FILES:
+                raise ValueError("of another version")
+            return Saved(str(said["title"])[:200], tables, roles, _choice(said["choice"]))
+    except (zipfile.BadZipFile, KeyError, TypeError, ValueError, AttributeError, zlib.error) as error:
+        raise InputError(f"this is no session that can be opened ({type(error).__name__}: {error})") from None
+
+
+def _choice(said: Mapping[str, Any]) -> Choice:
+    """The choices, each of the kind that it has by default."""
+    default, out = Choice(), {}
+    for field in fields(Choice):
+        value, like = said[field.name], getattr(default, field.name)
+        if isinstance(like, list):
+            value = _texts(value)
+        elif isinstance(like, float):
+            value = float(value)
+        elif type(value) is not type(like):
+            raise ValueError(f"{field.name} is {value!r}")
+        out[field.name] = value
+    return Choice(**out)
+
+
+def _texts(value: Any) -> list[str]:
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"{str(value)[:40]!r} is no list of texts")
+    return value
+
+
+def plain_name(name: str) -> str:
+    """A name that may reach the disk: letters, digits and the like."""
+    return re.sub(r"[^\w.+-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[:80] or "table"
+
+
+def by_number(name: str) -> list[tuple[int, str]]:
+    """Key that puts run2 before run10.
+
+    Examples
+    --------
+    >>> sorted(["run10.csv", "run2.csv"], key=by_number)
+    ['run2.csv', 'run10.csv']
+    """
+    parts = re.split(r"(\d+)", plain_name(name))
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
+
+
+def kind_of(name: str) -> str:
+    """The suffix of a table that can be read.
+
+    Raises
+    ------
+    InputError
+        If it is of another kind.
+    """
+    suffix = next((s for s in sorted(SUFFIXES, key=len, reverse=True) if name.lower().endswith(s)), None)
+    if suffix is None:
+        raise InputError(f"{plain_name(name)} is no table; give a file with one of {', '.join(SUFFIXES)}")
+    return suffix
+
+
+def check_size(name: str, content: bytes) -> None:
+    """Refuse what is too large, also when it is unpacked.
+
+    Raises
+    ------
+    InputError
+    """
+    limit = f"{MOST_BYTES // 1_000_000} MB"
+    if len(content) > MOST_BYTES:
+        raise InputError(
+            f"{plain_name(name)} is larger than {limit}; leave out columns or use the command line"
+        )
+    measures: Sequence[tuple[bytes, Callable[[bytes], int]]] = (
+        (b"PK", _size_of_workbook),
+        (b"\x1f\x8b", _size_of_gzip),
+    )
+    for mark, measure in measures:
+        if content[:2] == mark and measure(content) > MOST_BYTES:
+            raise InputError(
+                f"{plain_name(name)} holds more than {limit} when it is unpacked; use the command line"
+            )
+
+
+def _size_of_gzip(content: bytes) -> int:
+    total = 0
+    try:
+        with gzip.open(io.BytesIO(content)) as stream:
+            while total <= MOST_BYTES and (chunk := stream.read(1 << 20)):
+                total += len(chunk)
+    except (OSError, EOFError, zlib.error):
+        return 0  # damaged: the reader says so
+    return total
+
+
+def _size_of_workbook(content: bytes) -> int:
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as book:
+            return sum(part.file_size for part in book.infolist())
+    except zipfile.BadZipFile:
+        return 0  # damaged: the reader says so
