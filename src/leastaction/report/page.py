@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from importlib.resources import files
@@ -66,7 +66,6 @@ def _context(
     options = {name: _as_given(value, widths) for name, value in _options(model).items()}
     angles = options.get("angles") or ()
     units = tuple("rad" if c in angles else "units" for c in model.coordinates)
-    trials = tables.trial_rows(series)
     groups = tables.coefficient_groups(model, notation)
     return {
         "model": model,
@@ -81,39 +80,15 @@ def _context(
         "verdict": verdict(model, validation, notation),
         "formulas": _formulas(model, notation),
         "groups": groups,
-        "simple": tables.simple_rows(model, notation),
-        "simple_title": captions.SIMPLE_TITLE,
-        "simple_head": captions.SIMPLE_HEAD,
-        "simple_note": captions.simple_note(model.simple_constants),
-        "symmetry_summary": captions.symmetry_summary(model.symmetries),
-        "symmetries": tables.symmetry_rows(model, notation),
-        "no_symmetries": captions.NO_SYMMETRIES,
-        "symmetry_title": captions.SYMMETRY_TITLE,
-        "symmetry_head": captions.SYMMETRY_HEAD,
-        "symmetry_note": captions.symmetry_note(model.symmetries),
+        **_constants(model, notation),
         **_motions(model, notation),
         "stacked": any(notation.is_long(row["text"]) for group in groups for row in group["rows"]),
         "whisker_axis": figures.whisker_axis(),
         **_profiles(model),
-        "data": series.trajectories,
-        "shown": series.trajectories.names[series.trial],
-        "n_drawn": min(model.n_dof, _MOST_DRAWN),
-        "figures": DataFigures(series, notation, units),
-        "panels": [
-            {
-                "curve": captions.curve_title(series, i, notation.text(name)),
-                "zoom": captions.zoom_title(series, notation.text(name)),
-                "residuals": captions.residual_title(series, i, notation.text(name)),
-            }
-            for i, name in enumerate(model.coordinates[:_MOST_DRAWN])
-        ],
-        "residuals": tables.residual_rows(series, notation, units),
+        **_data(series, notation, units),
         **_selection(model, notation),
         **_energy(series),
         **_forecast(validation, notation, units),
-        "coordinates": tables.coordinate_rows(series, notation, units),
-        "trials": trials[:_MOST_ROWS],
-        "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
         "plain": plain,
         "plural": plural,
@@ -126,6 +101,45 @@ def _context(
         "versions": _versions(),
         "timings": diagnostics.timings,
         "total_time": sum(diagnostics.timings.values()),
+    }
+
+
+def _constants(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
+    """Simple numbers and symmetries."""
+    return {
+        "simple": tables.simple_rows(model, notation),
+        "simple_title": captions.SIMPLE_TITLE,
+        "simple_head": captions.SIMPLE_HEAD,
+        "simple_note": captions.simple_note(model.simple_constants),
+        "symmetry_summary": captions.symmetry_summary(model.symmetries),
+        "symmetries": tables.symmetry_rows(model, notation),
+        "no_symmetries": captions.NO_SYMMETRIES,
+        "symmetry_title": captions.SYMMETRY_TITLE,
+        "symmetry_head": captions.SYMMETRY_HEAD,
+        "symmetry_note": captions.symmetry_note(model.symmetries),
+    }
+
+
+def _data(series: Series, notation: Notation, units: Sequence[str]) -> dict[str, Any]:
+    """Curves and residuals, and what was measured."""
+    names, trials = series.trajectories.coordinates, tables.trial_rows(series)
+    return {
+        "data": series.trajectories,
+        "shown": series.trajectories.names[series.trial],
+        "n_drawn": min(len(names), _MOST_DRAWN),
+        "figures": DataFigures(series, notation, units),
+        "panels": [
+            {
+                "curve": captions.curve_title(series, i, notation.text(name)),
+                "zoom": captions.zoom_title(series, notation.text(name)),
+                "residuals": captions.residual_title(series, i, notation.text(name)),
+            }
+            for i, name in enumerate(names[:_MOST_DRAWN])
+        ],
+        "residuals": tables.residual_rows(series, notation, units),
+        "coordinates": tables.coordinate_rows(series, notation, units),
+        "trials": trials[:_MOST_ROWS],
+        "n_more_trials": max(len(trials) - _MOST_ROWS, 0),
     }
 
 

@@ -125,7 +125,12 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
 
 
 def looks_imitated(fit: Fit) -> bool:
-    """Whether a law may imitate a shorter one: a long potential, or masses that depend on positions."""
+    """Whether a law may imitate a shorter one: a long potential, or masses that depend on positions.
+
+    One with shape parameters is what a family says.
+    """
+    if fit.problem.shapes_of(fit.structure):
+        return False
     positions = {name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning}
     rates = {f"{name}_dot" for name in positions}
     terms = [fit.problem.terms[k] for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]

@@ -169,9 +169,7 @@ class Layout:
             own = found.time if name == self.time else found.coordinates.get(name)
             own = own or names.where("units", name, time=False)
             if own not in found.numbers:
-                raise InputError(
-                    f"units names {quoted(name)}, which is not a column that is read; leave it out"
-                )
+                raise InputError(f"units names {quoted(name)}, which is not a column that is read; omit it")
             if own in asked:
                 raise InputError(f"units names the column {quoted(own)} twice, also as {quoted(name)}")
             asked[own] = unit
