@@ -84,7 +84,7 @@ class DiagnosisSettings:
     form_bound: float = 1.64
     """Standard deviations of the accelerations that have to stay within `form_open`, over smooth changes of
     both energies of one coordinate, where a law looks like an imitation: a bound that an error passes once in
-    twenty. Derived. Half, twice: HALFTWICE."""
+    twenty. Derived. Half, twice: no effect."""
 
     bumps_alone: int = 8
     """Bumps along a coordinate that smooth changes of L consist of. Half: no effect; twice: 2 of 9 right
