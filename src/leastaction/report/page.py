@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from datetime import date
 from importlib.metadata import version
 from importlib.resources import files
@@ -120,7 +120,7 @@ def _constants(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
     }
 
 
-def _data(series: Series, notation: Notation, units: Sequence[str]) -> dict[str, Any]:
+def _data(series: Series, notation: Notation, units: tuple[str, ...]) -> dict[str, Any]:
     """Curves and residuals, and what was measured."""
     names, trials = series.trajectories.coordinates, tables.trial_rows(series)
     return {
