@@ -12,6 +12,7 @@ errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,7 +27,7 @@ from leastaction.estimation.structure import Structure
 from leastaction.mechanics.equations import Mechanics
 from leastaction.simulation.integrate import rk4
 
-__all__ = ["SimulationFit", "minimise_simulation_error"]
+__all__ = ["LinearRuns", "SimulationFit", "linear_runs", "minimise_simulation_error"]
 
 _STEPS = 64  # of a free run
 _MOST_RUNS = 300  # more are thinned: bounds time
@@ -35,6 +36,61 @@ _GAP = 0.05  # of a run, without samples
 _DIFFERENCE = 1e-5  # relative
 _LOST = 1e6  # a run that is further off, or diverges, counts as this
 _EVALUATIONS = 15  # of the optimiser, at most
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRuns:
+    """Errors of free runs as a linear function of coefficients, about some values of them.
+
+    Attributes
+    ----------
+    errors : (n_runs, n_values, n_dof) array
+        Over their root mean square in each coordinate.
+    slopes : (n_runs, n_values, n_dof, n_columns) array
+        Derivatives in the coefficients, in their units.
+    here, units : (n_columns,) arrays
+        Coefficients, and what the slopes are counted in.
+    """
+
+    errors: np.ndarray
+    slopes: np.ndarray
+    here: np.ndarray
+    units: np.ndarray
+
+    def with_columns(self, columns: Sequence[int]) -> LinearChoice:
+        """The best coefficients of some columns, the others zero."""
+        columns, here = list(columns), self.here / self.units
+        weight = 1.0 / np.sqrt(1.0 + self.errors**2)  # of ρ, as the runs are
+        out = np.setdiff1d(np.arange(here.size), columns)
+        left = self.errors - self.slopes[..., out] @ here[out]
+        used = self.slopes[..., columns]
+        weighted = (used * weight[..., None]).reshape(-1, len(columns))
+        hessian = np.linalg.pinv(weighted.T @ used.reshape(-1, len(columns)), hermitian=True)
+        step = -hessian @ (weighted.T @ left.ravel())
+        left = left + used @ step
+        scores = np.einsum("rti,rtij->rj", weight * left, used)
+        spread = np.sqrt(np.clip(np.diag(hessian @ (scores.T @ scores) @ hessian), 1e-300, None))
+        estimates = here[columns] + step
+        return LinearChoice(
+            (weight * left**2).sum(axis=(0, 1)), estimates * self.units[columns], estimates / spread
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LinearChoice:
+    """What some columns leave of the errors of free runs.
+
+    Attributes
+    ----------
+    squares : (n_dof,) array
+        Weighted sum of squares that is left in each coordinate.
+    estimates, z : (n_columns,) arrays
+        Coefficients, also over their standard errors, which are those of misspecified models.
+    """
+
+    squares: np.ndarray
+    estimates: np.ndarray
+    z: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +152,37 @@ def minimise_simulation_error(
     )
     size = coefficients[members]
     return SimulationFit(found.x * size, _sandwich(found.x, flow) * np.outer(size, size))
+
+
+def linear_runs(
+    grid: Grid, curve: Smooth, coefficients: np.ndarray, units: dict[int, float], horizon: float
+) -> LinearRuns | None:
+    """Errors of free runs at given coefficients, and their slopes in some of them.
+
+    Parameters
+    ----------
+    grid, curve, coefficients, horizon
+        As for :func:`minimise_simulation_error`.
+    units : dict of int to float
+        Number of each candidate whose slope is wanted, absent ones too → unit of its coefficient.
+
+    Returns
+    -------
+    LinearRuns or None
+        Its columns are in the sequence of ``units``; None as for :func:`minimise_simulation_error`.
+    """
+    runs, members = _Runs(grid, curve, horizon), list(units)
+    if runs.n_runs < _FEWEST_RUNS:
+        return None
+    flow = _Flow(grid, members, coefficients, runs)
+    here = coefficients[members]
+    flow.size = np.array(list(units.values()))
+    errors = flow.errors((here / flow.size)[None])[0]
+    flow.scale = np.sqrt(np.mean(errors**2, axis=(0, 1)))
+    if not (np.all(flow.scale > 0.0) and np.abs(errors).max() < _LOST):
+        return None
+    slopes = flow.slopes(here / flow.size)
+    return LinearRuns(errors / flow.scale, slopes.reshape(*errors.shape, -1), here, flow.size)
 
 
 def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
