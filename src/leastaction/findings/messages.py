@@ -329,6 +329,11 @@ CODES: dict[str, Message] = {
         "the equations hold to some per cent only, so the coefficients are those of the best free runs over "
         "{horizon:.2g} s, and their intervals allow for what the library cannot explain",
     ),
+    "fast-forces": Message(
+        "note",
+        "coordinates follow forces of few samples a period, so all of the forces acts; between samples they "
+        "are {between}",
+    ),
     "forecasts": Message(
         "note",
         "free runs from states along the data, over {horizon:.2g} s or about a period, are off by "
