@@ -82,7 +82,8 @@ def discover(
         of L.
     dissipation : iterable of str
         Candidates ψ of the dissipation function; force −∂ψ/∂q̇. ``abs(x_dot)`` (Coulomb friction) is
-        smoothed near zero velocity.
+        smoothed near zero velocity. ``"auto"`` offers viscous and dry friction of every coordinate, and
+        between neighbouring angles and lengths.
     method : {"gauss-newton", "adam"}
         ``"adam"`` is the paper's own method, gradient descent with thresholding, for comparison: slower,
         less accurate, with thresholds that depend on units, and without standard errors (NaN).

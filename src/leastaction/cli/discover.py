@@ -79,7 +79,10 @@ Example:
     help="A coefficient that is known; may be given several times. Without known forces, one is needed.",
 )
 @click.option(
-    "--dissipation", metavar="EXPR,EXPR", help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'."
+    "--dissipation",
+    metavar="EXPR,EXPR|auto",
+    help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'; auto: viscous and dry friction of every "
+    "coordinate, and between neighbouring angles and lengths.",
 )
 @click.option(
     "--force-offset",

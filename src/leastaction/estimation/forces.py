@@ -41,9 +41,7 @@ __all__ = [
 Between = Literal["slow", "band-limited", "linear", "held"]
 
 _FEWEST = 4  # intervals; shorter records are interpolated
-_INTERPOLATED = (
-    0.7  # knot intervals a sample, from which forces are taken at the quadrature points themselves
-)
+_INTERPOLATED = 0.7  # knot intervals a sample, from which forces are taken as they are
 _DENSE = 4  # points in a knot interval, at which they are projected onto coarser knots
 _BAND_LIMITED = 11  # degree of the interpolating spline: off by 2e-4 at three samples a period
 _EVEN = 0.01  # by which sampling intervals may differ
