@@ -24,6 +24,8 @@ from leastaction.cli.options import (
 )
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.shape_options import (
+    length_option,
+    lengths_of_links,
     relevance_option,
     relevance_share,
     shape_option,
@@ -84,6 +86,7 @@ Example:
     help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'; auto: viscous and dry friction of every "
     "coordinate, and between neighbouring angles and lengths.",
 )
+@length_option
 @click.option(
     "--force-offset",
     metavar="A,B|A=SECONDS",
@@ -171,6 +174,7 @@ def discover(
     shapes: tuple[str, ...],
     known: tuple[str, ...],
     dissipation: str | None,
+    lengths: tuple[str, ...],
     force_offset: str | None,
     prescribed: str | None,
     group: str | None,
@@ -200,6 +204,8 @@ def discover(
         offsets = force_offsets(force_offset) if force_offset else ()
     with blame("--known"):
         given = known_coefficients(known)
+    with blame("--length"):
+        links = lengths_of_links(lengths)
     everything = options.read()
     fitted, held_out = _split(everything, hold_out)
     groups = {} if group is None else groups_of_trials(options, group, everything.names)
@@ -235,7 +241,7 @@ def discover(
     if as_json:
         _print_json(folder, model, forecast)
     else:
-        _show(folder, model, forecast, quiet)
+        _show(folder, model, forecast, links, quiet)
 
 
 def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
@@ -258,12 +264,18 @@ def _print_json(folder: Path, model: LagrangianModel, forecast: ForecastResult |
     say(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
 
 
-def _show(folder: Path, model: LagrangianModel, forecast: ForecastResult | None, quiet: bool) -> None:
+def _show(
+    folder: Path,
+    model: LagrangianModel,
+    forecast: ForecastResult | None,
+    lengths: Mapping[str, float],
+    quiet: bool,
+) -> None:
     if quiet:
         if model.fit.status != "ok":
             warn_of_doubts("the fit", model)
     else:
-        show_model(model)
+        show_model(model, lengths)
         if forecast is not None:
             say()
             show_forecast(forecast)
