@@ -117,7 +117,7 @@ def linear(rng, n_runs=200, noise=1.0, here=(1.0, 0.0)) -> LinearRuns:
     """Errors of runs that the first column explains, if at all."""
     slopes = rng.normal(size=(n_runs, 5, 1, 2))
     errors = slopes @ (np.array(here) - [1.0, 0.0]) + noise * rng.normal(size=(n_runs, 5, 1))
-    return LinearRuns(errors, slopes, np.array(here), np.ones(2))
+    return LinearRuns(errors, slopes, np.array(here), np.ones(2), np.zeros((n_runs, 5, 1, 0)))
 
 
 def test_columns_are_the_best_of_their_size(rng):

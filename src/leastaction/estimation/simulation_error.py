@@ -34,6 +34,7 @@ _MOST_RUNS = 300  # more are thinned: bounds time
 _FEWEST_RUNS = 10  # each is a score of the standard errors
 _GAP = 0.05  # of a run, without samples
 _DIFFERENCE = 1e-5  # relative
+_DELAY = 1e-3  # of a run: step of a slope
 _LOST = 1e6  # a run that is further off, or diverges, counts as this
 _EVALUATIONS = 15  # of the optimiser, at most
 
@@ -50,12 +51,15 @@ class LinearRuns:
         Derivatives in the coefficients, in their units.
     here, units : (n_columns,) arrays
         Coefficients, and what the slopes are counted in.
+    beside : (n_runs, n_values, n_dof, n_more) array
+        Slopes in what may differ, too, whatever the coefficients are.
     """
 
     errors: np.ndarray
     slopes: np.ndarray
     here: np.ndarray
     units: np.ndarray
+    beside: np.ndarray
 
     def with_columns(self, columns: Sequence[int]) -> LinearChoice:
         """The best coefficients of some columns, the others zero."""
@@ -63,14 +67,14 @@ class LinearRuns:
         weight = 1.0 / np.sqrt(1.0 + self.errors**2)  # of ρ, as the runs are
         out = np.setdiff1d(np.arange(here.size), columns)
         left = self.errors - self.slopes[..., out] @ here[out]
-        used = self.slopes[..., columns]
-        weighted = (used * weight[..., None]).reshape(-1, len(columns))
-        hessian = np.linalg.pinv(weighted.T @ used.reshape(-1, len(columns)), hermitian=True)
+        used = np.concatenate([self.slopes[..., columns], self.beside], axis=-1)
+        weighted = (used * weight[..., None]).reshape(-1, used.shape[-1])
+        hessian = np.linalg.pinv(weighted.T @ used.reshape(weighted.shape), hermitian=True)
         step = -hessian @ (weighted.T @ left.ravel())
         left = left + used @ step
         scores = np.einsum("rti,rtij->rj", weight * left, used)
         spread = np.sqrt(np.clip(np.diag(hessian @ (scores.T @ scores) @ hessian), 1e-300, None))
-        estimates = here[columns] + step
+        estimates, spread = here[columns] + step[: len(columns)], spread[: len(columns)]
         return LinearChoice(
             (weight * left**2).sum(axis=(0, 1)), estimates * self.units[columns], estimates / spread
         )
@@ -159,6 +163,8 @@ def linear_runs(
 ) -> LinearRuns | None:
     """Errors of free runs at given coefficients, and their slopes in some of them.
 
+    Forces that act late do what viscous friction does, or the opposite: a common delay is beside them.
+
     Parameters
     ----------
     grid, curve, coefficients, horizon
@@ -181,8 +187,12 @@ def linear_runs(
     flow.scale = np.sqrt(np.mean(errors**2, axis=(0, 1)))
     if not (np.all(flow.scale > 0.0) and np.abs(errors).max() < _LOST):
         return None
-    slopes = flow.slopes(here / flow.size)
-    return LinearRuns(errors / flow.scale, slopes.reshape(*errors.shape, -1), here, flow.size)
+    slopes = flow.slopes(here / flow.size).reshape(*errors.shape, -1)
+    beside = np.zeros((*errors.shape, 0))
+    if grid.problem.trajectories.driven:
+        flow.runs = _Runs(grid, curve, horizon, _DELAY * horizon)
+        beside = ((flow.errors((here / flow.size)[None])[0] - errors / flow.scale) / _DELAY)[..., None]
+    return LinearRuns(errors / flow.scale, slopes, here, flow.size, beside)
 
 
 def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
@@ -211,7 +221,7 @@ class _Runs:
         At the nodes and between them.
     """
 
-    def __init__(self, grid: Grid, curve: Smooth, horizon: float) -> None:
+    def __init__(self, grid: Grid, curve: Smooth, horizon: float, late: float = 0.0) -> None:
         self.nodes = np.linspace(0.0, horizon, _STEPS + 1)
         begins = [_begins(trajectory, horizon) for trajectory in grid.problem.trajectories]
         owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
@@ -231,7 +241,7 @@ class _Runs:
             self.qdot[own] = space.evaluate(part, begin[own], 1)
             if self.forces is not None:
                 times = half[:, None] + begin[own]
-                self.forces[:, own] = grid.force_at(k, times)
+                self.forces[:, own] = grid.force_at(k, times - late)
                 for i in prescribed:  # its force is its acceleration
                     self.forces[:, own, i] = space.evaluate(part, times, 2)[..., i]
 
