@@ -70,7 +70,7 @@ def hidden_friction(effects: Effects, relevance: float) -> list[Finding]:
 
 
 def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]:
-    """Friction that was left out because it would have fed energy in, where it would explain much."""
+    """Friction that was left out because it would have fed energy in, where that would be worth knowing."""
     fit = effects.fit
     columns, out = fit.problem.candidates, list[Finding]()
     for m in left_out:
@@ -80,7 +80,8 @@ def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]
             model, base = beside(fit, candidates)
             gain = gain_of(model, base, len(base))
             value = model.solution((*base, len(base)))[[len(base)]]
-            if effects.slight(effects.of_terms(candidates.subset([len(base)]), value), gain):
+            share = effects.of_terms(candidates.subset([len(base)]), value)
+            if share <= DIAGNOSIS.worth_knowing or effects.slight(share, gain):
                 continue
         out.append(find("negative-dissipation", term.text))
     return out
