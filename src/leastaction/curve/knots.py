@@ -74,6 +74,11 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     while first < 2.0 * rate and _hides_motion(smoothed, times, values):
         first = min(2.0 * first, 2.0 * rate)
         smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+    if first > rate / 5.0 and np.max(spread(2) / np.maximum(spread(1), 1e-300)) > 2.0 * np.pi * rate / (
+        CURVE.fewest_samples
+    ):
+        first = rate / 5.0  # too few to follow
+        smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)

@@ -41,6 +41,9 @@ class CurveSettings:
     """Share of the squares that a smoother leaves, which two samples have to predict of the next, if that is
     motion: none of white noise, 0.9 and more of a sine at nine samples a period."""
 
+    fewest_samples: float = 7.0
+    """Samples a period, with fewer of which motion is not told from noise."""
+
     unknown_noise: float = 0.01
     """Noise over spread that a fit begins with where a curve on finer knots than samples tells none."""
 

@@ -78,10 +78,9 @@ def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]
         if fit.converged:
             candidates = columns.of([*(columns.terms[k] for k in fit.structure), term])
             model, base = beside(fit, candidates)
-            gain = gain_of(model, base, len(base))
             value = model.solution((*base, len(base)))[[len(base)]]
             share = effects.of_terms(candidates.subset([len(base)]), value)
-            if share <= DIAGNOSIS.worth_knowing or effects.slight(share, gain):
+            if share <= DIAGNOSIS.worth_knowing:
                 continue
         out.append(find("negative-dissipation", term.text))
     return out
