@@ -243,3 +243,20 @@ def test_domains_are_those_of_the_motion():
 def test_too_many_coordinates_are_refused():
     with pytest.raises(InputError, match=r"would have \d+ terms; expected at most 1500: use Library.mech"):
         Library.symbolic(list("abcdef"), list("abcdef"))
+
+
+# ------------------------------------------------------------------------------------------ friction
+def test_usual_friction_of_joints_and_between_them():
+    """Two links and a slide: neighbours of one kind, absolute rates and relative ones."""
+    library = Library.mechanical(["a", "b", "x"], ["a", "b"], size="compact", dissipation="auto")
+    rates = ["a_dot", "b_dot", "x_dot", "a_dot-b_dot"]
+    texts = [text for rate in rates for text in (f"({rate})**2/2", f"abs({rate})")]
+    offered = Library(["x"], ["a", "b", "x"], dissipation=texts)
+    assert library.dissipation == offered.dissipation
+    assert library.reduced().dissipation == library.dissipation  # none repeats others
+
+
+def test_usual_friction_among_others_is_offered_once():
+    library = Library(["x_dot**2"], ["x"], dissipation=["abs(x_dot)", "auto", "abs(x_dot)**3/3"])
+    assert [term.text for term in library.dissipation] == ["abs(x_dot)", "x_dot**2/2", "abs(x_dot)**3/3"]
+    assert Library(["x_dot**2"], ["x"]).with_dissipation("auto").dissipation == library.dissipation[1::-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from leastaction import LagrangianModel, Trajectories, discover, load, systems
+from leastaction import InputError, LagrangianModel, Trajectories, discover, load, systems
 from leastaction.library import parse_expression
 from leastaction.model.constants import Offer
 from leastaction.model.diagnostics import Diagnostics
@@ -398,3 +399,50 @@ def test_a_found_law():
     assert "cos(theta1) : cos(theta2)" in offered(model)
     assert model.simple_constants.compatible
     assert all(isinstance(o, Offer) for o in model.simple_constants.offers)
+
+
+# ------------------------------------------------------------------------ gravity from a law and a length
+def _hanging(relative: bool, clock: float = 1.0, up: bool = False) -> LagrangianModel:
+    """Three links with the lengths 0.3, 0.2, 0.1 m; a second of the recording lasts ``clock`` seconds."""
+    masses, lengths, names = (1.0, 0.7, 0.4), (0.3, 0.2, 0.1), ("a", "b", "c")
+    q, v = zip(*((sp.Symbol(n, real=True), sp.Symbol(f"{n}_dot", real=True)) for n in names), strict=True)
+    angle = [sum(q[: i + 1]) if relative else q[i] for i in range(3)]
+    rate = [sum(v[: i + 1]) if relative else v[i] for i in range(3)]
+    law = sp.Integer(0)
+    for i, j in itertools.product(range(3), repeat=2):
+        behind = sum(masses[max(i, j) :])
+        law += behind * lengths[i] * lengths[j] * rate[i] * rate[j] * sp.cos(angle[i] - angle[j]) / 2
+    sign = -1 if up else 1
+    law += sign * 9.81 * clock**2 * sum(sum(masses[i:]) * lengths[i] * sp.cos(angle[i]) for i in range(3))
+    parts = sp.expand(law).as_coefficients_dict()
+    return LagrangianModel(names, [ModelTerm(str(term), float(k)) for term, k in parts.items()])
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("up", [False, True])
+def test_lengths_of_links_from_gravity(relative, up):
+    found = _hanging(relative, up=up).gravity()
+    assert [ratio.link for ratio in found] == ["a", "b"]  # nothing hangs on the last
+    assert [9.81 / ratio.value for ratio in found] == pytest.approx([0.3, 0.2])
+
+
+@pytest.mark.parametrize("clock", [1.0, 1e-3, 60.0])
+def test_a_length_shows_the_clock(clock):
+    ratio, _ = _hanging(True, clock).gravity({"a": 0.3})
+    assert ratio.gravity == pytest.approx(9.81 * clock**2)
+    assert ratio.clock == (None if clock == 1.0 else pytest.approx(clock, rel=1e-3))
+    assert ("not that of the Earth" in str(ratio)) == (clock != 1.0)
+
+
+def test_a_ratio_knows_its_error():
+    terms = [ModelTerm("q_dot**2", 0.5, 0.01), ModelTerm("cos(q)", 20.0, 0.3)]
+    covariance = [[1e-4, 0.01 * 0.3 * 0.9], [0.01 * 0.3 * 0.9, 0.09]]
+    (ratio,) = LagrangianModel("q", terms, covariance=covariance).gravity()
+    share = np.hypot(0.02, 0.015), 2 * 0.9 * 0.02 * 0.015
+    assert ratio.standard_error / ratio.value == pytest.approx(np.sqrt(share[0] ** 2 - share[1]))
+
+
+@pytest.mark.parametrize("lengths", [{"c": 0.1}, {"a": -1.0}, {"a": True}, {"z": 1.0}])
+def test_lengths_that_say_nothing_are_refused(lengths):
+    with pytest.raises(InputError, match="length"):
+        _hanging(False).gravity(lengths)

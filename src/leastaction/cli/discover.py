@@ -14,6 +14,8 @@ from leastaction.cli.failures import stoppable
 from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.shape_options import (
+    length_option,
+    lengths_of_links,
     relevance_option,
     relevance_share,
     shape_option,
@@ -78,8 +80,12 @@ Example:
     help="A known coefficient. Repeatable. Without known forces, at least one is required.",
 )
 @click.option(
-    "--dissipation", metavar="EXPR,EXPR", help="Friction candidates, e.g. 'x_dot**2/2, abs(x_dot)'."
+    "--dissipation",
+    metavar="EXPR,EXPR|auto",
+    help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'; auto: viscous and dry friction of every "
+    "coordinate, and between neighbouring angles and lengths.",
 )
+@length_option
 @click.option(
     "--force-offset",
     metavar="A,B|A=SECONDS",
@@ -164,6 +170,7 @@ def discover(
     shapes: tuple[str, ...],
     known: tuple[str, ...],
     dissipation: str | None,
+    lengths: tuple[str, ...],
     force_offset: str | None,
     prescribed: str | None,
     group: str | None,
@@ -186,14 +193,12 @@ def discover(
     doubtful.
     """
     folder = check_folder(output, OUTPUTS)
-    chosen, offsets, given = _numbers(settings, force_offset, known)
+    chosen, offsets, given, links = _numbers(settings, force_offset, known, lengths)
     share, options = relevance_share(relevance), data()
     fitted, held_out, groups = _recordings(options, hold_out, group)
     ranges = shape_ranges(shapes)
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
-    with blame("--known"):
-        check_known(given, candidates)
-    _check_scale(given, fitted, candidates)
+    _check_given(given, fitted, candidates)
     import leastaction
 
     with live_progress("prepare", verbose) as shown_progress, stoppable(shown_progress) as progress:
@@ -217,19 +222,24 @@ def discover(
         forecast = _forecast(model, held_out, groups)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
-    _tell(folder, model, forecast, "json" if as_json else "quiet" if quiet else "all")
+    if as_json:
+        _print_json(folder, model, forecast)
+    else:
+        _show(folder, model, forecast, None if quiet else links)
 
 
 def _numbers(
-    settings: Sequence[str], force_offset: str | None, known: Sequence[str]
-) -> tuple[dict[str, object] | None, dict[str, float], dict[str, float]]:
-    """Options of the method, coordinates with an unknown force, known coefficients."""
+    settings: Sequence[str], force_offset: str | None, known: Sequence[str], lengths: Sequence[str]
+) -> tuple[dict[str, object] | None, dict[str, float], dict[str, float], dict[str, float]]:
+    """Options of the method, coordinates with an unknown force, known coefficients, lengths of links."""
     with blame("--option"):
         chosen = method_options(settings)
     with blame("--force-offset"):
         offsets = force_offsets(force_offset) if force_offset else {}
     with blame("--known"):
-        return chosen, offsets, known_coefficients(known)
+        given = known_coefficients(known)
+    with blame("--length"):
+        return chosen, offsets, given, lengths_of_links(lengths)
 
 
 def _recordings(
@@ -248,7 +258,10 @@ def _moved_by_others(options: DataOptions, prescribed: str | None) -> list[str]:
     return list(dict.fromkeys([*options.inputs, *(name_list(prescribed) if prescribed else ())]))
 
 
-def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
+def _check_given(known: Mapping[str, float], fitted: Trajectories, candidates: Library) -> None:
+    """Known coefficients must be those of candidates; without any, a force must set the scale."""
+    with blame("--known"):
+        check_known(known, candidates)
     if not known and not fitted.driven:
         raise InputError(
             "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
@@ -256,16 +269,15 @@ def _check_scale(known: Mapping[str, float], fitted: Trajectories, candidates: L
         )
 
 
-def _tell(folder: Path, model: LagrangianModel, forecast: ForecastResult | None, form: str) -> None:
-    """Print the result: one JSON object, the paths alone, or everything."""
-    if form == "json":
-        _print_json(folder, model, forecast)
-        return
-    if form == "quiet":
+def _show(
+    folder: Path, model: LagrangianModel, forecast: ForecastResult | None, lengths: Mapping[str, float] | None
+) -> None:
+    """Print the result, with g where lengths of links are given; without a mapping, the paths alone."""
+    if lengths is None:
         if model.fit.status != "ok":
             warn_of_doubts("the fit", model)
     else:
-        show_model(model)
+        show_model(model, lengths)
         if forecast is not None:
             say()
             show_forecast(forecast)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from leastaction.library import Library
 
 __all__ = [
+    "length_option",
+    "lengths_of_links",
     "relevance_option",
     "relevance_share",
     "shape_option",
@@ -28,6 +30,14 @@ __all__ = [
 _SIZES = ("auto", "compact", "chain", "standard", "large")
 _RANGE = re.compile(r"\s*\{?\s*(?P<name>\w+)\s*\}?\s*=\s*(?P<low>.+?)\s*\.\.\s*(?P<high>.+?)\s*")
 
+length_option = click.option(
+    "--length",
+    "lengths",
+    multiple=True,
+    metavar="A=METRES",
+    help="Length of the link of a coordinate, from joint to joint (of a simple pendulum for a single one): "
+    "then the law shows g, which is wrong where times are not in seconds. May be given several times.",
+)
 term_option = click.option(
     "--term",
     "terms",
@@ -68,6 +78,15 @@ def with_terms(library: Library, terms: Sequence[str]) -> Library:
         return library
     with blame("--term"):
         return library.replace(terms=[*library.terms, *terms])
+
+
+def lengths_of_links(texts: Sequence[str]) -> dict[str, float]:
+    """Return ``"A=METRES"`` as coordinate -> length."""
+    parts = [text.partition("=") for text in texts]
+    for text, (name, _, value) in zip(texts, parts, strict=True):
+        if not (name.strip() and value.strip()):
+            raise InputError(f"{quoted(text)} is incomplete; write A=METRES, e.g. theta1=0.3")
+    return {name.strip(): number(value) for name, _, value in parts}
 
 
 def shape_ranges(texts: Sequence[str]) -> dict[str, tuple[float, float]]:

@@ -163,8 +163,11 @@ def with_error(term: ModelTerm) -> str:
     return f"{value} ± {rounded(term.standard_error, term.standard_error)}"
 
 
-def show_model(model: LagrangianModel) -> None:
-    """Print Lagrangian, table, status, warnings, and what was left out before the fit."""
+def show_model(model: LagrangianModel, lengths: Mapping[str, float] | None = None) -> None:
+    """Print Lagrangian, table, status, warnings, and what was left out before the fit.
+
+    With lengths of links, also gravity.
+    """
     from leastaction.model.notation import interval_text, plain_sum, z_text
     from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
 
@@ -193,7 +196,24 @@ def show_model(model: LagrangianModel) -> None:
         say(f"symmetry: {line}")
     for line in resting_lines(model):
         say(f"equilibrium: {line}")
+    show_gravity(model, lengths)
     show_fit(model)
+
+
+def show_gravity(model: LagrangianModel, lengths: Mapping[str, float] | None) -> None:
+    """Print g/l of links, or g where lengths are given."""
+    from leastaction.errors import InputError
+
+    try:
+        ratios = model.gravity(lengths)
+    except InputError as problem:
+        warn(str(problem))
+        ratios = model.gravity()
+    for ratio in ratios:
+        if ratio.clock is None:
+            say(f"gravity: {ratio}")
+        else:
+            say(f"WARNING: {ratio}", bold=True, fg="yellow")
 
 
 def _differences(model: LagrangianModel) -> Iterator[tuple[str, list[ModelTerm]]]:

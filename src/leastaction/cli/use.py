@@ -12,6 +12,7 @@ import click
 from leastaction.cli.discover import groups_of_trials
 from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_file
+from leastaction.cli.shape_options import length_option, lengths_of_links
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import complete_file, one_line, shown
 from leastaction.cli.values import assignments, blame, number
@@ -51,12 +52,15 @@ Example:
 )
 @click.argument("model", metavar="MODEL", shell_complete=complete_file)
 @_GROUP
-def show(model: str, group: str | None) -> None:
+@length_option
+def show(model: str, group: str | None, lengths: tuple[str, ...]) -> None:
     """Print the law of a model file with its errors and verdict.
 
     MODEL is a model.json written by discover. The report, not this file, has the alternatives of the search.
     """
-    show_model(_loaded(model, group))
+    with blame("--length"):
+        given = lengths_of_links(lengths)
+    show_model(_loaded(model, group), given)
 
 
 @click.command(

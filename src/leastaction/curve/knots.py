@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.data.validation import FloatArray
 
 __all__ = ["FEWEST_SAMPLES", "Knots", "excerpt", "lay_knots"]
 
@@ -46,6 +48,9 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     repeated smoothing; never finer than half a sampling interval.  It begins coarse, h · rms(dq/dt)/std(q) =
     1/4, and stays near what rms(d²q/dt²)/rms(dq/dt) asks for: fine grids admit noise and vibration, whose
     third derivative asks for finer grids still.
+
+    Motion of few samples a period is noise to a smoother on coarse knots.  What it leaves then is
+    predictable from one sample to the next, and finer knots are tried before anything is concluded.
     """
     times = [t.t for t in trajectories]
     values = [t.q for t in trajectories]
@@ -64,7 +69,16 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         return min(CURVE.knots_per_radian * fastest, 2.0 * rate)
 
     rates = trajectories.rates
-    smoothed = smooth(uniform_grid(times, rate / 5.0, degree), times, values, rates=rates)
+    first = rate / 5.0
+    smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+    while first < 2.0 * rate and _hides_motion(smoothed, times, values):
+        first = min(2.0 * first, 2.0 * rate)
+        smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+    if first > rate / 5.0 and np.max(spread(2) / np.maximum(spread(1), 1e-300)) > 2.0 * np.pi * rate / (
+        CURVE.fewest_samples
+    ):
+        first = rate / 5.0  # too few to follow
+        smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
@@ -75,7 +89,29 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
     else:
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * CURVE.knots_per_radian / knots_for(1)
+    if first > rate / 5.0 and smoothed.grid.n_ctrl > sum(t.size for t in times):
+        # a curve through all samples tells nothing of their noise, and a fit that begins with none finds none
+        least = CURVE.unknown_noise * spread(0)
+        smoothed = replace(smoothed, noise_std=np.maximum(smoothed.noise_std, least))
     return Knots(knots, coarse, period, smoothed, spread(1))
+
+
+def _hides_motion(smoothed: Smooth, times: list[np.ndarray], values: list[np.ndarray]) -> bool:
+    """Whether much of what a smoother left of a coordinate is no noise: two samples predict the next."""
+    curves = smoothed.grid.evaluate(smoothed.control_points, times)
+    for i in range(values[0].shape[1]):
+        left = [(q[:, i] - c[:, i])[np.isfinite(q[:, i])] for q, c in zip(values, curves, strict=True)]
+        now, last, before = (
+            np.concatenate([r[k : r.size - 2 + k] for r in left if r.size > 2] or [np.zeros(1)])
+            for k in (2, 1, 0)
+        )
+        past: FloatArray = np.column_stack([last, before])
+        size = float(np.mean(now**2))
+        unforeseen = float(np.mean((now - past @ np.linalg.lstsq(past, now, rcond=None)[0]) ** 2))
+        variance = float(np.mean([np.nanvar(q[:, i]) for q in values]))
+        if size > CURVE.much_left**2 * variance and unforeseen < (1.0 - CURVE.foreseen) * size:
+            return True
+    return False
 
 
 def excerpt(trajectories: Trajectories, n_samples: int) -> Trajectories:

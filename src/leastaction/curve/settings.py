@@ -34,6 +34,23 @@ class CurveSettings:
     """Samples in a knot interval where noise has to be told from what is measured: about outliers, in
     forces. Half (of its distance from one): no effect; twice: other findings about one wrong result."""
 
+    much_left: float = 0.1
+    """Share of the spread that a smoother leaves, above which it is asked whether that is motion."""
+
+    foreseen: float = 0.5
+    """Share of the squares that a smoother leaves, which two samples have to predict of the next, if that is
+    motion: none of white noise, 0.9 and more of a sine at nine samples a period."""
+
+    fewest_samples: float = 7.0
+    """Samples a period, with fewer of which motion is not told from noise."""
+
+    unknown_noise: float = 0.01
+    """Noise over spread that a fit begins with where a curve on finer knots than samples tells none."""
+
+    follows_forces: float = 0.1
+    """Share of the fast second differences of a coordinate that fast forces have to explain if they act.
+    Where they do 0.37 to 0.99, on two measured arms and five simulated machines 0.0005 to 0.008."""
+
     outlier: float = 5.0
     """Standard deviations. One good sample in two million is further off. Half: 383 good samples of 12 000
     are left out instead of 30 (of heavy-tailed noise); twice: 0 of 139 outliers instead of 138."""

@@ -9,6 +9,7 @@ variance, as in the selection.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -27,7 +28,14 @@ from leastaction.selection.likelihood_search import QuadraticModel
 from leastaction.selection.search_state import equations_hold
 from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["hidden_friction", "late_forces", "unmodelled_friction", "usual_friction", "wrong_known"]
+__all__ = [
+    "feeding_friction",
+    "hidden_friction",
+    "late_forces",
+    "unmodelled_friction",
+    "usual_friction",
+    "wrong_known",
+]
 
 _MOST_RELEASED = 3  # known coefficients, each a search
 
@@ -58,6 +66,23 @@ def hidden_friction(effects: Effects, relevance: float) -> list[Finding]:
             out.append(unmodelled_friction(term, **figures))
         else:
             out.append(find("energy-fed-in", term.text, velocities=_rates(term), **figures))
+    return out
+
+
+def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]:
+    """Friction that was left out because it would have fed energy in, where that would be worth knowing."""
+    fit = effects.fit
+    columns, out = fit.problem.candidates, list[Finding]()
+    for m in left_out:
+        term = columns.terms[m]
+        if fit.converged:
+            candidates = columns.of([*(columns.terms[k] for k in fit.structure), term])
+            model, base = beside(fit, candidates)
+            value = model.solution((*base, len(base)))[[len(base)]]
+            share = effects.of_terms(candidates.subset([len(base)]), value)
+            if share <= DIAGNOSIS.worth_knowing:
+                continue
+        out.append(find("negative-dissipation", term.text))
     return out
 
 

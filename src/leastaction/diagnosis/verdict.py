@@ -12,7 +12,7 @@ from leastaction.diagnosis.competing import free_scales, rival_warnings
 from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
-from leastaction.diagnosis.friction import hidden_friction, late_forces, wrong_known
+from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
@@ -96,7 +96,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _signal(fit) + _identifiability(effects) + doubts_about_shapes(fit)
     found += rival_warnings(effects, alternatives)
     found += _open_scales(fit) + _mass_matrix(fit)
-    found += _friction(search)
+    found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
@@ -283,10 +283,6 @@ def _open_scales(fit: Fit) -> list[Finding]:
     pushed = [] if forces is None else np.flatnonzero(np.any(forces.values != 0.0, axis=(0, 1))).tolist()
     names = fit.problem.unreached(fit.structure, pushed)
     return [find("scale-open", list(names))] if names else []
-
-
-def _friction(search: Search) -> list[Finding]:
-    return [find("negative-dissipation", search.problem.terms[m].text) for m in search.feeding]
 
 
 def _between_groups(fit: Fit) -> list[Finding]:

@@ -14,6 +14,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
+from leastaction.estimation.forces import fast_forces_act
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
@@ -139,8 +140,14 @@ def build_problem(
         ranges=ranges,
         lengths=_lengths(library),
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
+        between="band-limited" if _fast_forces_act(searched) else "slow",
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _fast_forces_act(data: Trajectories) -> bool:
+    parts = [(t.t, t.q, t.forces) for t in data]
+    return data.driven and fast_forces_act(*zip(*parts, strict=True))
 
 
 def _lengths(library: Library) -> np.ndarray | None:

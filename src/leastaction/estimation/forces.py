@@ -1,23 +1,52 @@
-"""Known forces where the equations are compared: no faster than the curve can follow."""
+r"""Known forces where the equations are compared: no faster than the curve can follow.
+
+Samples of torques hold ripple, steps of a converter and noise, which the coordinates do not follow.  Where
+they do follow (a force of three samples a period moves what is sampled as fast), leaving it out lets
+accelerations appear that no force explains, and masses that are too small explain them.  Then the forces act
+as they are, and what they do between their samples matters: band-limited, f(t); a straight line between
+samples, or the last one held, whose slow parts are
+
+.. math:: \frac{1}{h^2}\int_{-h}^{h} (h - |s|) f(t - s)\,ds, \qquad \frac{1}{h}\int_0^h f(t - s)\,ds
+
+with the sampling interval h; the images above the sampling rate, which hardly move anything, are left out.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.linalg import solveh_banded
 
 from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.curve.settings import CURVE
 from leastaction.curve.smoothing import banded_gram
+from leastaction.data.validation import FloatArray
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["GridForces", "Pushes", "WithPushes", "force_rates", "forces_on"]
+__all__ = [
+    "Between",
+    "GridForces",
+    "Pushes",
+    "WithPushes",
+    "curve_between",
+    "fast_forces_act",
+    "force_rates",
+    "forces_on",
+]
+
+Between = Literal["slow", "band-limited", "linear", "held"]
 
 _FEWEST = 4  # intervals; shorter records are interpolated
+_INTERPOLATED = 0.7  # knot intervals a sample, from which forces are taken as they are
+_DENSE = 4  # points in a knot interval, at which they are projected onto coarser knots
+_BAND_LIMITED = 11  # degree of the interpolating spline: off by 2e-4 at three samples a period
+_EVEN = 0.01  # by which sampling intervals may differ
+_ROUNDING = 1e-6  # of the forces: what a spline leaves of slow ones
+_LAGS = 2  # samples, by which a coordinate may follow a force
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +71,7 @@ def forces_on(
     times: Sequence[np.ndarray],
     forces: Sequence[np.ndarray | None],
     dtype: type[np.floating[Any]] = np.float64,
+    between: Between = "slow",
 ) -> GridForces | None:
     """Return the slow part of forces, from their samples; None if nothing acts anywhere.
 
@@ -57,6 +87,8 @@ def forces_on(
         None where nothing acts.
     dtype : type
         Of the values.
+    between : {"slow", "band-limited", "linear", "held"}
+        Whether all of the forces acts, and how between their samples. Then their density is zero.
 
     Examples
     --------
@@ -78,6 +110,9 @@ def forces_on(
     for k, (space, t, samples) in enumerate(zip(grid.spaces, times, forces, strict=True)):
         own = slice(stop, stop := stop + space.n_intervals)
         if samples is None:
+            continue
+        if between != "slow":
+            values[own] = _projected(space, t, samples, between)(grid.points_of(k))
             continue
         slow, n_parameters = _slow_part(space, t, samples)
         values[own] = slow(grid.points_of(k))
@@ -118,6 +153,99 @@ def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[
     gram = banded_gram(design, space.degree)
     control_points = solveh_banded(gram, design.T @ between(even), lower=True)
     return BSpline(space.knots, control_points, space.degree), space.n_ctrl
+
+
+def _projected(
+    space: SplineSpace, t: np.ndarray, samples: np.ndarray, between: Between
+) -> Callable[[np.ndarray], np.ndarray]:
+    """All of the forces that the knots can follow."""
+    curve = curve_between(t, samples, between)
+    if space.n_intervals >= _INTERPOLATED * t.size:
+        return curve
+    even = np.linspace(float(t[0]), float(t[-1]), _DENSE * space.n_intervals + 1)
+    design = space.basis(even)
+    control_points = solveh_banded(banded_gram(design, space.degree), design.T @ curve(even), lower=True)
+    return BSpline(space.knots, control_points, space.degree)
+
+
+def curve_between(t: np.ndarray, samples: np.ndarray, between: Between) -> Callable[[np.ndarray], np.ndarray]:
+    """Forces as a function of time.
+
+    Examples
+    --------
+    >>> t = np.arange(400) / 100.0
+    >>> wave = np.sin(2.0 * np.pi * 10.0 * t)[:, None]
+    >>> middle = np.arange(1.0, 2.0, 0.003)
+    >>> held = curve_between(t, wave, "held")(middle)[:, 0]
+    >>> share = np.sinc(0.1)  # a tenth of a period is held
+    >>> bool(np.allclose(held, share * np.sin(2.0 * np.pi * 10.0 * (middle - 0.005)), atol=1e-3))
+    True
+    """
+    if between == "slow" or t.size <= _BAND_LIMITED:
+        return CubicSpline(t, samples)
+    curve = make_interp_spline(t, samples, _BAND_LIMITED)
+    if between == "band-limited":
+        return curve
+    h = float(np.median(np.diff(t)))
+    whole = _Antiderivative(curve, 1 if between == "held" else 2)
+    if between == "held":
+        return lambda times: (whole(times) - whole(times - h)) / h
+    return lambda times: (whole(times + h) - 2.0 * whole(times) + whole(times - h)) / h**2
+
+
+class _Antiderivative:
+    """Repeated integral of a curve, which stays as it is beyond its ends."""
+
+    def __init__(self, curve: BSpline, count: int) -> None:
+        self.integrals = [curve.antiderivative(n) if n else curve for n in range(count, -1, -1)]
+        self.ends = float(curve.t[0]), float(curve.t[-1])
+
+    def __call__(self, times: np.ndarray) -> np.ndarray:
+        inside = np.clip(times, *self.ends)
+        beyond = (times - inside)[..., None]
+        factor, out = np.ones_like(beyond), 0.0
+        for n, integral in enumerate(self.integrals):  # a polynomial beyond
+            out = out + factor * integral(inside)
+            factor = factor * beyond / (n + 1)
+        return np.asarray(out)
+
+
+def fast_forces_act(
+    times: Sequence[np.ndarray], q: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
+) -> bool:
+    """Whether coordinates follow what of the forces is too fast for :func:`forces_on`.
+
+    Second differences of what a spline on equally coarse knots leaves of a coordinate are compared with what
+    it leaves of all forces, by at most two samples earlier or later.
+    """
+    rows: list[np.ndarray] = []
+    seen: list[np.ndarray] = []
+    for t, positions, given in zip(times, q, forces, strict=True):
+        steps = np.diff(t)
+        if given is None or t.size < 10 * _FEWEST or np.ptp(steps) > _EVEN * np.median(steps):
+            continue
+        if not np.isfinite(positions).all():
+            continue
+        space = SplineSpace(
+            3, np.linspace(float(t[0]), float(t[-1]), int(t.size / CURVE.samples_per_knot) + 1)
+        )
+        parts = [x - _slow_part(space, t, x)[0](t) for x in (given, positions)]
+        moved = np.diff(parts[1], 2, axis=0)
+        shifted = [np.roll(parts[0][1:-1], lag, axis=0) for lag in range(-_LAGS, _LAGS + 1)]
+        rows.append(np.hstack(shifted)[_LAGS:-_LAGS])
+        seen.append(moved[_LAGS:-_LAGS])
+    if not rows:
+        return False
+    pushes, moved = np.concatenate(rows), np.concatenate(seen)
+    scale = np.sqrt(np.mean(pushes**2, axis=0))
+    acting = scale > _ROUNDING * max(float(np.abs(f).max()) for f in forces if f is not None)
+    if not acting.any():
+        return False
+    used: FloatArray = pushes[:, acting] / scale[acting]
+    share: FloatArray = np.asarray(np.linalg.lstsq(used, moved, rcond=None)[0], dtype=float)
+    left = np.square(moved - used @ share).mean(axis=0)
+    whole = np.square(moved).mean(axis=0)
+    return bool(np.any(left < (1.0 - CURVE.follows_forces) * whole))
 
 
 class Pushes(Protocol):

@@ -10,16 +10,14 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
 
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.smoothing import Smooth, smooth
-from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.blocks import observe
 from leastaction.estimation.crew import Alone, Task
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.forces import GridForces, forces_on
+from leastaction.estimation.forces import Between, GridForces, curve_between, forces_on
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Physics
@@ -66,7 +64,7 @@ class Grid:
         n_quadrature = 1 if problem.prescribed else 2
         spline = uniform_grid(times, knots_per_second, problem.degree, n_quadrature)
         observations = observe(spline, times, [t.q for t in data], data.rates, problem.crew)
-        forces = _forces(spline, data, [t.forces for t in data])
+        forces = _forces(spline, problem, [t.forces for t in data])
         return cls(problem, knots_per_second, spline, observations, forces)
 
     def posed(self, problem: Problem) -> Grid:
@@ -76,7 +74,13 @@ class Grid:
     def pushed(self, forces: Sequence[np.ndarray | None]) -> Grid:
         """The same discretisation with other known forces, (n_times, n_dof) in each trajectory."""
         problem = self.problem.with_forces(forces)
-        return replace(self, problem=problem, forces=_forces(self.spline, problem.trajectories, list(forces)))
+        return replace(self, problem=problem, forces=_forces(self.spline, problem, list(forces)))
+
+    def acting(self, between: Between) -> Grid:
+        """The same discretisation with forces that act otherwise between their samples."""
+        problem = replace(self.problem, between=between)
+        given = [trajectory.forces for trajectory in problem.trajectories]
+        return replace(self, problem=problem, forces=_forces(self.spline, problem, given))
 
     @property
     def times(self) -> list[np.ndarray]:
@@ -106,7 +110,7 @@ class Grid:
         given = self.problem.trajectories[trajectory]
         if given.forces is None:
             return np.zeros((*times.shape, given.n_dof))
-        return CubicSpline(given.t, given.forces)(times)
+        return curve_between(given.t, given.forces, self.problem.between)(times)
 
     def physics(self, structure: Structure) -> tuple[Physics, list[int]]:
         """The equations of a structure, and the candidates that they hold: members, then known ones."""
@@ -188,15 +192,14 @@ def _runs(times: Sequence[np.ndarray]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise([0, *cuts, len(times)])]
 
 
-def _forces(
-    spline: SplineGrid, data: Trajectories, samples: Sequence[np.ndarray | None]
-) -> GridForces | None:
+def _forces(spline: SplineGrid, problem: Problem, samples: Sequence[np.ndarray | None]) -> GridForces | None:
+    data = problem.trajectories
     if not data.driven:
         return None
     times = [t.t for t in data]
     # of long recordings in single precision: there are as many as numbers in the samples, times four
     dtype = np.float32 if is_long(times, data.n_dof) else np.float64
-    return forces_on(spline, times, samples, dtype)
+    return forces_on(spline, times, samples, dtype, problem.between)
 
 
 def greville_sites(knots: np.ndarray, degree: int) -> np.ndarray:

@@ -20,6 +20,7 @@ import numpy as np
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.crew import Crew
+from leastaction.estimation.forces import Between
 from leastaction.estimation.shape_ranges import ShapeRange
 from leastaction.library import Dropped, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -53,6 +54,9 @@ class Problem:
         Description lengths of the candidates in nats, NaN where as long as any other; None: everywhere.
     forms : tuple of Dropped
         Terms with a description length that are no candidates, as sums of candidates up to null terms.
+    between : {"slow", "band-limited", "linear", "held"}
+        What the known forces do between their samples; ``"slow"``: only their slow part acts
+        (:mod:`leastaction.estimation.forces`).
     """
 
     trajectories: Trajectories
@@ -64,6 +68,7 @@ class Problem:
     ranges: Mapping[str, ShapeRange] = field(default_factory=dict[str, ShapeRange])
     lengths: np.ndarray | None = None
     forms: tuple[Dropped, ...] = ()
+    between: Between = "slow"
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)

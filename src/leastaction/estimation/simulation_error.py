@@ -12,6 +12,7 @@ errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,15 +27,74 @@ from leastaction.estimation.structure import Structure
 from leastaction.mechanics.equations import Mechanics
 from leastaction.simulation.integrate import rk4
 
-__all__ = ["SimulationFit", "minimise_simulation_error"]
+__all__ = ["LinearRuns", "SimulationFit", "linear_runs", "minimise_simulation_error"]
 
 _STEPS = 64  # of a free run
 _MOST_RUNS = 300  # more are thinned: bounds time
 _FEWEST_RUNS = 10  # each is a score of the standard errors
 _GAP = 0.05  # of a run, without samples
 _DIFFERENCE = 1e-5  # relative
+_DELAY = 1e-3  # of a run: step of a slope
 _LOST = 1e6  # a run that is further off, or diverges, counts as this
 _EVALUATIONS = 15  # of the optimiser, at most
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRuns:
+    """Errors of free runs as a linear function of coefficients, about some values of them.
+
+    Attributes
+    ----------
+    errors : (n_runs, n_values, n_dof) array
+        Over their root mean square in each coordinate.
+    slopes : (n_runs, n_values, n_dof, n_columns) array
+        Derivatives in the coefficients, in their units.
+    here, units : (n_columns,) arrays
+        Coefficients, and what the slopes are counted in.
+    beside : (n_runs, n_values, n_dof, n_more) array
+        Slopes in what may differ, too, whatever the coefficients are.
+    """
+
+    errors: np.ndarray
+    slopes: np.ndarray
+    here: np.ndarray
+    units: np.ndarray
+    beside: np.ndarray
+
+    def with_columns(self, columns: Sequence[int]) -> LinearChoice:
+        """The best coefficients of some columns, the others zero."""
+        columns, here = list(columns), self.here / self.units
+        weight = 1.0 / np.sqrt(1.0 + self.errors**2)  # of ρ, as the runs are
+        out = np.setdiff1d(np.arange(here.size), columns)
+        left = self.errors - self.slopes[..., out] @ here[out]
+        used = np.concatenate([self.slopes[..., columns], self.beside], axis=-1)
+        weighted = (used * weight[..., None]).reshape(-1, used.shape[-1])
+        hessian = np.linalg.pinv(weighted.T @ used.reshape(weighted.shape), hermitian=True)
+        step = -hessian @ (weighted.T @ left.ravel())
+        left = left + used @ step
+        scores = np.einsum("rti,rtij->rj", weight * left, used)
+        spread = np.sqrt(np.clip(np.diag(hessian @ (scores.T @ scores) @ hessian), 1e-300, None))
+        estimates, spread = here[columns] + step[: len(columns)], spread[: len(columns)]
+        return LinearChoice(
+            (weight * left**2).sum(axis=(0, 1)), estimates * self.units[columns], estimates / spread
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LinearChoice:
+    """What some columns leave of the errors of free runs.
+
+    Attributes
+    ----------
+    squares : (n_dof,) array
+        Weighted sum of squares that is left in each coordinate.
+    estimates, z : (n_columns,) arrays
+        Coefficients, also over their standard errors, which are those of misspecified models.
+    """
+
+    squares: np.ndarray
+    estimates: np.ndarray
+    z: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +158,43 @@ def minimise_simulation_error(
     return SimulationFit(found.x * size, _sandwich(found.x, flow) * np.outer(size, size))
 
 
+def linear_runs(
+    grid: Grid, curve: Smooth, coefficients: np.ndarray, units: dict[int, float], horizon: float
+) -> LinearRuns | None:
+    """Errors of free runs at given coefficients, and their slopes in some of them.
+
+    Forces that act late do what viscous friction does, or the opposite: a common delay is beside them.
+
+    Parameters
+    ----------
+    grid, curve, coefficients, horizon
+        As for :func:`minimise_simulation_error`.
+    units : dict of int to float
+        Number of each candidate whose slope is wanted, absent ones too → unit of its coefficient.
+
+    Returns
+    -------
+    LinearRuns or None
+        Its columns are in the sequence of ``units``; None as for :func:`minimise_simulation_error`.
+    """
+    runs, members = _Runs(grid, curve, horizon), list(units)
+    if runs.n_runs < _FEWEST_RUNS:
+        return None
+    flow = _Flow(grid, members, coefficients, runs)
+    here = coefficients[members]
+    flow.size = np.array(list(units.values()))
+    errors = flow.errors((here / flow.size)[None])[0]
+    flow.scale = np.sqrt(np.mean(errors**2, axis=(0, 1)))
+    if not (np.all(flow.scale > 0.0) and np.abs(errors).max() < _LOST):
+        return None
+    slopes = flow.slopes(here / flow.size).reshape(*errors.shape, -1)
+    beside = np.zeros((*errors.shape, 0))
+    if grid.problem.trajectories.driven:
+        flow.runs = _Runs(grid, curve, horizon, _DELAY * horizon)
+        beside = ((flow.errors((here / flow.size)[None])[0] - errors / flow.scale) / _DELAY)[..., None]
+    return LinearRuns(errors / flow.scale, slopes, here, flow.size, beside)
+
+
 def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
     """H⁻¹ Σ_r g_r g_rᵀ H⁻¹ with the gradient g_r of each run."""
     error, slopes = flow.errors(x[None])[0], flow.slopes(x)
@@ -124,7 +221,7 @@ class _Runs:
         At the nodes and between them.
     """
 
-    def __init__(self, grid: Grid, curve: Smooth, horizon: float) -> None:
+    def __init__(self, grid: Grid, curve: Smooth, horizon: float, late: float = 0.0) -> None:
         self.nodes = np.linspace(0.0, horizon, _STEPS + 1)
         begins = [_begins(trajectory, horizon) for trajectory in grid.problem.trajectories]
         owner = np.repeat(np.arange(len(begins)), [b.size for b in begins])
@@ -144,7 +241,7 @@ class _Runs:
             self.qdot[own] = space.evaluate(part, begin[own], 1)
             if self.forces is not None:
                 times = half[:, None] + begin[own]
-                self.forces[:, own] = grid.force_at(k, times)
+                self.forces[:, own] = grid.force_at(k, times - late)
                 for i in prescribed:  # its force is its acceleration
                     self.forces[:, own, i] = space.evaluate(part, times, 2)[..., i]
 

@@ -10,34 +10,9 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
+from leastaction.findings import templates
 from leastaction.findings.finding import Finding
-from leastaction.findings.templates import (
-    Audience,
-    Message,
-    Text,
-    another_structure,
-    converted_units,
-    correlated,
-    equations_off,
-    equations_off_remedy,
-    fill,
-    friction,
-    groups_differ,
-    imitated_remedy,
-    late_forces,
-    missing_term,
-    missing_term_remedy,
-    rate_scaled,
-    smoothed,
-    time_dependent,
-    time_dependent_remedy,
-    time_unit,
-    undetermined,
-    undetermined_remedy,
-    wrong_known,
-    wrong_known_remedy,
-    zero_offset,
-)
+from leastaction.findings.templates import Audience, Message, Text, fill
 
 __all__ = ["CODES", "Audience", "Message", "find", "sentence"]
 
@@ -73,26 +48,26 @@ CODES: dict[str, Message] = {
     ),
     "equations-off": Message(
         "warning",
-        equations_off,
-        equations_off_remedy,
-        on_command_line=partial(equations_off_remedy, prescribed="--prescribed {subject}"),
+        templates.equations_off,
+        templates.equations_off_remedy,
+        on_command_line=partial(templates.equations_off_remedy, prescribed="--prescribed {subject}"),
     ),
     # a likely cause
     "missing-term": Message(
         "warning",
-        missing_term,
-        missing_term_remedy,
-        on_command_line=partial(missing_term_remedy, on_command_line=True),
+        templates.missing_term,
+        templates.missing_term_remedy,
+        on_command_line=partial(templates.missing_term_remedy, on_command_line=True),
     ),
     "time-dependent": Message(
         "warning",
-        time_dependent,
+        templates.time_dependent,
         "add {subject} to the candidates, or measure the input that drives the system",
-        on_command_line=time_dependent_remedy,
+        on_command_line=templates.time_dependent_remedy,
     ),
     "unmodelled-friction": Message(
         "warning",
-        friction,
+        templates.friction,
         "offer {subject} as a dissipation candidate",
         on_command_line="add {subject} to --dissipation",
     ),
@@ -101,22 +76,22 @@ CODES: dict[str, Message] = {
         "energy appears to be fed in through {velocities} (apparent friction {coefficient:.2g})",
         "check the signs of forces and known coefficients, and whether a driving force is missing",
     ),
-    "wrong-known-coefficient": Message("warning", wrong_known, wrong_known_remedy),
+    "wrong-known-coefficient": Message("warning", templates.wrong_known, templates.wrong_known_remedy),
     "late-forces": Message(
         "warning",
-        late_forces,
+        templates.late_forces,
         "estimate the delay with la.delay.estimate",
         on_command_line="use --force-delay {delay:.2g}, or the delay stated for the device",
     ),
     "slight-friction": Message(
         "note",
-        friction,
+        templates.friction,
         "too small to affect the verdict; offer {subject} as a dissipation candidate to include it",
         on_command_line="too small to affect the verdict; add {subject} to --dissipation to include it",
     ),
     "slight-delay": Message(
         "note",
-        late_forces,
+        templates.late_forces,
         "too small to affect the verdict; la.delay.estimate measures it",
         on_command_line="too small to affect the verdict; --force-delay {delay:.2g} corrects it",
     ),
@@ -137,8 +112,8 @@ CODES: dict[str, Message] = {
         "the true law is probably not among the candidates: a smooth change of the {kind} energy explains "
         "the motion better (-2 log likelihood lower by {gain:.0f} with {freedom} more parameters) and "
         "changes the accelerations by {shift:.1f%}",
-        imitated_remedy,
-        on_command_line=partial(imitated_remedy, on_command_line=True),
+        templates.imitated_remedy,
+        on_command_line=partial(templates.imitated_remedy, on_command_line=True),
     ),
     "form-open": Message(
         "warning",
@@ -150,14 +125,14 @@ CODES: dict[str, Message] = {
         "warning",
         "a law with {family} explains the motion with higher evidence (log evidence {gain:.0f} higher), in "
         "{free_terms} terms instead of {instead_of}; the terms found seem to imitate it",
-        imitated_remedy,
-        on_command_line=partial(imitated_remedy, on_command_line=True),
+        templates.imitated_remedy,
+        on_command_line=partial(templates.imitated_remedy, on_command_line=True),
     ),
     # shape parameters
     "shape-undetermined": Message(
         "warning",
-        undetermined,
-        undetermined_remedy,
+        templates.undetermined,
+        templates.undetermined_remedy,
     ),
     "shape-at-bound": Message(
         "warning",
@@ -187,7 +162,7 @@ CODES: dict[str, Message] = {
         "the measured {quantity} of {subject} does not follow the derivative of its coordinate",
         "check the column and the time stamps",
     ),
-    "rate-scaled": Message("warning", rate_scaled, "convert it, or leave it out"),
+    "rate-scaled": Message("warning", templates.rate_scaled, "convert it, or leave it out"),
     "rate-offset": Message(
         "warning",
         "the measured {quantity} of {subject} is offset by {offset:.3g} from the derivative of its "
@@ -269,15 +244,15 @@ CODES: dict[str, Message] = {
     ),
     "another-structure": Message(
         "warning",
-        another_structure,
+        templates.another_structure,
         "compare its forecasts of held-out trials with those of the chosen structure",
     ),
     # what was done to data and library
-    "time-unit": Message("note", time_unit),
+    "time-unit": Message("note", templates.time_unit),
     "dates": Message(
         "note", "the dates in '{column}' were converted to seconds since the first date of each file"
     ),
-    "converted-units": Message("note", converted_units),
+    "converted-units": Message("note", templates.converted_units),
     "units-row": Message("note", "the row below the header was read as units: {units}"),
     "decimal-comma": Message("note", "numbers were read with a decimal comma"),
     "first-sheet": Message("note", "only the sheet '{sheet}' was read; the others are {others}"),
@@ -292,7 +267,7 @@ CODES: dict[str, Message] = {
         "{count} samples of {subject} ({share:.2g%}) were left out as outliers: each is isolated and more "
         "than {far:g} standard deviations off the motion",
     ),
-    "friction-smoothed": Message("note", smoothed),
+    "friction-smoothed": Message("note", templates.smoothed),
     "undefined-candidates": Message(
         "note", "candidates that are undefined somewhere along the data were left out: {subject}"
     ),
@@ -310,7 +285,7 @@ CODES: dict[str, Message] = {
     ),
     "correlated-residuals": Message(
         "note",
-        correlated,
+        templates.correlated,
         "typical of coloured noise, encoder steps or filtered data; intervals may be too narrow or too wide",
     ),
     "mode-scale": Message(
@@ -322,14 +297,14 @@ CODES: dict[str, Message] = {
         on_command_line="natural frequencies, damping ratios and mode shapes are not affected; --known or "
         "--forces for each mode fixes its scale",
     ),
-    "groups-differ": Message("note", groups_differ),
+    "groups-differ": Message("note", templates.groups_differ),
     "groups-alike": Message("note", "no coefficient differs significantly between the groups {groups}"),
     "groups-known": Message(
         "note",
         "no force is known in {groups}, so {subject} was assumed to be the same in all groups: differences "
         "are relative to it, and a factor common to all coefficients of a group is undetectable",
     ),
-    "zero-offset": Message("note", zero_offset),
+    "zero-offset": Message("note", templates.zero_offset),
     "stopped-early": Message(
         "warning",
         "the search was stopped early: this is the best law so far, and likely causes were not examined",
@@ -344,6 +319,11 @@ CODES: dict[str, Message] = {
         "note",
         "the equations hold only to a few per cent, so the coefficients are those with the smallest "
         "simulation error over {horizon:.2g} s; their intervals allow for what the library cannot explain",
+    ),
+    "fast-forces": Message(
+        "note",
+        "coordinates follow forces of few samples a period, so all of the forces acts; between samples they "
+        "are {between}",
     ),
     "forecasts": Message(
         "note",

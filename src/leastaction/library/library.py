@@ -9,7 +9,7 @@ from typing import Any, overload
 
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, names_in_terms
-from leastaction.library.collect import collect, read_terms
+from leastaction.library.collect import collect, read_terms, with_usual_friction
 from leastaction.library.families import check_angles, check_count, mechanical_terms
 from leastaction.library.grammar import description_lengths, grown_terms
 from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within, summary_of
@@ -39,7 +39,8 @@ class Library(ShownLibrary, Sequence[Term]):
     parameters
         Numbers that the texts may use by name. They are inserted immediately.
     dissipation
-        Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ.
+        Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ. ``"auto"``, also among others:
+        viscous and dry friction of every coordinate, and between neighbouring angles and lengths.
 
     Attributes
     ----------
@@ -77,7 +78,8 @@ class Library(ShownLibrary, Sequence[Term]):
         if clash:
             raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
         self._terms, repeated = collect(terms, names, parameters, "lagrangian")
-        self._dissipation, again = collect(dissipation, names, parameters, "dissipation")
+        offered = with_usual_friction(dissipation, self._coordinates, self._angles)
+        self._dissipation, again = collect(offered, names, parameters, "dissipation")
         self._dropped: tuple[Dropped, ...] = (*repeated, *again)
         self._lengths: Mapping[Term, float] = {}
         if not self._terms:
@@ -325,10 +327,11 @@ class Library(ShownLibrary, Sequence[Term]):
 
         Examples
         --------
-        >>> Library(["x_dot**2", "x"], ["x"]).with_dissipation(["x_dot**2/2"]).dissipation[0].text
-        'x_dot**2/2'
+        >>> library = Library(["x_dot**2", "x"], ["x"]).with_dissipation("auto")
+        >>> [term.text for term in library.dissipation]
+        ['x_dot**2/2', 'abs(x_dot)']
         """
-        more = Library(self._terms, self._coordinates, dissipation=expressions)
+        more = Library(self._terms, self._coordinates, angles=self._angles, dissipation=expressions)
         return self.replace(dissipation=[*self._dissipation, *more._dissipation])
 
     def reduced(self, keep: Iterable[Candidate] | str = (), *, prescribed: Iterable[str] = ()) -> Library:

@@ -41,8 +41,7 @@ __all__ = ["FitSummary", "LagrangianModel", "ModelTerm", "ShapeParameter"]
 class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     r"""A Lagrangian L(q, q̇, t) and a dissipation function ψ(q, q̇, t), with coefficients and their errors.
 
-    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇. Without forces, a common factor of L and ψ is
-    arbitrary.
+    The motion obeys d/dt ∂L/∂q̇ − ∂L/∂q = f − ∂ψ/∂q̇; without forces, a common factor is arbitrary.
 
     Parameters
     ----------
@@ -97,7 +96,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Compiled functions cannot be pickled; they are made again when they are needed.
+        # compiled functions cannot be pickled: made again when needed
         kept = {*self.__dataclass_fields__, "_expressions", "symmetries", "simple_constants"}
         return {k: v for k, v in self.__dict__.items() if k in kept}
 
@@ -128,10 +127,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @property
     def prescribed(self) -> tuple[str, ...]:
-        """Coordinates that unknown forces moved in the discovery (`provenance`).
-
-        Wherever the model takes forces, the entry of such a coordinate is its acceleration.
-        """
+        """Coordinates that unknown forces moved (`provenance`): their entries of forces are accelerations."""
         return checks.prescribed_in(self.coordinates, self.provenance)
 
     @property

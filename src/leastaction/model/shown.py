@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from markupsafe import Markup
 
+from leastaction.model.gravity import GravityRatio, gravity_ratios
 from leastaction.model.mathml import Notation
 from leastaction.model.notation import coefficient_text
 from leastaction.model.term import ModelTerm
@@ -27,7 +28,36 @@ _FITTED = {"marker": "o", "linestyle": "none", "capsize": 3}
 
 
 class ShownModel(Shown):
-    """How a model shows itself in notebooks and plots."""
+    """How a model shows itself in notebooks and plots, and what its numbers mean."""
+
+    def gravity(self, lengths: Mapping[str, float] | None = None) -> tuple[GravityRatio, ...]:
+        """Gravity over length of links, and gravity where lengths are given: a check of the time base.
+
+        Parameters
+        ----------
+        lengths : mapping of str to float, optional
+            Metres of links by coordinate, from joint to joint; of a simple pendulum for a single one.
+
+        Returns
+        -------
+        tuple of GravityRatio
+            With ``value`` (1/s²), ``standard_error``, ``gravity`` (m/s²) and ``clock``, by which factor the
+            times seem to be off; empty where no pendulum hangs on another.
+
+        Raises
+        ------
+        InputError
+            For a length that is no positive number, or that the model says nothing about.
+
+        Examples
+        --------
+        >>> from leastaction.model.model import LagrangianModel, ModelTerm
+        >>> model = LagrangianModel("q", [ModelTerm("q_dot**2", 0.5), ModelTerm("cos(q)", 19.6, 0.1)])
+        >>> (ratio,) = model.gravity({"q": 0.5})
+        >>> round(ratio.value, 1), round(ratio.gravity, 1), ratio.clock
+        (19.6, 9.8, None)
+        """
+        return gravity_ratios(cast("LagrangianModel", self), lengths)
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
         """Plot how well each coefficient is known: its 95 % interval about it, in per cent of it.

@@ -22,6 +22,7 @@ from leastaction.selection.strategies import (
     feeding_friction,
     finer_knots,
     force_bias,
+    force_sampling,
     frequency_scan,
     grown_families,
     irrelevant_terms,
@@ -61,7 +62,9 @@ def find_structure(search: Search) -> Search:
 
 def run_search(search: Search) -> Search:
     """Run every strategy."""
-    return _attempt(simulation_error.run, force_bias.run(search, find_on_data))
+    found = force_bias.run(search, find_on_data)
+    found = _attempt(partial(force_sampling.run, again=find_on_data), found)
+    return _attempt(simulation_error.run, found)
 
 
 def find_on_data(search: Search) -> Search:

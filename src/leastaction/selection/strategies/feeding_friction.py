@@ -1,6 +1,7 @@
 """Leave out dissipation with a negative coefficient: friction cannot feed energy in.
 
-Such a candidate is ruled out in the problem itself, so that no later fit or search holds it.
+Such a candidate is ruled out in the problem itself, so that no later fit or search holds it. What comes in
+for it must be relevant, too.
 
 Cost: a fit, and a search on its quadratic model, for each round.
 Without it (`docs/ablations.md`) a machine that is fed energy is ok, with negative friction.
@@ -12,6 +13,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
 from leastaction.selection.significance import normal_cutoff
+from leastaction.selection.strategies import irrelevant_terms
 
 __all__ = ["negative_friction", "run"]
 
@@ -33,7 +35,8 @@ def run(search: Search) -> Search:
         noise = fit.weights.noise_std[: fit.grid.observations.n_dof]
         start = grid.start(structure, fit.control_points, fit.coefficients, noise)
         fit = refine(grid.fit(structure, start), search.report, _ROUNDS)
-    return search.now(fit, feeding=feeding)
+    found = search.now(fit, feeding=feeding)
+    return found if fit.problem is search.found.problem else irrelevant_terms.run(found)
 
 
 def negative_friction(fit: Fit) -> dict[int, float]:

@@ -14,11 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.simulation_error import SimulationFit, minimise_simulation_error
+from leastaction.estimation.simulation_error import SimulationFit
 from leastaction.findings import find
 from leastaction.selection.forecast_error import forecast_error
-from leastaction.selection.search_state import Search
+from leastaction.selection.free_run_terms import FreeRunTerms, terms_of_free_runs
+from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies.coarse_restart import horizon
@@ -27,24 +29,38 @@ __all__ = ["run"]
 
 
 def run(search: Search) -> Search:
-    """The fit with coefficients by simulation error, if they contradict its own and forecast no worse."""
+    """The fit with terms and coefficients by simulation error, if they contradict its own and forecast no
+    worse.
+    """
     fit, scales = search.found, search.scales
-    if not fit.converged or fit.grid.knots_per_second >= scales.per_second:
+    if not fit.converged or equations_hold(fit):
         return search
     where = Grid.lay(search.searched, scales.per_second)
-    short = SELECTION.simulated * scales.period
-    found = minimise_simulation_error(where, scales.smooth, fit.structure, fit.coefficients, short)
-    if found is None or not _differ(found, fit.estimates):
+    horizons = SELECTION.simulated * scales.period, SELECTION.horizon * scales.period
+    chosen = terms_of_free_runs(fit, where, scales.smooth, horizons, search.relevance)
+    if chosen is None:
         return search
-    coefficients = fit.coefficients.copy()
-    coefficients[list(fit.structure)] = found.estimates
-    better = fit.grid.held(fit, coefficients, found.covariance)
+    refitted = _refitted(fit, chosen)
+    if refitted is None:
+        return search
+    moved = _differ(chosen.found, refitted.estimates)
+    better = refitted.grid.held(refitted, chosen.coefficients, chosen.found.covariance) if moved else refitted
+    if better is fit:
+        return search
     before, after = (forecast_error(f, horizon(scales.coarse)) for f in (fit, better))
     search.report("coarse", {"forecast_error": after, "before": before})
     if after > before / SELECTION.clearly or better.regular() < fit.regular():
         return search
-    note = find("coefficients-of-free-runs", horizon=short)
-    return replace(search.now(better), findings=(*search.findings, note))
+    note = (find("coefficients-of-free-runs", horizon=horizons[0]),) if moved else ()
+    return replace(search.now(better), findings=(*search.findings, *note))
+
+
+def _refitted(fit: Fit, chosen: FreeRunTerms) -> Fit | None:
+    """The terms of free runs fitted to curve and equations; None where that fails."""
+    if chosen.structure == fit.structure:
+        return fit
+    again = fit.grid.fit(chosen.structure, replace(fit.start, coefficients=chosen.coefficients))
+    return again if again.converged else None
 
 
 def _differ(found: SimulationFit, before: np.ndarray) -> bool:

@@ -1,0 +1,181 @@
+r"""Gravity over length, from a potential and a coupling: a check of times and lengths that needs no mass.
+
+Of a chain of links, link i of length l_i carries what is behind it. With the mass m of all that and the
+distance a of its centre along link j, L holds
+
+.. math:: m a l_i \,\dot\theta_i \dot\theta_j \cos(\theta_i - \theta_j) + m g a \cos\theta_j,
+
+so the potential over the coupling is g/l_i, whatever is known or sets the scale of L.  Where angles are
+measured from the link before, the coupling is that of q̇₁² cos(q_{i+1} + … + q_j), and the potential
+cos(q₁ + … + q_j).
+A single pendulum, ½ I θ̇² + m g a cos θ, has g/l of the simple pendulum that swings alike, l = I/(m a).
+
+With l known this is g.  Another value means that times are in another unit than seconds (a clock that is off
+by a factor k changes it by k²), that the length is not in metres, or that the plane of motion is inclined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import sympy as sp
+
+from leastaction.errors import InputError
+from leastaction.identifiers import names_in_terms, quoted
+from leastaction.library import make_term
+from leastaction.model.numbers import covariance_of
+from leastaction.selection.significance import normal_cutoff
+
+if TYPE_CHECKING:
+    from leastaction.model.model import LagrangianModel
+
+__all__ = ["STANDARD_GRAVITY", "GravityRatio", "gravity_ratios"]
+
+STANDARD_GRAVITY = 9.80665
+_RANGE = 0.03  # share of g that lengths and places explain
+
+
+@dataclass(frozen=True)
+class GravityRatio:
+    """g/l of one link.
+
+    Attributes
+    ----------
+    link : str
+        Coordinate of the link whose length it is.
+    potential, coupling : str
+        The terms of L that it comes from.
+    value, standard_error : float
+        In 1/s² where times are in seconds.
+    length : float or None
+        Metres, where it was given.
+    """
+
+    link: str
+    potential: str
+    coupling: str
+    value: float
+    standard_error: float
+    length: float | None = None
+
+    @property
+    def gravity(self) -> float | None:
+        """g in m/s², where the length was given."""
+        return None if self.length is None else self.value * self.length
+
+    @property
+    def on_earth(self) -> float:
+        """The length in metres at standard gravity."""
+        return STANDARD_GRAVITY / self.value
+
+    @property
+    def clock(self) -> float | None:
+        """Seconds that a second of the recording would have to be; None where g is that of the Earth.
+
+        Also where no length was given.
+        """
+        if self.gravity is None or self.length is None:
+            return None
+        off = abs(self.gravity / STANDARD_GRAVITY - 1.0)
+        if off <= _RANGE + normal_cutoff(2) * self.standard_error / self.value:
+            return None
+        return math.sqrt(self.gravity / STANDARD_GRAVITY)
+
+    def __str__(self) -> str:
+        error = f" ± {self.standard_error:.2g}" if self.standard_error > 0.0 else ""
+        source = f"from {self.potential} over {self.coupling}"
+        if self.length is None:
+            kind = "of the simple pendulum that swings alike" if self._single else f"of the link {self.link}"
+            return f"g/l {kind} is {self.value:.5g}{error} 1/s², {source}: l = {self.on_earth:.4g} m on Earth"
+        error = f" ± {self.standard_error * self.length:.2g}" if self.standard_error > 0.0 else ""
+        text = f"g is {self.gravity:.5g}{error} m/s², {source} and l = {self.length:g} m of {self.link}"
+        if self.clock is None:
+            return text
+        return (
+            f"{text}: not that of the Earth; a second of the recording may be {self.clock:.4g} s, the length "
+            "not in metres, or the plane of motion inclined"
+        )
+
+    @property
+    def _single(self) -> bool:
+        return self.coupling == f"{self.link}_dot**2"
+
+
+def gravity_ratios(
+    model: LagrangianModel, lengths: Mapping[str, float] | None = None
+) -> tuple[GravityRatio, ...]:
+    """g/l of every link that a model determines, in the sequence of the coordinates.
+
+    Parameters
+    ----------
+    model : LagrangianModel
+    lengths : mapping of str to float, optional
+        Metres of the links, by coordinate: from joint to joint, or of a simple pendulum.
+
+    Raises
+    ------
+    InputError
+        For a length that is no positive number, or of which the model has no ratio.
+
+    Examples
+    --------
+    >>> from leastaction.model.model import LagrangianModel, ModelTerm
+    >>> model = LagrangianModel("q", [ModelTerm("q_dot**2", 0.5), ModelTerm("cos(q)", 9.81e-6, 1e-9)])
+    >>> (ratio,) = gravity_ratios(model, {"q": 1.0})  # milliseconds were taken for seconds
+    >>> round(ratio.value, 9), round(ratio.clock, 6)
+    (9.81e-06, 0.001)
+    """
+    given = _checked(lengths or {})
+    best: dict[str, GravityRatio] = {}
+    for ratio in _ratios(model, given):
+        held = best.get(ratio.link)
+        if held is None or ratio.standard_error * held.value < held.standard_error * ratio.value:
+            best[ratio.link] = ratio
+    missing = [name for name in given if name not in best]
+    if missing:
+        raise InputError(
+            f"a length is given for {quoted(missing[0])}, but the model has no g/l of it; it has those of "
+            f"{', '.join(best) or 'no coordinate'}"
+        )
+    return tuple(best[name] for name in model.coordinates if name in best)
+
+
+def _checked(lengths: Mapping[str, Any]) -> dict[str, float]:
+    for name, value in lengths.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
+            raise InputError(f"the length of {quoted(name)} is {value!r}; expected metres, such as 0.3")
+    return {name: float(value) for name, value in lengths.items()}
+
+
+def _ratios(model: LagrangianModel, lengths: Mapping[str, float]) -> Iterator[GravityRatio]:
+    """Every pair of a potential and a coupling that make a ratio."""
+    names = names_in_terms(model.coordinates)
+    places = {make_term(term.expression, names).expr: k for k, term in enumerate(model.terms)}
+    covariance = covariance_of(model)
+    values = np.array([term.coefficient for term in model.terms])
+    for link, potential, coupling, share in _pairs(model.coordinates):
+        p, c = (places.get(expr) for expr in (potential, coupling))
+        if p is None or c is None or not (values[p] and values[c]):
+            continue
+        slope = np.array([1.0 / values[p], -1.0 / values[c]])
+        relative = float(np.sqrt(max(slope @ covariance[np.ix_([p, c], [p, c])] @ slope, 0.0)))
+        ratio = share * abs(float(values[p] / values[c]))
+        texts = model.terms[p].expression, model.terms[c].expression
+        yield GravityRatio(link, *texts, ratio, relative * ratio, lengths.get(link))
+
+
+def _pairs(coordinates: tuple[str, ...]) -> Iterator[tuple[str, sp.Expr, sp.Expr, float]]:
+    """Link, potential, coupling, and the factor of their ratio."""
+    q = [sp.Symbol(name, real=True) for name in coordinates]
+    rates = [sp.Symbol(f"{name}_dot", real=True) for name in coordinates]
+    if len(q) == 1:
+        yield coordinates[0], sp.cos(q[0]), rates[0] ** 2, 0.5
+    for i in range(len(q)):
+        for j in range(i + 1, len(q)):
+            yield coordinates[i], sp.cos(q[j]), rates[i] * rates[j] * sp.cos(q[i] - q[j]), 1.0
+            between, whole = sp.Add(*q[i + 1 : j + 1]), sp.Add(*q[: j + 1])
+            yield coordinates[i], sp.cos(whole), rates[0] ** 2 * sp.cos(between), 1.0
