@@ -94,7 +94,7 @@ def test_another_structure_is_as_a_search_for_its_terms_finds_it(sprung):
         assert abs(term.coefficient - found[expression].coefficient) < 0.05 * term.standard_error
     (finding,) = findings_of(model, "another-structure")
     assert finding.values["reason"] == point.reason == "not-worth-its-terms"
-    assert "improve the fit by less than their price" in finding.message
+    assert "improve the fit by less than their penalty" in finding.message
     assert model.fit.status == "doubtful"
     assert model.diagnostics.path == sprung.diagnostics.path
 

@@ -752,7 +752,7 @@ def test_a_number_is_found_and_shown():
         (["--shape", "a=one..two"], "'one'"),
         (["--shape", "a=2..1"], "low < high"),
         (["--shape", "a=0..1", "--shape", "a=1..2"], "a has two ranges; give one"),
-        (["--shape", "b=0..1"], "no shape parameter of the library (it has a)"),
+        (["--shape", "b=0..1"], "not a shape parameter of the library (it has a)"),
         (["--term", "exp(-{x}*x)"], "--term:"),
         (["--term", "{b}*x"], "{b} only scales the term"),
         (["--term", "exp(-{b*x)"], "braces hold the name of a shape parameter"),

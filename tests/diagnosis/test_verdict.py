@@ -227,7 +227,10 @@ def test_a_constant_force_is_named():
     missing = doubts.one("missing-term")
     assert (missing.subject, missing.values["free_terms"]) == (("theta",), 2)
     assert missing.values["constant_force"] == "theta"
-    assert "theta by itself is a constant force on it (force_offset=['theta'])" in missing.remedy
+    assert (
+        "the term theta in L is a constant force on that coordinate (force_offset=['theta'])"
+        in missing.remedy
+    )
 
 
 def in_a_magnetic_field(q, v, f):

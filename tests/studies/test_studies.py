@@ -242,7 +242,7 @@ def test_findings_name_causes():
     stored = {"findings": [find("equation-error", "x", equation_error=0.002).to_dict()]}
     assert causes_in(stored, "note") == ["term", "friction"]
     (text,) = sentences_in(stored, "note")
-    assert text.startswith("the equation of x leaves 0.2 % of its forces unexplained: little on hardware")
+    assert text.startswith("the equation of x leaves 0.2 % of its forces unexplained: small for hardware")
 
 
 # ------------------------------------------------------------------------------------------ the runner

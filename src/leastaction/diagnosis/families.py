@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from leastaction.diagnosis.missing_terms import missing_term
+from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import MOST_SAMPLES
 from leastaction.estimation.fit import Fit
@@ -19,6 +22,8 @@ from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit
 
 __all__ = ["lacking_family", "named_family", "simpler_form"]
+
+_POINTS = 400  # along the motion, at which accelerations are compared
 
 
 def named_family(doubt: Finding, search: Search) -> Finding:
@@ -50,9 +55,31 @@ def simpler_form(search: Search) -> list[Finding]:
     if helpful is None:
         return []
     found, names, gain = helpful
+    shift = _difference(fit, found)
+    if shift <= DIAGNOSIS.form_matters:  # the same motion, written in fewer terms
+        return []
     family, numbers = _as_offered(found, names)
     lengths = {"free_terms": len(found.structure), "instead_of": len(fit.structure)}
-    return [find("simpler-form", family=family, numbers=numbers, gain=gain, **lengths)]
+    return [find("simpler-form", family=family, numbers=numbers, gain=gain, shift=shift, **lengths)]
+
+
+def _difference(fit: Fit, other: Fit) -> float:
+    """Root mean square by which accelerations of another law differ from those of a fit, relative to these.
+
+    At states where the equations of the fit hold, those of the other leave M₂ (q̈ − q̈₂).
+    """
+    points, n = fit.points(_POINTS), fit.problem.candidates.n_dof
+
+    def sides(law: Fit) -> np.ndarray:
+        physics, index = law.grid.physics(law.structure)
+        return np.einsum("k,kip->pi", law.coefficients[index], physics.columns.strong(points))
+
+    physics, index = other.grid.physics(other.structure)
+    mass = physics.columns.mass_matrix(points, other.coefficients[index])
+    change = np.linalg.solve(mass, (sides(other) - sides(fit))[..., None])[..., 0]
+    size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
+    free = [i for i in range(n) if i not in fit.problem.prescribed]
+    return float(np.max((np.sqrt(np.mean(change**2, axis=0)) / np.maximum(size, 1e-300))[free]))
 
 
 def _as_offered(found: Fit, names: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -124,7 +124,8 @@ CODES: dict[str, Message] = {
     "simpler-form": Message(
         "warning",
         "a law with {family} explains the motion with higher evidence (log evidence {gain:.0f} higher), in "
-        "{free_terms} terms instead of {instead_of}; the terms found seem to imitate it",
+        "{free_terms} terms instead of {instead_of}, and its accelerations differ by {shift:.1f%}; the terms "
+        "found seem to imitate it",
         templates.imitated_remedy,
         on_command_line=partial(templates.imitated_remedy, on_command_line=True),
     ),

@@ -19,6 +19,7 @@ from itertools import pairwise
 from types import ModuleType
 
 import numpy as np
+import sympy as sp
 
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
@@ -38,7 +39,7 @@ _PROFILED = 5  # families of one coordinate whose numbers are looked for on the 
 _LOWEST = 0.5  # power of a coordinate that changes its sign, which a search begins with
 _SEARCHED = 2  # families that are searched with
 _CENTRES = 3  # unknown points that are placed together
-_PLAIN = 3  # terms that a potential of the positions may have without being suspected
+_PLAIN = 2  # terms beyond the second degree that a potential may have without being suspected
 _SHORT = 2  # size of the candidates beside which the families of several coordinates are profiled
 
 # of one coordinate X, in L and times X_dot**2
@@ -133,10 +134,19 @@ def looks_imitated(fit: Fit) -> bool:
         return False
     positions = {name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning}
     rates = {f"{name}_dot" for name in positions}
-    terms = [fit.problem.terms[k] for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]
-    names = [{str(symbol) for symbol in term.expr.free_symbols} for term in terms]
-    masses = [some for some in names if some & rates and some & positions and some <= positions | rates]
-    return sum(some <= positions for some in names) > _PLAIN or bool(masses)
+    terms = [fit.problem.terms[k].expr for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]
+    long, moving = 0, False
+    for expr in terms:
+        names = {str(symbol) for symbol in expr.free_symbols}
+        long += names <= positions and not _quadratic(expr)
+        moving |= bool(names & rates and names & positions and names <= positions | rates)
+    return long > _PLAIN or moving
+
+
+def _quadratic(expr: sp.Expr) -> bool:
+    """Whether an expression is a polynomial of the second degree at most, as springs are."""
+    symbols = sorted(expr.free_symbols, key=str)
+    return bool(expr.is_polynomial(*symbols)) and sp.Poly(expr, *symbols).total_degree() <= 2
 
 
 def _searched(posed: Sequence[Search], fit: Fit, most: int = _SEARCHED) -> Iterator[Search]:
