@@ -126,20 +126,22 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
 
 
 def looks_imitated(fit: Fit) -> bool:
-    """Whether a law may imitate a shorter one: a long potential, or masses that depend on positions.
+    """Whether a law may imitate a shorter one: a long potential, or a mass that depends on its own position.
 
-    One with shape parameters is what a family says.
+    Products and powers imitate; sums, as in distances to a known point, somebody chose.  A law with shape
+    parameters is what a family says.
     """
     if fit.problem.shapes_of(fit.structure):
         return False
     positions = {name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning}
-    rates = {f"{name}_dot" for name in positions}
     terms = [fit.problem.terms[k].expr for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]
     long, moving = 0, False
     for expr in terms:
         names = {str(symbol) for symbol in expr.free_symbols}
-        long += names <= positions and not _quadratic(expr)
-        moving |= bool(names & rates and names & positions and names <= positions | rates)
+        long += names <= positions and not expr.has(sp.Add) and not _quadratic(expr)
+        # r**2*phi_dot**2 is a mass of its own right; x**2*x_dot**2 bends a path
+        bent = any({name, f"{name}_dot"} <= names for name in positions)
+        moving |= bent and bool(expr.is_polynomial(*expr.free_symbols))
     return long > _PLAIN or moving
 
 
