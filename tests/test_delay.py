@@ -68,6 +68,7 @@ def test_a_constant_force_tells_nothing(rng):
     assert found.trajectories.digest() == data.digest()
 
 
+@pytest.mark.thorough
 def test_a_periodic_force_fits_at_several_delays(rng):
     model = LagrangianModel(["x"], [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -20.0)])
     t = np.arange(0.0, 4.0, 0.005)

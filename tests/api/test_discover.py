@@ -52,6 +52,7 @@ def test_another_term_may_be_the_known_one():
     assert_finds(model, DUFFING_TRUTH)
 
 
+@pytest.mark.thorough
 def test_coupled_oscillators():
     """Two masses, three springs, one of them hardening."""
 

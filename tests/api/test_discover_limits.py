@@ -216,6 +216,7 @@ def test_wrong_sign_of_the_known_kinetic_energy_is_explained():
     )
 
 
+@pytest.mark.thorough
 def test_a_search_that_went_astray_is_put_right_by_the_coarse_one():
     # a candidate with a pole leads the first to a wrong law, and free runs of chaos hardly tell the two apart
     system, library = systems.get("henon_heiles"), systems.compact_library("henon_heiles")

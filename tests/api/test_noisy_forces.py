@@ -94,6 +94,7 @@ def test_noise_of_the_forces_does_not_bias_the_scale(share, seed):
         assert findings_of(model, "scatter-of-forces")
 
 
+@pytest.mark.thorough
 def test_noise_of_the_forces_excuses_no_missing_term():
     library = [t.text for t in systems.compact_library("single_pendulum").terms if t.text != "cos(theta)"]
     assert la.discover(noisy(0.3, 300), library).fit.status == "doubtful"

@@ -168,6 +168,7 @@ def test_a_long_law_of_several_coordinates_is_compared_with_a_short_one():
     ],
     ids=["forced", "parametric", "softening", "two frequencies"],
 )
+@pytest.mark.thorough
 def test_a_law_that_depends_on_time_is_named(force, texts, numbers):
     runs = free_motions(force, STARTS, timed=True)
     doubtful = la.discover(runs, POWERS, known={"x_dot**2": 0.5})

@@ -81,6 +81,7 @@ def test_scaled_forces():
         assert doubts.one("scaled-forces").values["factor"] == pytest.approx(1.0 / 0.7, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_exchanged_forces():
     doubts = Doubts(*driven(swap=True))
     assert [finding.subject for finding in doubts.all("equations-off")] == [("theta1",), ("theta2",)]
@@ -104,6 +105,7 @@ def test_a_force_recorded_as_zero_is_no_exchange():
         ("cart_spring_pendulum", "x_dot*theta_dot*cos(theta)", 0.01),
     ],
 )
+@pytest.mark.thorough
 def test_a_common_term_that_is_no_candidate_is_named(name, lacking, noise):
     # imitators follow a pendulum without cos(theta) to a tenth of a per cent
     trials, duration = {0.01: (2, 5.0), 0.1: (3, 8.0)}[noise]

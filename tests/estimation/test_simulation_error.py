@@ -89,6 +89,7 @@ def test_friction_dissipates():
     assert 0.0 <= found.estimates[2] < 1e-3
 
 
+@pytest.mark.thorough
 def test_intervals_hold_under_pushes_that_nobody_measured():
     results = [minimise(data, TRUTH) for data in recordings(range(20, 45), pushed=2.0)]
     z = np.array([(r.estimates - TRUTH) / np.sqrt(np.diag(r.covariance)) for r in results])

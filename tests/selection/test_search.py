@@ -80,6 +80,7 @@ def test_a_report_equals_a_fresh_fit_of_its_structure(name):
 
 
 # ------------------------------------------------------------------------- structures beside it
+@pytest.mark.thorough
 def test_small_motion_leaves_rivals_although_terms_that_cancel_the_known_one_fit_best():
     """With small θ cos θ₂ and cos² θ₂ are one; cos² θ₁ alone cancels the known cos θ₁."""
     case = Case("faults", "chaotic_pendulum", 0.1, "excitation", "compact", 0)

@@ -46,6 +46,7 @@ def started(search) -> Search:
     return shape_start.run(search)
 
 
+@pytest.mark.thorough
 def test_the_anchor_is_found_inside_the_data(started):
     found = started.problem.shape_values
     np.testing.assert_allclose([found["p"], found["r"]], ANCHOR, atol=0.05)
@@ -241,6 +242,7 @@ def test_a_drifting_bias_is_found_with_the_law(pendulum, seed):
     assert 0.3 * error < slow.values["standard_error"] < 3.0 * error
 
 
+@pytest.mark.thorough
 def test_the_same_data_taken_at_their_word_are_doubtful(pendulum):
     assert la.discover(biased(3)[0], pendulum).fit.status == "doubtful"
 

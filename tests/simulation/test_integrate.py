@@ -295,6 +295,7 @@ def test_bands_hold_where_the_equation_holds_within_its_error():
     assert 0.88 < result.coverage[0] < 0.99
 
 
+@pytest.mark.thorough
 def test_bands_of_an_exact_law_are_those_of_noise_and_coefficients():
     data = la.systems.generate("double_pendulum", noise=0.05, trials=5, duration=8.0, seed=3)
     library = la.Library.mechanical(data.coordinates, angles=data.coordinates)
