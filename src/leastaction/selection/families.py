@@ -107,9 +107,9 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
     if not (fit.converged and np.isfinite(fit.evidence)):
         return
     states = _states(fit)
-    positions = [name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning]
+    positions = _positions(fit)
     if len(fit.problem.coordinates) == 1:
-        some = _families(fit, _of_one(positions, states), kinetic)
+        some = _families(fit, states, _of_one(positions, states), kinetic)
         offers = sorted((_scored(fit, *family) for family in some), key=lambda offer: -offer.worth)
         posed = [offered(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
         yield from _searched(posed, fit)
@@ -119,7 +119,7 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
     if 1 < len(positions) <= len(_POINT) and not holds:
         rounds.append(_of_distances(positions))
     for texts in rounds:
-        offers = [_unscored(*family) for family in _families(fit, texts)]
+        offers = [_unscored(*family) for family in _families(fit, states, texts)]
         posed = [offered(search, offer).posed(short) for offer in offers]
         # a good imitation hardly differs from the law on the weak form
         yield from _searched(posed, fit, 2 * _SEARCHED if holds else _SEARCHED)
@@ -133,7 +133,7 @@ def looks_imitated(fit: Fit) -> bool:
     """
     if fit.problem.shapes_of(fit.structure):
         return False
-    positions = {name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning}
+    positions = {*_positions(fit)}
     terms = [fit.problem.terms[k].expr for k in fit.structure if fit.problem.terms[k].kind == "lagrangian"]
     long, moving = 0, False
     for expr in terms:
@@ -164,7 +164,7 @@ def _short(fit: Fit) -> Callable[[Problem], Problem]:
     Polynomials of higher degree, roots and inverses of positions are left out: they would imitate a family.
     """
     problem = fit.problem
-    positions = {name for name in problem.coordinates if name not in problem.candidates.turning}
+    positions = {*_positions(fit)}
     out: list[int] = []
     free: list[int] = problem.free.tolist()
     for k in free:
@@ -184,6 +184,11 @@ def _whole(search: Search, excluded: frozenset[int]) -> Search:
     return replace(whole, fit=replace(fit, grid=whole.grid))
 
 
+def _positions(fit: Fit) -> list[str]:
+    """Coordinates that are no angles."""
+    return [name for name in fit.problem.coordinates if name not in fit.problem.candidates.turning]
+
+
 def _states(fit: Fit) -> dict[str, np.ndarray]:
     """Coordinates and velocities along the motion, by name."""
     names = fit.problem.coordinates
@@ -192,10 +197,9 @@ def _states(fit: Fit) -> dict[str, np.ndarray]:
 
 
 def _families(
-    fit: Fit, texts: Iterable[list[str]], kinetic: bool = False
+    fit: Fit, states: Mapping[str, np.ndarray], texts: Iterable[list[str]], kinetic: bool = False
 ) -> Iterator[tuple[list[Term], Mapping[str, ShapeRange]]]:
     """Families as terms, with ranges of their numbers; without those whose names are taken."""
-    states = _states(fit)
     factor = f"{fit.problem.coordinates[0]}_dot**2*" if kinetic else ""
     for family in texts:
         terms = [make_term(factor + text, list(states)) for text in family]

@@ -4,14 +4,17 @@ Only for libraries that are grown from names (`Library.symbolic`): whoever offer
 family that would help, and decides.  A law with a family takes the place of the one that was found if its
 equations hold and it is likelier by the evidence, less the price of its terms and of their numbers.
 
-Cost: a profile of the weak form for each family, beside few candidates, and two searches with the best.
-Families of distances, which cost the most, are tried only where the equations do not hold; the others also
-where more than three terms make up the potential of the positions, or masses depend on them, as in imitations
-of exponentials and powers. Skipped otherwise, and where a library has no description lengths.
+Cost: a profile of the weak form for each family, beside few candidates, and a search with each of the best.
+Families of distances cost the most and are tried only where the equations do not hold.  The others are also
+tried where more than two terms of the potential go beyond the second degree, or a mass depends on its own
+position: imitations of exponentials and powers do.  Skipped otherwise, and where a library has no
+description lengths.
 Without it exponentials and distances to unknown points are not found from names alone.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from leastaction.selection.families import best_families, looks_imitated
 from leastaction.selection.likelihood_refinement import value
@@ -36,9 +39,5 @@ def run(search: Search) -> Search:
             continue
         found = shape_fit.run(finer_knots.run(at))
         if found.found.converged and equations_hold(found.found):
-            return _adopted(search, found)
+            return replace(found, report=search.report, first=search.first)
     return search
-
-
-def _adopted(search: Search, found: Search) -> Search:
-    return found.now(found.found, report=search.report, first=search.first)
