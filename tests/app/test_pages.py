@@ -6,6 +6,7 @@ import asyncio
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -27,20 +28,26 @@ from leastaction.app import page as _page
 from leastaction.app import server as _server
 from leastaction.app.jobs import Found
 from leastaction.app.result_view import compared
+from leastaction.app.worker import Job
 from leastaction.model.mathml import Notation
 from leastaction.model.term import ModelTerm
 
+_PATIENCE = 200
+"""How often a page is looked at, a tenth of a second apart, before something is missing on it."""
+
 
 def simulate(script) -> None:
-    """Run a script with a simulated user on a page of the app."""
+    """Run a script with a simulated user, who waits for what shall appear, on a page of the app."""
 
     async def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             async with user_simulation(_page.root) as user:
+                user.should_see = partial(user.should_see, retries=_PATIENCE)
+                user.should_not_see = partial(user.should_not_see, retries=_PATIENCE)
                 try:
                     await user.open("/")
-                    await user.should_see("Or a measured example", retries=100)
+                    await user.should_see("Or a measured example")
                     await script(user)
                 finally:
                     _page.close_sessions()
@@ -56,7 +63,7 @@ def session_of_page():
 async def open_candidates(user, example: str):
     """From the first page to the candidates of an example; returns the session."""
     user.find(marker=f"example-{example}").click()
-    await user.should_see("What was measured", retries=100)
+    await user.should_see("What was measured")
     user.find(marker="continue").click()
     return session_of_page()
 
@@ -74,14 +81,11 @@ def test_from_an_example_to_a_result_and_along_the_curve():
 
     async def script(user) -> None:
         await open_candidates(user, "single")
-        await user.should_see("8 candidates, 2 for friction; 3 trials fitted, 1 held out", retries=50)
+        await user.should_see("8 candidates, 2 for friction; 3 trials fitted, 1 held out")
         user.find(marker="discover").click()
-        await user.should_see("Searching", retries=50)
         session = session_of_page()
-        await user.should_see("Terms so far", retries=200)  # before it is over
-        assert not session.found
         await until(lambda: session.found)
-        await user.should_see("How many terms?", retries=50)
+        await user.should_see("How many terms?")
         await user.should_see("5 free terms. This is the structure that leastaction chose.")
         user.find(marker="report").click()
         response = await user.download.next(timeout=30)
@@ -100,8 +104,8 @@ def test_from_an_example_to_a_result_and_along_the_curve():
             assert not next(iter(user.find(marker="report").elements)).enabled
             assert not next(iter(user.find(marker="model").elements)).enabled
         await until(lambda: session.current.stage == "forecast")
-        await user.should_see("taken from the trade-off curve by hand", retries=50)
-        await user.should_see("The model runs freely for", retries=50)
+        await user.should_see("taken from the trade-off curve by hand")
+        await user.should_see("The model runs freely for")
         await user.should_not_see("provisional")
         await until(lambda: session.job is None)
         user.find(marker="report").click()
@@ -111,7 +115,7 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         # one click does what a finding proposes
         user.find(marker="more").click()
         await until(lambda: session.current.stage == "forecast" and session.place == session.walk.chosen)
-        await user.should_see("Search again with one change:", retries=50)
+        await user.should_see("Search again with one change:")
         before = session.current.model
         user.find(marker="keep").click()
         await user.should_see("Kept: another result will stand beside this one.")
@@ -121,7 +125,7 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         friction = [term.expression for term in session.current.model.dissipation]
         assert any(text.startswith("theta_dot**2*sqrt(") for text in friction)  # drag of the air
         await until(lambda: session.current.stage == "forecast")
-        await user.should_see("Compared with the model that was kept", retries=50)
+        await user.should_see("Compared with the model that was kept")
         notation = Notation(["theta"])
         rows = compared(session.current, session.kept, notation)
         assert rows[0] == ("verdict", session.current.model.fit.status, "ok")
@@ -133,13 +137,40 @@ def test_from_an_example_to_a_result_and_along_the_curve():
     simulate(script)
 
 
+def test_a_running_search_shows_its_stages_and_the_law_so_far():
+    """The search is one that the test leads: a real one may be over before the page is looked at."""
+
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        await user.should_see("8 candidates, 2 for friction")
+        job = session.job = Job()
+        user.find(marker="step-data").click()  # the steps follow
+        await user.should_see("What was measured")
+        user.find(marker="step-result").click()
+        await user.should_see("Searching")
+        await user.should_see("Starting")
+        job._report("prepare", {})
+        job._report("select", {"terms": 2.0, "coefficients": {"theta_dot**2": 0.5, "cos(theta)": 9.81}})
+        await user.should_see("Choosing terms: 2 so far")
+        await user.should_see("Preparing the data and the candidates: ")
+        await user.should_see("Terms so far")
+        await user.should_not_see("more")
+        job._report("knots", {"knots_per_second": 40.0})
+        await user.should_see("Refining the spline: 40 knots per second")
+        await user.should_see("Terms so far")  # the last ones that were reported
+        job._end("failed", message="no candidate was left")
+        await user.should_see("no candidate was left")
+
+    simulate(script)
+
+
 def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
     async def script(user) -> None:
         await open_candidates(user, "single")
-        await user.should_see("3 trials fitted, 1 held out", retries=50)
+        await user.should_see("3 trials fitted, 1 held out")
         user.find(marker="discover").click()
         await until(lambda: session_of_page().found)
-        await user.should_see("5 free terms. This is the structure", retries=50)
+        await user.should_see("5 free terms. This is the structure")
         session = session_of_page()
         points = list(session.walk.points)
         place = session.place - 1
@@ -156,7 +187,7 @@ def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
         assert not next(iter(user.find(marker="report").elements)).enabled
         await user.should_not_see("Symmetries")
         user.find(marker="more").click()
-        await user.should_see("5 free terms. This is the structure", retries=50)
+        await user.should_see("5 free terms. This is the structure")
         await user.should_see("Symmetries")
         await user.should_not_see("provisional")
 
@@ -166,7 +197,7 @@ def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
 def test_the_result_shows_simple_numbers_and_symmetries():
     async def script(user) -> None:
         session = await open_candidates(user, "single")
-        await user.should_see("8 expressions, all readable", retries=50)
+        await user.should_see("8 expressions, all readable")
         terms = [
             ModelTerm("x_dot**2", 0.5003, 0.0004),
             ModelTerm("y_dot**2", 0.5001, 0.0004),
@@ -179,7 +210,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         user.find(marker="step-candidates").click()
         await asyncio.sleep(0.1)
         user.find(marker="step-result").click()
-        await user.should_see("Simple numbers inside the intervals", retries=50)
+        await user.should_see("Simple numbers inside the intervals")
         await user.should_see("0.50030(40)")
         await user.should_see("All together: χ²")
         await user.should_see("What leaves L as it is, and what is conserved with it.")
@@ -190,7 +221,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         terms = [ModelTerm("x_dot**2", 0.5421, 0.0004), ModelTerm("x*cos(3*t)", 0.237, 0.0002)]
         session.found = {0: Found(LagrangianModel(["x"], terms), "fitted")}
         user.find(marker="step-result").click()
-        await user.should_see("None are looked for where the law holds the time.", retries=50)
+        await user.should_see("None are looked for where the law holds the time.")
         await user.should_not_see("Simple numbers")
 
     simulate(script)
@@ -199,17 +230,17 @@ def test_the_result_shows_simple_numbers_and_symmetries():
 def test_faults_are_lines_in_the_page():
     async def script(user) -> None:
         session = await open_candidates(user, "single")
-        await user.should_see("8 expressions, all readable", retries=50)
+        await user.should_see("8 expressions, all readable")
         user.find(marker="text").clear().type("theta_dot**2\ncos(nothing)")
-        await user.should_see("line 2: cannot read 'cos(nothing)'", retries=50)
+        await user.should_see("line 2: cannot read 'cos(nothing)'")
         await user.should_see("1 line among the candidates cannot be read")
         assert session.job is None
         user.find(marker="step-data").click()
-        await user.should_see("The data", retries=50)
+        await user.should_see("The data")
         session.roles["theta"] = "not used"
         session.read()
         user.find(marker="step-data").click()
-        await user.should_see("no column is a coordinate yet", retries=50)
+        await user.should_see("no column is a coordinate yet")
 
     simulate(script)
 
@@ -217,13 +248,13 @@ def test_faults_are_lines_in_the_page():
 def test_a_coordinate_may_be_moved_by_something_unmeasured():
     async def script(user) -> None:
         session = await open_candidates(user, "double")
-        await user.should_see("Moved by something that was not measured", retries=50)
+        await user.should_see("Moved by something that was not measured")
         first, second = session.data.coordinates
         user.find(marker=f"prescribed-{first}").click()
         await until(lambda: session.choice.prescribed)
         assert session.choice.task(session.data, session.angles).forces.prescribed == (first,)
         user.find(marker=f"prescribed-{second}").click()
-        await user.should_see("no equation is left", retries=50)
+        await user.should_see("no equation is left")
 
     simulate(script)
 
@@ -234,8 +265,8 @@ def test_the_page_says_what_was_done_to_the_data():
         rows = "".join(f"{20 * k};{k},5\n" for k in range(40))
         session.open_upload("run.csv", f"Zeit;Winkel\nms;°\n{rows}".encode("cp1252"))
         user.find(marker="step-data").click()
-        await user.should_see("What was measured", retries=50)
-        await user.should_see("the times in 'Zeit' were converted from ms to seconds", retries=50)
+        await user.should_see("What was measured")
+        await user.should_see("the times in 'Zeit' were converted from ms to seconds")
         await user.should_see("Winkel was converted from deg to rad")
         await user.should_see("numbers were read with a decimal comma")
         await user.should_see("the text is not UTF-8 and was read as Windows-1252")
@@ -248,18 +279,18 @@ def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
         session = await open_candidates(user, "single")
         session.open_upload("run.csv", app_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
         user.find(marker="step-candidates").click()
-        await user.should_see("Unknown constant force", retries=50)
+        await user.should_see("Unknown constant force")
         user.find(marker="offsets-theta").click()
         await until(lambda: session.choice.offsets == ["theta"])
         user.find(marker="delay").clear().type("20")
         await until(lambda: session.choice.delay == pytest.approx(0.02))
         user.find(marker="delay").clear().type("20000")
-        await user.should_see("a delay of 20000 ms leaves too little", retries=50)
+        await user.should_see("a delay of 20000 ms leaves too little")
         session.open_example("double")
         session.choice.written = False
         user.find(marker="step-data").click()
         user.find(marker="step-candidates").click()
-        await user.should_see("also terms linear in the velocities", retries=50)
+        await user.should_see("also terms linear in the velocities")
         user.find(marker="gyroscopic").click()
         await until(lambda: session.choice.gyroscopic)
 
@@ -269,14 +300,14 @@ def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
 def test_cancelling_keeps_the_page():
     async def script(user) -> None:
         await open_candidates(user, "double")
-        await user.should_see("What may the Lagrangian be made of?", retries=50)
+        await user.should_see("What may the Lagrangian be made of?")
         user.find(marker="discover").click()
-        await user.should_see("Searching", retries=50)
+        await user.should_see("Searching")
         user.find(marker="cancel").click()
-        await user.should_see("Data and candidates are as they were", retries=50)
+        await user.should_see("Data and candidates are as they were")
         assert session_of_page().job.state == "cancelled"
         user.find(marker="back").click()
-        await user.should_see("16 candidates, 5 for friction; 18 trials fitted, 8 held out", retries=50)
+        await user.should_see("16 candidates, 5 for friction; 18 trials fitted, 8 held out")
 
     simulate(script)
 
