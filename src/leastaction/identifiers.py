@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from leastaction.errors import InputError
 
 __all__ = [
+    "ANGLE_NAMES",
     "FUNCTION_NAMES",
     "RESERVED_NAMES",
     "TIME",
@@ -20,6 +21,9 @@ __all__ = [
     "split_names",
     "written_name",
 ]
+
+ANGLE_NAMES = ("theta", "phi", "psi", "alpha", "beta", "gamma", "angle", "winkel", *"θφψαβϕ")
+"""How the names of angles usually begin, in lower case."""
 
 FUNCTION_NAMES = frozenset({"sin", "cos", "tan", "exp", "log", "sqrt", "abs"})
 """Functions that an expression may call."""

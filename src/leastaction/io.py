@@ -61,7 +61,7 @@ def read_csv(
     """Read trajectories from a CSV file.
 
     The first line names the columns, the second may hold their units; lines before it that begin with ``#``
-    are skipped (a header written by `numpy.savetxt` is found). Cells are separated by comma, semicolon or
+    are skipped (a header written by `numpy.savetxt` is found). Cells are separated by comma, semicolon, spaces or
     tab. If they are not separated by commas, numbers may have a decimal comma. The text is UTF-8, UTF-16
     with its mark, or Windows-1252 (Latin-1), and may be compressed with gzip.
 
@@ -73,7 +73,8 @@ def read_csv(
         Coordinates that are also column names, or a mapping coordinate -> column.
     time : str
         Column of the times: seconds, another unit that the file states, or dates
-        (``2024-05-01T12:00:00.25``), which become seconds since the first date of the file.
+        (``2024-05-01T12:00:00.25``), which become seconds since the first date of the file. A file
+        without a column ``t`` may have one called ``time``, ``timestamp``, ``Zeit [s]`` or the like.
     forces : mapping of str to str, or sequence of str, optional
         Known generalised forces: a mapping coordinate -> column, or columns for the coordinates in order,
         None for a coordinate that is not driven. The list may be shorter than that of the coordinates.

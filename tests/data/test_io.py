@@ -154,7 +154,10 @@ BAD = {
     "blank": (" \n\n", r"no header line"),
     "header only": ("t,theta\n", r"has a header, but no data lines"),
     "no header": (rows().split("\n", 1)[1], r"line 1: there are numbers where the header is expected"),
-    "one column": ("t theta\n0 1\n", r"line 1: there is only the column 't theta'; separate columns by"),
+    "one column": ("t:theta\n0:1\n", r"line 1: there is only the column 't:theta'; separate columns by"),
+    "words": ("hello world\nnot a table\n", r"line 1: there is only the column 'hello world'; separate"),
+    "few words": (rows((2, "2")).replace(",", "  "), r"line 4: there are 1 cells, but the header has 2"),
+    "no words": (rows().replace(",", "  ").split("\n", 1)[1], r"line 1: there are numbers where the header"),
     "missing": (
         rows().replace("theta", "Theta1"),
         r"no column 'theta' \(coordinate theta\).*t, Theta1; did you",

@@ -52,6 +52,53 @@ def test_decimal_commas(file, delimiter, quoted):
     assert codes(runs) == ["decimal-comma"]
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        table("t  phi", "  {k}.5   {ten}  "),
+        table("# made by a script\n# t phi", "{k}.5 {ten}"),  # as numpy.savetxt writes it
+        table("t phi", "{k},5     {ten}", units="s    deg"),
+        table("t phi", "{k}.5\t {ten}"),
+        table("t phi", "{k}.5 {ten}\n"),
+    ],
+)
+@pytest.mark.parametrize("reader", [io.read, io.stream])
+def test_columns_parted_by_spaces(file, text, reader, monkeypatch):
+    monkeypatch.setattr(text_module, "_PIECE", 30)
+    runs = reader(file(text), ["phi"], units={"phi": "deg"})
+    np.testing.assert_array_equal(runs[0].t, K + 0.5)
+    np.testing.assert_array_equal(runs[0].q[:, 0], DEGREES)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "name"),
+    [
+        ("Time,phi", "{k},{ten}", "Time"),
+        ("time_s;phi", "{k};{ten}", "time_s"),
+        ("Zeit [s];phi", "{k};{ten}", "Zeit [s]"),
+        ("timestamp phi", "{k} {ten}", "timestamp"),
+    ],
+)
+def test_the_column_of_the_times_may_have_another_name(file, header, row, name):
+    runs = io.read(file(table(header, row)), ["phi"])
+    np.testing.assert_array_equal(runs[0].t, K)
+    assert runs.findings == (find("time-column", column=name),)
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        ("Time,time,phi", r"has no column 't' \(time\), but Time, time; give the name of one in full"),
+        ("clock,tick,phi", r"has no column 't' \(time\); its columns are clock, tick, phi; name the one of"),
+    ],
+)
+def test_the_column_of_the_times_is_not_guessed(file, header, message):
+    path = file(table(header, "{k},{k},{ten}"))
+    with pytest.raises(InputError, match=message):
+        io.read(path, ["phi"])
+    assert codes(io.read(path, ["phi"], time=header.partition(",")[0])) == []
+
+
 def test_commas_in_text_are_no_decimal_commas(file):
     path = file(table("trial;t;x;note", "a,b;{k}.5;{k};1,5 volt, or so"))
     runs = io.read(path, ["x"])

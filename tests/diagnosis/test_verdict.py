@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, changed, findings_of, pendulum, record
@@ -308,6 +309,24 @@ def test_an_angle_that_was_not_declared():
     turning = doubts.one("undeclared-angle")
     assert turning.subject == ("theta",)
     assert turning.values["jumps"] == np.sum(np.abs(np.diff(wrapped)) > np.pi)
+
+
+def test_angles_that_were_taken_for_positions():
+    t = np.arange(0.0, 12.0, 0.02)
+    swing = solve_ivp(lambda _, y: [y[1], -9.81 * np.sin(y[0])], (0, 12), [2.9, 0.0], t_eval=t, rtol=1e-9)
+    noisy = swing.y[0] + 0.01 * np.random.default_rng(3).standard_normal(t.size)
+    candidates, known = ["theta_dot**2", "theta**2", "theta**4"], {"theta_dot**2": 0.5}
+    model = la.discover(la.Trajectory(t, noisy, coordinates=["theta"]), candidates, known)
+    found = {finding.code: finding for finding in model.fit.findings}
+    assert found["missing-term"].subject == ("cos(theta)",)
+    assert found["missing-term"].values["angles"] == ("theta",)
+    assert found["missing-term"].remedy.endswith("; or, if theta is an angle, say so: angles=['theta']")
+    assert found["perhaps-angle"].subject == ("theta",)
+    assert found["perhaps-angle"].severity == "note"
+    # another name is no reason to think of an angle, and an angle that was declared none either
+    for name, texts in (("x", ["x_dot**2", "x**2", "x**4"]), ("theta", ["theta_dot**2", "cos(theta)"])):
+        other = la.discover(la.Trajectory(t, noisy, coordinates=[name]), texts, {texts[0]: 0.5})
+        assert "perhaps-angle" not in [finding.code for finding in other.fit.findings]
 
 
 def test_an_angle_in_degrees():

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from leastaction.data.formats import dispatch
+from leastaction.data.formats.columns import TIME_NAMES
 from leastaction.data.formats.units import Clock, parted, unit_of
 from leastaction.errors import InputError
-from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names
+from leastaction.identifiers import ANGLE_NAMES, FUNCTION_NAMES, check_coordinate_names
 
 if TYPE_CHECKING:
     from leastaction import Trajectories
@@ -49,10 +50,8 @@ TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
 """Role of the times -> their unit; dates have none."""
 
 _MOVING = (COORDINATE, ANGLE, DEGREES)
-_TIMES = {"t", "time", "times", "timestamp", "seconds", "sec", "zeit", "time_s", "t_s", "time_sec", "temps"}
 _TRIALS = {"trial", "run", "id", "experiment", "episode", "segment", "recording", "trajectory", "versuch"}
 _IGNORED = {"", "index", "frame", "row", "sample", "n", "unnamed_0"}
-_ANGLES = ("theta", "phi", "psi", "alpha", "beta", "gamma", "angle", "winkel", "θ", "φ", "ψ", "α", "β", "ϕ")
 _FORCES = ("tau", "torque", "force", "moment", "u", "f", "input", "τ")
 _RATES = ("_dot", "dot", "_vel", "_velocity", "_rate", "_acc", "_ddot", "_speed")
 _RATE_STARTS = ("omega", "vel", "acc", "dtheta", "dphi", "dx", "dy", "dq", "ω")
@@ -125,7 +124,7 @@ def guess_roles(columns: Columns) -> dict[str, str]:
             continue
         elif _is_force(word):
             forces.append(column)
-        elif word.startswith(_ANGLES):
+        elif word.startswith(ANGLE_NAMES):
             roles[column] = DEGREES if "deg" in word or columns.unit(column) == "deg" else ANGLE
         else:
             roles[column] = {"deg": DEGREES, "rad": ANGLE}.get(columns.unit(column) or "", COORDINATE)
@@ -248,7 +247,7 @@ def _time_role(columns: Columns, column: str) -> str:
 
 
 def _guess_time(columns: Columns) -> str | None:
-    named = [c for c in columns.header if {_word(c), _word(parted(c, time=True)[0])} & _TIMES]
+    named = [c for c in columns.header if {_word(c), _word(parted(c, time=True)[0])} & TIME_NAMES]
     named += [c for c in columns.header if columns.dated(c) and c not in named]
     named += [c for c in columns.header if _word(c).startswith(("time", "t_")) and c not in named]
     rising = [c for c in columns.header if _rises(columns.numbers(c)) and _word(c) not in _IGNORED]

@@ -177,7 +177,8 @@ _COLUMNS = (
         default="t",
         show_default=True,
         metavar="COLUMN",
-        help="Column of the times: seconds, a unit in the name (time_ms, 't [us]'), or dates.",
+        help="Column of the times: seconds, a unit in the name (time_ms, 't [us]'), or dates. Also found "
+        "as Time, timestamp, 'Zeit [s]', ...",
     ),
     click.option(
         "--time-unit",

@@ -93,8 +93,12 @@ def missing_term(new: list[str], coordinates: Sequence[str], **figures: float | 
     return find("missing-term", new, constant_force=pushed, **figures)
 
 
-def common_terms(columns: EulerLagrange, size: str) -> list[Term]:
-    """Terms that mechanical systems are usually made of, beyond the span of the candidates."""
+def common_terms(columns: EulerLagrange, size: str, turning: Sequence[str] | None = None) -> list[Term]:
+    """Terms that mechanical systems are usually made of, beyond the span of the candidates.
+
+    The coordinates that count as angles are those of the candidates, or others.
+    """
+    angles = columns.turning if turning is None else turning
     given = [t for t in columns.terms if t.kind == "lagrangian" and not isinstance(t, GroupTerm)]
     together = [columns.coordinates]
     if len(columns.coordinates) > _MOST_TOGETHER:
@@ -103,7 +107,7 @@ def common_terms(columns: EulerLagrange, size: str) -> list[Term]:
         term.text
         for names in together
         for term in Library.mechanical(
-            names, [n for n in columns.turning if n in names], size=size, gyroscopic=size != "compact"
+            names, [n for n in angles if n in names], size=size, gyroscopic=size != "compact"
         ).terms
     ]
     texts = {term.text for term in given}

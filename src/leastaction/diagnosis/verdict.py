@@ -23,6 +23,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
+from leastaction.identifiers import ANGLE_NAMES
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.families import looks_imitated
@@ -98,6 +99,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit)
+    found += _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
     to_its_end = look_for_causes and not search.stopped
@@ -218,6 +220,14 @@ def _perhaps_degrees(fit: Fit) -> list[Finding]:
         for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
         if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
     ]
+
+
+def _perhaps_angles(fit: Fit) -> list[Finding]:
+    """Coordinates with the name of an angle of which no candidate holds a sine or cosine."""
+    columns = fit.problem.candidates
+    plain = [name for name in columns.coordinates if name not in columns.turning]
+    named = [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
+    return [find("perhaps-angle", named)] if named else []
 
 
 def _signal(fit: Fit) -> list[Finding]:

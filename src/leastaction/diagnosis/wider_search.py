@@ -7,6 +7,7 @@ again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -40,22 +41,35 @@ def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit |
 
 
 def search_afresh(search: Search) -> list[Finding]:
-    """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
+    """Say which common terms, and which friction, lead to equations that hold; nothing if none do.
+
+    If none do, coordinates that nobody called angles are taken for angles.
+    """
+    columns = search.found.problem.candidates
+    turning = [*columns.turning]
+    out = _searched(search, turning)
+    return out if out or len(turning) == len(columns.coordinates) else _searched(search, columns.coordinates)
+
+
+def _searched(search: Search, turning: Sequence[str]) -> list[Finding]:
     fit = search.found
+    columns = fit.problem.candidates
     # dry friction has a kink, which a curve meets only where it is smoothed
-    friction = [term for term in usual_friction(fit.problem.candidates) if not isinstance(term.expr, sp.Abs)]
-    more = [*common_terms(fit.problem.candidates, "standard"), *friction]
+    usual = [term for term in usual_friction(columns) if not isinstance(term.expr, sp.Abs)]
+    more = [*common_terms(columns, "standard", turning), *usual]
     if not more:
         return []
     found = begun_anew(search, fit.grid.posed(fit.problem.wider(more)))
     if found is None:
         return []
-    new = [m for m in found.structure if m >= len(fit.problem.candidates)]
-    terms = [found.problem.terms[m].text for m in new if found.problem.terms[m].kind == "lagrangian"]
-    free = len(found.structure)
-    out = [missing_term(terms, fit.problem.candidates.coordinates, free_terms=free)] if terms else []
-    return out + [
-        unmodelled_friction(found.problem.terms[m], coefficient=float(found.coefficients[m]))
-        for m in new
-        if found.problem.terms[m].kind == "dissipation"
-    ]
+    new = [found.problem.terms[m] for m in found.structure if m >= len(columns)]
+    terms = [term for term in new if term.kind == "lagrangian"]
+    out: list[Finding] = []
+    if terms:
+        angles = [name for name in columns.of(terms).turning if name not in columns.turning]
+        figures = {"angles": angles} if angles else {}
+        texts = [term.text for term in terms]
+        out.append(missing_term(texts, columns.coordinates, free_terms=len(found.structure), **figures))
+    values = {found.problem.terms[m]: float(found.coefficients[m]) for m in found.structure}
+    friction = [term for term in new if term.kind == "dissipation"]
+    return out + [unmodelled_friction(term, coefficient=values[term]) for term in friction]

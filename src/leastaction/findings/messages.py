@@ -250,6 +250,7 @@ CODES: dict[str, Message] = {
     ),
     # what was done to data and library
     "time-unit": Message("note", templates.time_unit),
+    "time-column": Message("note", "the times were read from the column '{column}'"),
     "dates": Message(
         "note", "the dates in '{column}' were converted to seconds since the first date of each file"
     ),
@@ -304,6 +305,13 @@ CODES: dict[str, Message] = {
         "note",
         "no force is known in {groups}, so {subject} was assumed to be the same in all groups: differences "
         "are relative to it, and a factor common to all coefficients of a group is undetectable",
+    ),
+    "perhaps-angle": Message(
+        "note",
+        "no candidate holds a sine or cosine of {subject}",
+        templates.perhaps_angle_remedy,
+        on_command_line=partial(templates.perhaps_angle_remedy, on_command_line=True),
+        on_page="if this is an angle, mark it as one",
     ),
     "zero-offset": Message("note", templates.zero_offset),
     "stopped-early": Message(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from string import Formatter
 from typing import Any, Literal
@@ -29,6 +29,7 @@ __all__ = [
     "late_forces",
     "missing_term",
     "missing_term_remedy",
+    "perhaps_angle_remedy",
     "rate_scaled",
     "smoothed",
     "statements",
@@ -213,7 +214,8 @@ def missing_term_remedy(f: dict[str, Any], on_command_line: bool = False) -> str
     if on_command_line:
         how, offset = f", {_term_options(f['subject'])}", "--force-offset {constant_force}"
     force = f"; the term {{constant_force}} in L is a constant force on that coordinate ({offset})"
-    return f"add {it} to the candidates{how}" + (fill(force, f) if f["constant_force"] else "")
+    angles = f"; or, {_declared(f['angles'], on_command_line)}" if f.get("angles") else ""
+    return f"add {it} to the candidates{how}" + (fill(force, f) if f["constant_force"] else "") + angles
 
 
 def time_dependent(f: dict[str, Any]) -> str:
@@ -295,6 +297,16 @@ def undetermined_remedy(f: dict[str, Any]) -> str:
     other = fill("; it cannot be distinguished from {with_it}", f) if f["with_it"] else ""
     simpler = "powers of the coordinate instead" if "low" in f else "a simpler term"
     return f"record motions of a different amplitude, use {simpler}, or fix the parameter{other}"
+
+
+def perhaps_angle_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+    """How to declare coordinates that may be angles."""
+    return _declared(f["subject"], on_command_line)
+
+
+def _declared(names: Sequence[str], on_command_line: bool) -> str:
+    how = f"--angles {','.join(names)}" if on_command_line else f"angles={[*names]}"
+    return f"if {' and '.join(names)} {'is an angle' if len(names) == 1 else 'are angles'}, say so: {how}"
 
 
 def zero_offset(f: dict[str, Any]) -> str:

@@ -12,7 +12,6 @@ import gzip
 import io
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +64,7 @@ def csv_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
         line = text.first_line + text.body.count("\n")
         for body in pieces:
             if body.strip():
-                yield _table_of(replace(text, body=body, first_line=line), found)
+                yield _table_of(text.further(body, line), found)
             line += body.count("\n")
 
     return found, tables()

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from leastaction.data.formats.columns import Names
 from leastaction.data.formats.units import Clock, Unit, known_unit, normal, parted, time_unit_of, unit_in_file
 from leastaction.data.validation import FloatArray, close_match, listed
 from leastaction.errors import InputError
@@ -146,7 +147,7 @@ class Layout:
         InputError
             If a needed column is missing, a name occurs twice in the file, or units contradict each other.
         """
-        names = _Names.of(available, source, kind)
+        names = Names.of(available, source, kind)
 
         def where(role: str, name: str) -> str:
             return names.where(role, name, time=role == "time")
@@ -173,9 +174,11 @@ class Layout:
             if own in asked:
                 raise InputError(f"units names the column {quoted(own)} twice, also as {quoted(name)}")
             asked[own] = unit
-        return found._converting(asked, row or {}, source)
+        return found._converting(asked, row or {}, source, self.time)
 
-    def _converting(self, asked: Mapping[str, Unit], row: Mapping[str, str], source: str) -> Layout:
+    def _converting(
+        self, asked: Mapping[str, Unit], row: Mapping[str, str], source: str, asked_time: str
+    ) -> Layout:
         """The layout of a file with what its units ask for, and a finding for each."""
         conversions: dict[str, Unit] = {}
         findings = [find("units-row", units=tuple(filter(None, row.values())))] if row else []
@@ -206,6 +209,9 @@ class Layout:
                         instead_of=instead,
                     )
                 )
+        called = (normal(self.time), normal(parted(self.time, time=True)[0]))
+        if self.time not in conversions and normal(asked_time) not in called:
+            findings.append(find("time-column", column=self.time))
         return replace(self, conversions=conversions, findings=tuple(findings))
 
     def dated(self, clock: Clock, source: str) -> Layout:
@@ -217,7 +223,7 @@ class Layout:
             If the user gives a unit of the times.
         """
         self.refuse_time_unit("dates, which have no unit", source)
-        others = tuple(item for item in self.findings if item.code != "time-unit")
+        others = tuple(item for item in self.findings if item.code not in ("time-unit", "time-column"))
         conversions = {column: unit for column, unit in self.conversions.items() if column != self.time}
         note = find("dates", column=self.time)
         return replace(self, clock=clock, conversions=conversions, findings=(note, *others))
@@ -267,58 +273,6 @@ class Layout:
                     seen[column] = role
             # One force may act on two coordinates, but it cannot be anything else.
             seen |= {column: f"{word} {c}" for c, column in getattr(self, kind).items()}
-
-
-@dataclass(frozen=True)
-class _Names:
-    """The columns of a file, by the names under which they can be found.
-
-    Attributes
-    ----------
-    source, kind : str
-        For messages.
-    present : dict
-        Name in the form in which names are compared -> as it stands in the file.
-    """
-
-    source: str
-    kind: str
-    present: dict[str, str]
-
-    @classmethod
-    def of(cls, available: Sequence[object], source: str, kind: str) -> _Names:
-        present: dict[str, str] = {}
-        for name in available:
-            if isinstance(name, str) and name:
-                if name in present.values():
-                    raise InputError(
-                        f"{source}: two {kind}s are called {quoted(name)}; give each its own name"
-                    )
-                present.setdefault(normal(name), name)
-        return cls(source, kind, present)
-
-    def where(self, role: str, name: str, *, time: bool) -> str:
-        """The column of a name: as it is, in another form of Unicode, or without its unit."""
-        names = list(self.present.values())
-        if name in names:
-            return name
-        if normal(name) in self.present:
-            return self.present[normal(name)]
-        parts = ((column, *parted(column, time)) for column in names)
-        meant = [column for column, bare, unit in parts if unit and bare == normal(name)]
-        if len(meant) == 1:
-            return meant[0]
-        if meant:
-            raise InputError(
-                f"{self.source} has no {self.kind} {quoted(name)} ({role}), but {listed(meant)}; give the "
-                "name of one in full"
-            )
-        there = (
-            f"its {self.kind}s are {listed(names)}{close_match(name, names)}"
-            if names
-            else f"it has no named {self.kind}s"
-        )
-        raise InputError(f"{self.source} has no {self.kind} {quoted(name)} ({role}); {there}")
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,8 @@ class Text:
         Cells of the row below the header, where it holds units.
     decimal : str
         What stands before the fraction of a number: "." or ",".
+    spaced : bool
+        Whether runs of spaces part the cells in the file; `body` has tabs in their place.
     """
 
     source: str
@@ -58,6 +60,11 @@ class Text:
     header: tuple[str, ...]
     units: tuple[str, ...] = ()
     decimal: str = "."
+    spaced: bool = False
+
+    def further(self, body: str, first_line: int) -> Text:
+        """The same with other lines of the file."""
+        return replace(self, body=_tabbed(body) if self.spaced else body, first_line=first_line)
 
 
 def text_of(path: Path) -> tuple[str, str]:
@@ -150,7 +157,7 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
     if len(text.header) == 1:
         raise InputError(
             f"{source}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
-            "separate columns by comma, semicolon or tab"
+            "separate columns by comma, semicolon, tab or spaces"
         )
     found = layout.find(text.header, source, row=dict(zip(text.header, text.units, strict=False)))
     if not text.body.strip():
@@ -239,18 +246,32 @@ def _split_header(text: str, source: str, layout: Layout) -> Text:
         if end < 0:
             raise InputError(f"{source} has no header line; the first line must name the columns")
         start, number = end + 1, number + 1
-    delimiter, header = _sniff(line, layout)
     following = end + 1 if end >= 0 else len(text)
-    if not all(map(_is_number, header)):
-        return _split_units(Text(source, text[following:], number + 1, delimiter, header))
+    delimiter, header = _sniff(line, layout)
+    if not all(map(_is_number, header[0].split() if len(header) == 1 else header)):
+        return _split_units(_parted(Text(source, text[following:], number + 1, delimiter, header)))
     # numpy.savetxt writes the header as a comment: then the last comment names the columns.
     delimiter, header = _sniff(comment, layout)
-    if len(header) != len(_sniff(line, layout)[1]):
+    named = _parted(Text(source, text[start:], number, delimiter, header))
+    if len(named.header) != len(_cells(named.body.partition("\n")[0], named.delimiter)):
         raise InputError(
             f"{source}, line {number}: there are numbers where the header is expected; "
             "add a first line that names the columns"
         )
-    return Text(source, text[start:], number, delimiter, header)
+    return named
+
+
+def _parted(text: Text) -> Text:
+    """The text with tabs between its cells, where these are parted by runs of spaces."""
+    names = text.header[0].split() if len(text.header) == 1 else []
+    first = text.body.lstrip("\n").partition("\n")[0]
+    if len(names) < 2 or '"' in first or len(first.split()) != len(names):
+        return text
+    return replace(text, body=_tabbed(text.body), delimiter="\t", header=tuple(names), spaced=True)
+
+
+def _tabbed(body: str) -> str:
+    return "\n".join("\t".join(line.split()) for line in body.split("\n"))
 
 
 def _split_units(text: Text) -> Text:
