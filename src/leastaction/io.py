@@ -61,9 +61,9 @@ def read_csv(
     """Read trajectories from a CSV file.
 
     The first line names the columns, the second may hold their units; lines before it that begin with ``#``
-    are skipped (a header written by `numpy.savetxt` is found). Cells are separated by comma, semicolon, spaces or
-    tab. If they are not separated by commas, numbers may have a decimal comma. The text is UTF-8, UTF-16
-    with its mark, or Windows-1252 (Latin-1), and may be compressed with gzip.
+    are skipped (a header written by `numpy.savetxt` is found). Cells are separated by commas, semicolons,
+    tabs or spaces. If they are not separated by commas, numbers may have a decimal comma. The text is
+    UTF-8, UTF-16 with its mark, or Windows-1252 (Latin-1), and may be compressed with gzip.
 
     Parameters
     ----------
