@@ -1,9 +1,11 @@
 """What decides about knots and outliers.
 
-Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
-ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8
-set-ups that no rule was made for, four right and four wrong ones (30 where other findings are spoken of),
-and outliers on six recordings. "No effect": no structure and no finding changes.
+Each value says its unit, where it comes from, and what happens at half and at twice the value (of a ratio:
+at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8 set-ups that
+no rule was made for, four right and four wrong ones (30 where other findings are spoken of), and outliers
+on six recordings. What concerns fast motion was tried on five resonators at nine samples a period
+(`tests/selection/test_machines.py`), too, all of which get the right structure. "No effect": no structure
+and no finding changes.
 """
 
 from __future__ import annotations
@@ -35,21 +37,26 @@ class CurveSettings:
     forces. Half (of its distance from one): no effect; twice: other findings about one wrong result."""
 
     much_left: float = 0.1
-    """Share of the spread that a smoother leaves, above which it is asked whether that is motion."""
+    """Share of the spread that a smoother leaves, above which it is asked whether that is motion. Half,
+    twice: no effect."""
 
     foreseen: float = 0.5
-    """Share of the squares that a smoother leaves, which two samples have to predict of the next, if that is
-    motion: none of white noise, 0.9 and more of a sine at nine samples a period."""
+    """Share of the squares that a smoother leaves, which two samples have to predict of the next, if that
+    is motion: none of white noise, 0.9 and more of a sine at nine samples a period. Half: no effect; twice,
+    which is impossible: all five resonators are taken for noise and lost."""
 
     fewest_samples: float = 7.0
-    """Samples a period, with fewer of which motion is not told from noise."""
+    """Samples a period, with fewer of which motion is not told from noise. Half: no effect; twice: all five
+    resonators are taken for noise and lost."""
 
     unknown_noise: float = 0.01
-    """Noise over spread that a fit begins with where a curve on finer knots than samples tells none."""
+    """Noise over spread that a fit begins with where a curve on finer knots than samples tells none. Half,
+    twice: no effect."""
 
     follows_forces: float = 0.1
     """Share of the fast second differences of a coordinate that fast forces have to explain if they act.
-    Where they do 0.37 to 0.99, on two measured arms and five simulated machines 0.0005 to 0.008."""
+    Where they do 0.37 to 0.99, on two measured arms and five simulated machines 0.0005 to 0.008. Half,
+    twice: no effect."""
 
     outlier: float = 5.0
     """Standard deviations. One good sample in two million is further off. Half: 383 good samples of 12 000
