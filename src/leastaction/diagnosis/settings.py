@@ -107,7 +107,7 @@ class DiagnosisSettings:
 
     one_and_the_same: float = 0.99
     """Correlation above which a shape parameter is said to move with another parameter as one. It is
-    named then; whether there is a finding, another setting decides."""
+    named then; whether there is a finding, another setting decides. Half, twice: no effect."""
 
     visible: float = 0.3
     """Motion over noise, below which any equations hold. Half: 1 finding fewer, of a wrong law; twice: no
