@@ -17,8 +17,10 @@ from click.testing import CliRunner
 import leastaction as la
 from leastaction import systems
 from reproduction._execute import execute
-from reproduction.methods import _dictionary, _lagrangian, _subsets, _symbolic, _xlsindy, adam, load
-from reproduction.problem import Case, pose
+from reproduction.methods import _symbolic, adam, load, xlsindy
+from reproduction.methods.energy import Normal, best_supports
+from reproduction.methods.rk4_sindy import Dictionary
+from reproduction.problem import Case, acceleration_of, pose
 from reproduction.run import main
 
 
@@ -40,27 +42,27 @@ def l2(problem, found):
 
 @pytest.fixture
 def brief(monkeypatch):
-    monkeypatch.setattr(_xlsindy, "EPOCHS", 100)
-    monkeypatch.setattr(_xlsindy, "PENALTIES", (1e-4, 1e-2))
-    monkeypatch.setattr(_xlsindy, "THRESHOLDS", (0.1,))
+    monkeypatch.setattr(xlsindy, "EPOCHS", 100)
+    monkeypatch.setattr(xlsindy, "PENALTIES", (1e-4, 1e-2))
+    monkeypatch.setattr(xlsindy, "THRESHOLDS", (0.1,))
 
 
 @pytest.mark.parametrize("name", ["double_pendulum", "cart_spring_pendulum"])
 def test_acceleration_of_true_coefficients(name):
     problem = posed("energy", name)
     q, qdot, forces, qddot = true_states(problem)
-    acceleration = _lagrangian.acceleration_of(problem.library, problem.true_coefficients)
+    acceleration = acceleration_of(problem.library, problem.true_coefficients)
     assert acceleration(q, qdot, forces) == pytest.approx(qddot, rel=1e-8, abs=1e-8)
 
 
 def test_acceleration_is_nan_only_where_the_mass_matrix_is_singular():
     library = la.Library(["x_dot**2*x", "x**2"], ["x"])
-    acceleration = _lagrangian.acceleration_of(library, {"x_dot**2*x": 1.0, "x**2": -1.0})
+    acceleration = acceleration_of(library, {"x_dot**2*x": 1.0, "x**2": -1.0})
     found = acceleration([[0.0], [2.0], [np.inf]], [[1.0], [0.0], [0.0]], None)
     # 2 x ẍ + ẋ² + 2 x = 0
     assert np.isnan(found[[0, 2]]).all()
     assert found[1] == pytest.approx(-1.0)
-    empty = _lagrangian.acceleration_of(library, {})
+    empty = acceleration_of(library, {})
     assert np.isnan(empty([[1.0]], [[1.0]])).all()
 
 
@@ -118,8 +120,8 @@ def test_best_supports_match_an_exhaustive_search():
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((80, 6)) @ (np.eye(6) + 0.3 * rng.standard_normal((6, 6)))
     target = columns[:, [1, 4]] @ [1.0, -2.0] + 0.3 * rng.standard_normal(80)
-    normal = _subsets.Normal.of(columns[:40], target[:40]) + _subsets.Normal.of(columns[40:], target[40:])
-    for size, found in enumerate(_subsets.best_supports(normal, 4, width=20), 1):
+    normal = Normal.of(columns[:40], target[:40]) + Normal.of(columns[40:], target[40:])
+    for size, found in enumerate(best_supports(normal, 4, width=20), 1):
 
         def misfit(support):
             x = np.linalg.lstsq(columns[:, support], target, rcond=None)[0]
@@ -175,7 +177,7 @@ def test_rk4_sindy_finds_the_pendulum():
 def test_rk4_sindy_steps_as_the_classical_formula():
     """ẍ = −x: one step of the stages equals the Taylor polynomial of degree four."""
     module, h = load("rk4_sindy"), 0.3
-    dictionary = _dictionary.Dictionary(["x"], [], False, 1, 1)
+    dictionary = Dictionary(["x"], [], False, 1, 1)
     xi = np.zeros((len(dictionary), 1))
     xi[dictionary.names.index("x")] = -1.0
     x, v = np.array([[0.7]]), np.array([[-0.2]])
@@ -187,7 +189,7 @@ def test_rk4_sindy_steps_as_the_classical_formula():
 
 def test_dictionary_values_agree_with_their_names():
     coordinates = ["theta", "phi", "x"]
-    dictionary = _dictionary.Dictionary(coordinates, ["theta", "phi"], True, 2, 2)
+    dictionary = Dictionary(coordinates, ["theta", "phi"], True, 2, 2)
     assert len(set(dictionary.names)) == len(dictionary)
     assert {"1", "x*x", "f_phi", "x_dot*x_dot*sin(theta-phi)"} <= set(dictionary.names)
     q, qdot, forces = np.random.default_rng(0).standard_normal((3, 1, 3))

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from reproduction import problem, search_adam
-from reproduction._launch import Options, launch
+from reproduction._execute import Options, launch
 from reproduction._results import store_of
 from reproduction.problem import Case
 from reproduction.run import build_cases, main, settings
