@@ -1,4 +1,4 @@
-"""The methods; each has TITLE, REFERENCE and ``solve(problem) -> Answer``. Both of xL-SINDy are in one file."""
+"""The methods; each has TITLE, REFERENCE and ``solve(problem) -> Answer``. Both of xL-SINDy are one file."""
 
 from __future__ import annotations
 

@@ -146,6 +146,7 @@ def test_more_than_two_groups_and_friction():
         assert abs(psi.coefficient - truth) < 4.0 * psi.standard_error < 0.1
 
 
+@pytest.mark.thorough
 def test_known_coefficients_and_no_force_are_said_to_set_the_scale():
     system = systems.get("cart_spring_pendulum")
     other = replace(system, lagrangian={**system.lagrangian, "x**2": -7.0, "x": 7.0})

@@ -147,6 +147,7 @@ def test_a_force_on_the_other_coordinate_sets_the_scale():
         assert abs(lagrangian[name].coefficient - value) < 4.0 * lagrangian[name].standard_error
 
 
+@pytest.mark.thorough
 def test_either_equation_of_the_measured_double_pendulum_gives_the_published_law():
     demo = DEMOS["double"]
     with as_file(files("leastaction") / "datasets" / demo.file) as path:
@@ -490,7 +491,7 @@ def stamped_late(seed: int) -> la.Trajectories:
     return la.Trajectories([run.rows(slice(1, None)).changed(forces=run.forces[:-1]) for run in data])
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.thorough)])
 def test_a_delay_that_friction_could_hide_is_named(seed):
     library, friction = systems.compact_library("single_pendulum"), ["theta_dot**2/2"]
     model = la.discover(stamped_late(seed), library, dissipation=friction)

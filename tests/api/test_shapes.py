@@ -137,7 +137,7 @@ def test_it_simulates(model):
     np.testing.assert_allclose(np.hstack([motion.q, motion.qdot]), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("names", ["ab", "ba"])
+@pytest.mark.parametrize("names", ["ab", pytest.param("ba", marks=pytest.mark.thorough)])
 def test_terms_that_can_be_exchanged_have_rising_numbers(data, names):
     """Both exponentials of the law have a rate of their own; which is called a is no accident."""
     texts = [f"exp(-{{{name}}}*x)" for name in names]
@@ -397,7 +397,9 @@ def test_a_phase_is_found_with_its_frequency():
 
 
 # ---------------------------------------------------------- discovery from the names of the coordinates alone
-@pytest.mark.parametrize("name", ["single_pendulum", "cart_spring_pendulum"])
+@pytest.mark.parametrize(
+    "name", ["single_pendulum", pytest.param("cart_spring_pendulum", marks=pytest.mark.thorough)]
+)
 def test_the_law_is_found_from_names_alone(name, tmp_path):
     system = systems.get(name)
     data = systems.generate(name, noise=0.02, trials=2, duration=10.0, seed=4)

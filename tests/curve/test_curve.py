@@ -468,7 +468,7 @@ def spoiled(seed: int, noise: float = 0.02):
     return la.Trajectories(data), masks, clean
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 2))])
 def test_the_outliers_are_found(seed):
     data, masks, _ = spoiled(seed)
     kept, notes = leave_out_outliers(data, 5)
@@ -493,7 +493,16 @@ def test_the_outliers_of_a_long_recording_are_those_of_its_trials():
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 0.01, 0.3])
-@pytest.mark.parametrize("name", ["double_pendulum", "magnetic_pendulum", "spherical_spring_pendulum"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "double_pendulum",
+        *(
+            pytest.param(n, marks=pytest.mark.thorough)
+            for n in ("magnetic_pendulum", "spherical_spring_pendulum")
+        ),
+    ],
+)
 def test_good_samples_stay(name, noise):
     """Also where the curve through them cannot follow the fastest turns."""
     data = systems.generate(name, noise=noise, trials=2, duration=20.0, seed=7)

@@ -67,7 +67,9 @@ def test_acceleration_is_nan_only_where_the_mass_matrix_is_singular():
 
 
 @pytest.mark.usefixtures("brief")
-@pytest.mark.parametrize("name", ["single_pendulum", "magnetic_pendulum"])
+@pytest.mark.parametrize(
+    "name", ["single_pendulum", pytest.param("magnetic_pendulum", marks=pytest.mark.thorough)]
+)
 def test_xlsindy_finds_exact_motions_exactly(name):
     problem = posed("xlsindy_exact", name)
     answer = load("xlsindy_exact").solve(problem)

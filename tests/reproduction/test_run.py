@@ -152,6 +152,7 @@ def test_interrupt_ends_the_runs_and_says_what_is_left(fake):
     assert len(fake.records()) == 1
 
 
+@pytest.mark.thorough
 def test_worker_of_a_cluster_is_killed(fake):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(

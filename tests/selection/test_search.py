@@ -219,7 +219,7 @@ def test_removing_a_term_never_explains_more():
     assert np.all(np.diff(ratios) <= 1e-9 * np.abs(ratios[:-1]))
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.thorough)])
 def test_fifty_correlated_terms_of_150(seed):
     gram, members = planted(seed, 150, 50, 0.9)
     assert best_of(backward_search(gram, 1e-7, PENALTY, N_ROWS)).members == members

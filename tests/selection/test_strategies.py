@@ -52,6 +52,7 @@ def test_the_anchor_is_found_inside_the_data(started):
     np.testing.assert_allclose([found["p"], found["r"]], ANCHOR, atol=0.05)
 
 
+@pytest.mark.thorough
 def test_every_problem_of_the_search_has_the_numbers(search, started):
     found = started.problem.shape_values
     assert started.searched.shape_values == found
@@ -84,7 +85,7 @@ def between_centres(q, v, f):
     return -q - sum((q - c) / ((q - c) ** 2 + WIDTH**2) ** 1.5 for c in CENTRES)
 
 
-@pytest.mark.parametrize("noise", [0.002, 0.02])
+@pytest.mark.parametrize("noise", [0.002, pytest.param(0.02, marks=pytest.mark.thorough)])
 def test_two_centres_are_found_together(noise):
     """One by itself goes between them, or to a sample whose noise explains all that is left."""
     starts = [([2.0], [0.0]), ([-1.9], [0.5]), ([0.1], [2.2]), ([0.6], [0.1]), ([-0.7], [1.2])]
@@ -106,7 +107,7 @@ def test_what_the_user_bounds_apart_keeps_its_bounds():
         assert -1.5 <= point.values["q"] <= -0.2
 
 
-@pytest.mark.parametrize("size", [0.4, 1.2])
+@pytest.mark.parametrize("size", [pytest.param(0.4, marks=pytest.mark.thorough), 1.2])
 def test_candidates_of_two_kinds_are_found_together(size):
     """A centre by itself takes up what a wave does, and lies elsewhere."""
     starts = [([2.0], [0.0]), ([-1.9], [0.5]), ([0.1], [2.2])]
@@ -224,7 +225,7 @@ def pendulum():
     return systems.compact_library("single_pendulum")
 
 
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.thorough)])
 def test_a_drifting_bias_is_found_with_the_law(pendulum, seed):
     data, biases = biased(seed)
     model = la.discover(data, pendulum, force_offset={"theta": 2.5})

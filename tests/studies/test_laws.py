@@ -82,7 +82,11 @@ def test_half_of_the_laws_are_kept_aside_and_half_are_driven():
     assert {law.n_dof for law in LAWS.values()} == {1, 2, 3}
 
 
-@pytest.mark.parametrize("name", LAWS)
+# Every third in `make test`.
+_LAWS = [pytest.param(n, marks=[pytest.mark.thorough] if k % 3 else []) for k, n in enumerate(LAWS)]
+
+
+@pytest.mark.parametrize("name", _LAWS)
 def test_no_generated_library_holds_a_law(name):
     law = LAWS[name]
     library = la.Library.mechanical(law.coordinates, law.angles, dissipation=law.dissipation)

@@ -164,7 +164,9 @@ def test_faults_of_the_forces():
     assert np.allclose(wrong[5:], right[:-5])
 
 
-@pytest.mark.parametrize("name", ["chaotic_pendulum", "cart_spring_pendulum"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("chaotic_pendulum", marks=pytest.mark.thorough), "cart_spring_pendulum"]
+)
 def test_friction_takes_its_share_of_the_energy(name):
     system = FAULTS["friction-1"].nature(systems.get(name))
     motions = systems.simulate_truth(system, 2, 20.0, 100.0, seed=2)
