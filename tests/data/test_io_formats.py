@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import builtins
 import datetime
 import gzip
 import os
 import pickle
 import stat
+import sys
 import tracemalloc
 
 import h5py
@@ -154,19 +154,12 @@ def test_bad_parquet(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("module", "suffix", "extra"), [("pyarrow", "parquet", "parquet"), ("h5py", "mat", "mat73")]
+    ("module", "suffix", "extra"), [("pyarrow.parquet", "parquet", "parquet"), ("h5py", "mat", "mat73")]
 )
 def test_missing_extras_are_named(tmp_path, monkeypatch, module, suffix, extra):
     path = tmp_path / f"run.{suffix}"
     path.write_bytes(b"PAR1" if suffix == "parquet" else b"MATLAB 7.3 MAT-file")
-    original = builtins.__import__
-
-    def refuse(name, *args, **kwargs):
-        if name.split(".")[0] == module:
-            raise ImportError(name)
-        return original(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InputError, match=rf"pip install 'leastaction\[{extra}\]'"):
         io.read(path, ["a"])
 

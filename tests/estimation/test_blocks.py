@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from block_helpers import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
 from leastaction.estimation import joint, observations, volume
@@ -18,6 +17,7 @@ from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, employ
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
+from set_ups import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 
 
 @pytest.fixture(autouse=True, scope="module")
