@@ -3,7 +3,7 @@
     python -m reproduction.collate --results reproduction/results --output reproduction/tables
 
 Everything is computed from the records, the paper's numbers (``paper.json``) and, where a reason needs
-judgement, from ``remarks.json``: key of a finding, or its beginning up to a slash → text.
+judgement, its ``remarks``: key of a finding, or its beginning up to a slash → text.
 """
 
 from __future__ import annotations
@@ -159,8 +159,10 @@ def mixed_settings(results: Results) -> list[str]:
 @click.command(help=__doc__.split("\n\n")[0])
 @click.option("--results", type=click.Path(file_okay=False, path_type=Path), default=HERE / "results")
 @click.option("--output", type=click.Path(file_okay=False, path_type=Path), default=HERE / "tables")
-@click.option("--remarks", type=click.Path(dir_okay=False, path_type=Path), default=HERE / "remarks.json")
-def main(results: Path, output: Path, remarks: Path) -> None:
+@click.option(
+    "--remarks", type=click.Path(dir_okay=False, path_type=Path), help="Default: those of paper.json."
+)
+def main(results: Path, output: Path, remarks: Path | None) -> None:
     try:
         found = read(results)
     except ValueError as error:
@@ -168,7 +170,7 @@ def main(results: Path, output: Path, remarks: Path) -> None:
     if not found.records:
         raise click.ClickException(f"{results} holds no records; make some by python -m reproduction.run")
     paper = json.loads((HERE / "paper.json").read_text(encoding="utf-8"))
-    words = json.loads(remarks.read_text(encoding="utf-8")) if remarks.exists() else {}
+    words = json.loads(remarks.read_text(encoding="utf-8")) if remarks else paper["remarks"]
     whole = page(found, paper, words)
     la.io.write_text(output / "tables.md", markdown(whole))
     click.echo(output / "tables.md")
