@@ -209,6 +209,7 @@ def swinging(data, **more):
     return la.discover(data, ["theta_dot**2", "cos(theta)", "sin(theta)"], **more)
 
 
+@pytest.mark.thorough
 def test_a_cluster_that_loses_a_worker_gives_the_same_result(cluster):
     """The problem is small, because every task costs the cluster some 5 ms."""
     data = systems.generate("single_pendulum", noise=0.02, trials=4, duration=5.0, seed=1)

@@ -478,7 +478,7 @@ def by_differences(system, truth, sigma, terms, seen):
     [
         ("single_pendulum", {"theta_dot**2/2": 0.1}),
         ("cart_spring_pendulum", {}),
-        ("magnetic_pendulum", {"(x_dot**2+y_dot**2)/2": 0.05}),
+        pytest.param("magnetic_pendulum", {"(x_dot**2+y_dot**2)/2": 0.05}, marks=pytest.mark.thorough),
     ],
 )
 def test_bound_agrees_with_finite_differences(name, friction):
@@ -526,7 +526,9 @@ def test_bound_scales_with_noise_and_falls_with_data():
     assert cramer_rao_bound(system, truth, 0.01, observed=holes).relative > 1.2 * small
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "magnetic_pendulum"])
+@pytest.mark.parametrize(
+    "name", ["double_pendulum", pytest.param("magnetic_pendulum", marks=pytest.mark.thorough)]
+)
 def test_bound_survives_chaos(name, monkeypatch):
     truth = systems.simulate_truth(name, trials=1, duration=20.0, seed=0)
     bound = cramer_rao_bound(systems.get(name), truth, 0.05).relative
