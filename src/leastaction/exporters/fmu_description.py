@@ -82,13 +82,11 @@ def model_description(name: str, version: int, table: list[Variable], token: str
     able = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
     if version == 2:
         able |= {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
-    else:
-        able |= {"canGetAndSetFMUState": "true"}
-    interface = ET.SubElement(root, "CoSimulation", able)
-    if version == 2:
-        sources = ET.SubElement(interface, "SourceFiles")
+        sources = ET.SubElement(ET.SubElement(root, "CoSimulation", able), "SourceFiles")
         for file in _units(version):
             ET.SubElement(sources, "File", {"name": file})
+    else:
+        ET.SubElement(root, "CoSimulation", able | {"canGetAndSetFMUState": "true"})
     used = {variable.unit for variable in table}
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit, exponents in _UNITS.items():
@@ -100,34 +98,28 @@ def model_description(name: str, version: int, table: list[Variable], token: str
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0", "stopTime": "10", "stepSize": "0.01"})
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(table):
-        (_variable2 if version == 2 else _variable3)(listed, reference, variable)
+        _list(listed, version, reference, variable)
     _structure(root, version, table)
     return _text(root)
 
 
-def _attributes(reference: int, variable: Variable) -> dict[str, str]:
-    out = {
+def _list(listed: ET.Element, version: int, reference: int, variable: Variable) -> None:
+    attributes = {
         "name": variable.name,
         "valueReference": str(reference),
         "description": variable.description,
         "causality": variable.causality,
         "variability": variable.variability,
     }
-    return out if variable.initial is None else {**out, "initial": variable.initial}
-
-
-def _start(variable: Variable) -> dict[str, str]:
-    unit = {"unit": variable.unit} if variable.unit else {}
-    return unit if variable.start is None else {**unit, "start": repr(variable.start)}
-
-
-def _variable2(listed: ET.Element, reference: int, variable: Variable) -> None:
-    scalar = ET.SubElement(listed, "ScalarVariable", _attributes(reference, variable))
-    ET.SubElement(scalar, "Real", _start(variable))
-
-
-def _variable3(listed: ET.Element, reference: int, variable: Variable) -> None:
-    ET.SubElement(listed, "Float64", {**_attributes(reference, variable), **_start(variable)})
+    if variable.initial is not None:
+        attributes["initial"] = variable.initial
+    value = {"unit": variable.unit} if variable.unit else {}
+    if variable.start is not None:
+        value["start"] = repr(variable.start)
+    if version == 2:
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", value)
+    else:
+        ET.SubElement(listed, "Float64", {**attributes, **value})
 
 
 def _structure(root: ET.Element, version: int, table: list[Variable]) -> None:

@@ -13,7 +13,8 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.report.svg import Colour, dot_path, line_path, number, path, sample_path, stroke, text
-from leastaction.report.ticks import Linear, Scale, Ticks, with_power
+from leastaction.report.text import with_power
+from leastaction.report.ticks import Linear, Scale, Ticks
 
 __all__ = ["HALF", "THIRD", "Axes", "Frame", "shortened"]
 
