@@ -21,7 +21,7 @@ from leastaction.model.diagnostics import PathPoint, pareto
 from leastaction.model.mathml import Notation, number_parts
 from leastaction.model.symmetries import Symmetry
 from leastaction.model.term import FitSummary, ModelTerm
-from leastaction.report.axes import shortened
+from leastaction.report.axes import shortened, thin_line
 from leastaction.report.captions import (
     curve_title,
     energy_title,
@@ -34,7 +34,7 @@ from leastaction.report.captions import (
 )
 from leastaction.report.figures_model import pareto_figure, whisker
 from leastaction.report.law import contributions, correlations, equations, unsmoothed
-from leastaction.report.series import Energy, Series, thin_line
+from leastaction.report.series import Energy, Series
 from leastaction.report.tables import motion_rows, pareto_rows, path_rows, symmetry_rows
 from leastaction.report.text import plain
 from leastaction.report.verdict import in_symbols, verdict
