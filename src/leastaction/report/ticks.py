@@ -33,15 +33,19 @@ class Scale(Protocol):
     @property
     def room(self) -> float:
         """Pixels that one tick should have."""
+        ...
 
     def place(self, values: np.ndarray) -> np.ndarray:
         """Where values lie; the map rises."""
+        ...
 
     def margin(self, low: float, high: float) -> float:
         """What an axis shows beyond the data at either end."""
+        ...
 
     def ticks(self, low: float, high: float, most: int) -> Ticks:
         """At most `most` steps between the places `low` and `high`."""
+        ...
 
 
 @dataclass(frozen=True)
