@@ -15,7 +15,7 @@ from leastaction.cli.output import check_file
 from leastaction.cli.shape_options import length_option, lengths_of_links
 from leastaction.cli.show import live_progress, say, show_forecast, show_model, warn, warn_of_doubts
 from leastaction.cli.text import complete_file, one_line, shown
-from leastaction.cli.values import blame, number, pairs
+from leastaction.cli.values import assignments, blame, number
 from leastaction.errors import DataError, InputError
 from leastaction.exporters.formats import FORMATS, check_format
 from leastaction.identifiers import quoted
@@ -113,13 +113,13 @@ def simulate(
     times = _sample_times(duration, rate)
     found = _loaded(model, group)
     with blame("--initial"):
-        q0, qdot0, missing = _initial_state(_assignments(initial), found.coordinates)
+        q0, qdot0, missing = _initial_state(assignments(initial), found.coordinates)
     if missing:
         click.echo(f"note: {', '.join(missing)} not given in --initial: 0", err=True)
     std = None
     if initial_std is not None:
         with blame("--initial-std"):
-            std = _initial_state(_assignments(initial_std), found.coordinates)[:2]
+            std = _initial_state(assignments(initial_std), found.coordinates)[:2]
     if found.fit.status != "ok":
         warn_of_doubts("the model", found)
     if found.prescribed:
@@ -157,15 +157,6 @@ def _sample_times(duration: str, rate: str):
             f"--duration {duration} at --rate {rate} has no second sample; choose more of either"
         )
     return np.arange(count) / frequency
-
-
-def _assignments(text: str) -> dict[str, float]:
-    """Return the numbers of ``"theta=1, theta_dot=0"``."""
-    out: dict[str, float] = {}
-    for name, value in pairs((part.strip() for part in text.split(",")), "name=number, e.g. theta=1"):
-        with blame(name):
-            out[name] = number(value)
-    return out
 
 
 def _initial_state(given: dict[str, float], coordinates: tuple[str, ...]):

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from leastaction import Library
 
 __all__ = [
+    "assignments",
     "blame",
     "check_known",
     "column_map",
@@ -103,6 +104,15 @@ def pairs(texts: Iterable[str], form: str, *, last: bool = False) -> Iterator[tu
             raise InputError(f"{quoted(name)} is given twice")
         seen.add(name)
         yield name, value
+
+
+def assignments(text: str) -> dict[str, float]:
+    """Return the numbers of ``"theta=1, theta_dot=0"``."""
+    out: dict[str, float] = {}
+    for name, value in pairs((part.strip() for part in text.split(",")), "name=number, e.g. theta=1"):
+        with blame(name):
+            out[name] = number(value)
+    return out
 
 
 def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
