@@ -6,6 +6,17 @@
 Every case runs in a process of its own, so that peak memory is its own; "cold" is the first call in that
 process, "warm" the median of the following ones.  The peer, for scale, is a smoothing spline of SciPy
 through the same samples in the same process.
+
+    python benchmarks/run.py workers                        # 10⁵ and 10⁶ samples, one and two workers
+    python benchmarks/run.py workers --samples 1e7 --workers 1
+    python benchmarks/run.py workers --pass                 # one Gauss–Newton pass alone
+
+``workers`` compares one worker with more on long recordings: the driven double pendulum at 100 Hz, 20 s a
+trial, with 10 % noise and the compact library, written to a file by a process of its own.  Wall time tells of
+workers only on a machine that does nothing else, and two cores of a virtual machine are often less than twice
+as fast as one: ``--pass`` shows the ratio of two processes that share nothing beside that of two workers.
+``main_s`` is the processor time of the thread that hands out the work, which no worker can take over;
+``peak_mb`` is the memory of the program itself, and each worker takes some 150 MB beside it.
 """
 
 from __future__ import annotations
@@ -15,8 +26,11 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import click
 import numpy as np
@@ -26,13 +40,16 @@ from leastaction.io import write_text
 _SAMPLES = (2_000, 5_000, 10_000, 20_000, 50_000, 100_000, 200_000, 500_000, 1_000_000)
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option("--longest", default=1e5, show_default=True, help="Largest number of rows.")
 @click.option("--warm", default=3, show_default=True, help="Warm calls a case.")
 @click.option("--case", help="Run one case, given as JSON, in this process (used by the program itself).")
 @click.option("--output", type=click.Path(path_type=Path), default=Path("benchmarks/results/speed.json"))
-def main(longest: float, warm: int, case: str | None, output: Path) -> None:
+@click.pass_context
+def main(context: click.Context, longest: float, warm: int, case: str | None, output: Path) -> None:
     """Print the tables and write them as JSON."""
+    if context.invoked_subcommand is not None:
+        return
     if case is not None:
         click.echo(json.dumps(measure(**json.loads(case))))
         return
@@ -98,8 +115,6 @@ def smoothing_spline(data) -> float:
 
 def command_line() -> dict:
     """Wall time and peak memory of the command line on 51 candidates, from a CSV to model and report."""
-    import tempfile
-
     from leastaction import systems
     from leastaction.io import write_csv
 
@@ -125,6 +140,149 @@ def row(record: dict) -> str:
         f"{r['peak_mb']:.0f} MB, {r['terms']} terms, "
         f"{r['status']}, {r['stages_s']}"
     )
+
+
+# ------------------------------------------------------------- long recordings, one worker and more
+_SYSTEM, _TRIAL, _RATE = "double_pendulum", 20.0, 100.0
+_BATCH = 500  # trials simulated at once: the simulation must not take more memory than the search
+
+
+@main.command("workers")
+@click.option("--samples", multiple=True, type=float, help="Rows; may be given several times.")
+@click.option("--workers", multiple=True, type=int, help="May be given several times.")
+@click.option("--pass", "one_pass", is_flag=True, help="One Gauss–Newton pass alone.")
+@click.option("--case", help="Run one case, given as JSON, in this process (used by the program itself).")
+@click.option("--output", type=click.Path(path_type=Path), default=Path("benchmarks/results/long.jsonl"))
+def compare_workers(
+    samples: tuple[float, ...], workers: tuple[int, ...], one_pass: bool, case: str | None, output: Path
+) -> None:
+    """Print a table; write one line of JSON a case."""
+    if case is not None:
+        click.echo(json.dumps(measure_long(**json.loads(case))))
+        return
+    if one_pass:
+        compare_passes()
+        return
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        for count in samples or (1e5, 1e6):
+            path = Path(folder) / f"{int(count)}.npz"
+            in_another_process({"make": str(path), "samples": int(count)})
+            for number in workers or (1, 2):
+                record = in_another_process({"make": None, "path": str(path), "workers": number})
+                record = {"samples": int(count), "workers": number, **record}
+                with output.open("a") as file:
+                    file.write(json.dumps(record, sort_keys=True) + "\n")
+                click.echo(
+                    f"{record['samples']:>9} samples  {number} workers  wall {record['wall_s']:>7.1f} s  "
+                    f"processor {record['cpu_s']:>7.1f} s ({record['main_s']:.1f} s in the main thread)  "
+                    f"peak {record['peak_mb']:>5} MB  {record['status']}"
+                )
+
+
+def in_another_process(config: dict) -> dict:
+    """Run one case with one BLAS thread, so that time and memory are its own."""
+    threads = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+    command = [sys.executable, __file__, "workers", "--case", json.dumps(config)]
+    done = subprocess.run(command, env={**os.environ, **threads}, capture_output=True, text=True)
+    if done.returncode:
+        raise click.ClickException(done.stderr.strip().splitlines()[-1])
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def measure_long(make: str | None, samples: int = 0, path: str = "", workers: int = 1) -> dict:
+    """Simulate, or discover once."""
+    import leastaction as la
+    from leastaction import systems
+
+    if make is not None:
+        trials = max(1, round(samples / (_TRIAL * _RATE)))
+        parts = [
+            systems.generate(_SYSTEM, noise=0.1, trials=min(_BATCH, trials - a), duration=_TRIAL, seed=a)
+            for a in range(0, trials, _BATCH)
+        ]
+        columns = {"t": [x.t for p in parts for x in p], "q": [x.q for p in parts for x in p]}
+        np.savez(make, **columns, forces=[x.forces for p in parts for x in p])
+        return {}
+    data = recording(path, systems.get(_SYSTEM).coordinates)
+    used, begun, alone = time.process_time(), time.perf_counter(), time.thread_time()
+    model = la.discover(data, systems.compact_library(_SYSTEM), workers=workers)
+    return {
+        "wall_s": round(time.perf_counter() - begun, 2),
+        "cpu_s": round(time.process_time() - used, 2),
+        "main_s": round(time.thread_time() - alone, 2),
+        "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0),
+        "status": model.fit.status,
+        "terms": len(model.terms),
+        "stages_s": {k: round(v, 2) for k, v in model.diagnostics.timings.items()},
+    }
+
+
+def recording(path: str, names: tuple[str, ...]):
+    """The trials of a file; nothing else of it stays in memory."""
+    import leastaction as la
+
+    with np.load(path) as file:
+        columns = zip(file["t"], file["q"], file["forces"], strict=True)
+        return la.Trajectories([la.Trajectory(t, q, forces, names) for t, q, forces in columns])
+
+
+# ------------------------------------------------------------------------------- one pass, alone
+def compare_passes(repeats: int = 10) -> None:
+    """One pass along a motion: alone, by two workers, and its halves in two processes that share nothing."""
+    from leastaction.estimation.crew import employ
+    from leastaction.threads import single_threaded
+
+    walls: dict[str, list[float]] = {"alone": [], "two workers": [], "nothing shared": []}
+    with single_threaded(), employ(2) as crew:
+        alone, shared, halves = one_pass(100), one_pass(100, crew), (one_pass(50), one_pass(50))
+        shared()  # children start
+        for _ in range(repeats):
+            for name, run in (
+                ("alone", alone),
+                ("two workers", shared),
+                ("nothing shared", lambda: in_processes(halves)),
+            ):
+                begun = time.perf_counter()
+                run()
+                walls[name].append(time.perf_counter() - begun)
+    for name, times in walls.items():
+        ratio = np.median(walls["alone"]) / np.median(times)
+        click.echo(f"{name:<14} median {np.median(times):.3f} s  ratio {ratio:.2f}")
+
+
+def one_pass(trials: int, crew: Any = None) -> Callable[[], object]:
+    """What a Gauss–Newton step does with so many trials, from a curve that noise has bent."""
+    from leastaction import systems
+    from leastaction.curve.bspline import uniform_grid
+    from leastaction.estimation.blocks import observe
+    from leastaction.estimation.joint import Physics, Weights
+    from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+    t, rng = np.arange(0.0, _TRIAL, 1.0 / _RATE), np.random.default_rng(0)
+    motion = np.column_stack([np.sin(2.3 * t), 0.7 * np.cos(3.1 * t)])
+    library = systems.compact_library(_SYSTEM)
+    columns = EulerLagrange(library.terms[:6], library.coordinates)
+    grid = uniform_grid([t] * trials, 100.0, 5, 2)
+    noisy = [motion + 0.01 * rng.standard_normal(motion.shape) for _ in range(trials)]
+    seen = observe(grid, [t] * trials, noisy, crew=crew)
+    control = rng.standard_normal((grid.n_ctrl, 2))
+    physics = Physics(columns, np.ones(6, bool), None)
+    weights = Weights(np.full(2, 0.01), np.ones(2), np.ones(2))
+    return lambda: seen.linearise(physics, control, np.ones(6), weights).normal(weights).eliminate()
+
+
+def in_processes(halves: Iterable[Callable[[], object]]) -> None:
+    """Each in a process of its own."""
+    children = []
+    for run in halves:
+        child = os.fork()
+        if not child:
+            run()
+            os._exit(0)
+        children.append(child)
+    for child in children:
+        os.waitpid(child, 0)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 import leastaction as la
 from leastaction import systems
+from reproduction._figure_basins import MAGNETS
 from reproduction._plots import COLOURS, STYLE, TITLES, Sheet, letter, solved
-from reproduction.basins import MAGNETS
 from reproduction.problem import RATE, Acceleration, Case
 from reproduction.scoring import TEST_SEED, TOLERANCE
 

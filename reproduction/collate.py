@@ -3,25 +3,82 @@
     python -m reproduction.collate --results reproduction/results --output reproduction/tables
 
 Everything is computed from the records, the paper's numbers (``paper.json``) and, where a reason needs
-judgement, from ``remarks.json``: key of a finding, or its beginning up to a slash → text.
+judgement, its ``remarks``: key of a finding, or its beginning up to a slash → text.
 """
 
 from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import click
 
 import leastaction as la
 from reproduction._findings import Finding, findings
-from reproduction._render import Page, Section, markdown
+from reproduction._further_tables import speed, without_candidates
 from reproduction._results import Results, read
-from reproduction._speed import speed
-from reproduction._tables import ablation, experiments, group_tables
-from reproduction._without_candidates import without_candidates
+from reproduction._tables import Cell, Table, ablation, experiments, group_tables
 
+
+# -------------------------------------------------------------------------------------- how a page is written
+@dataclass(frozen=True)
+class Section:
+    """Tables of one group of runs, and what is to be said of them."""
+
+    title: str
+    tables: Sequence[Table]
+    findings: Sequence[Finding] = ()
+
+
+@dataclass(frozen=True)
+class Page:
+    """Everything that is printed."""
+
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    origin: Sequence[tuple[str, str]] = field(default_factory=list)
+
+
+FINDINGS = "Cells that fall short"
+NOTHING = (
+    "None: ours is the best among the methods run here and the published numbers, and the paper's method is "
+    "within twice its published error."
+)
+
+
+def markdown(page: Page) -> str:
+    """The page as GitHub shows it."""
+    lines = [f"# {page.title}", "", page.lead, ""]
+    for section in page.sections:
+        lines += [f"## {section.title}", ""]
+        for table in section.tables:
+            lines += [f"### {table.title}", "", table.note, "", *_markdown_rows(table), ""]
+        if section.tables and section.tables[0].title == "Accuracy":
+            lines += [f"### {FINDINGS}", ""]
+            lines += [f"- {f.text} {f.remark}".rstrip() for f in section.findings] or [NOTHING]
+            lines += [""]
+    lines += ["## Origin", "", *(f"- {name}: {value}" for name, value in page.origin), ""]
+    return "\n".join(lines)
+
+
+def _markdown_rows(table: Table) -> list[str]:
+    n = len(table.head)
+    head = [f"*{h}*" if k >= n - table.borrowed else h for k, h in enumerate(table.head)]
+    rows = [[_markdown_cell(cell) for cell in row] for row in table.rows]
+    return [f"| {' | '.join(row)} |" for row in (head, ["---"] * n, *rows)]
+
+
+def _markdown_cell(cell: Cell) -> str:
+    text = f"**{cell.text}**" if cell.best else cell.text
+    whole = f"{text} ({cell.detail})" if cell.detail and text else text + cell.detail
+    return whole.replace("|", "\\|")
+
+
+# ---------------------------------------------------------------------------------------------- what is on it
 HERE = Path(__file__).resolve().parent
 LEAD = (
     "The tables of Zhang & Sun, Differentiable Sparse Identification of Lagrangian Dynamics (AAAI 2026), "
@@ -102,8 +159,10 @@ def mixed_settings(results: Results) -> list[str]:
 @click.command(help=__doc__.split("\n\n")[0])
 @click.option("--results", type=click.Path(file_okay=False, path_type=Path), default=HERE / "results")
 @click.option("--output", type=click.Path(file_okay=False, path_type=Path), default=HERE / "tables")
-@click.option("--remarks", type=click.Path(dir_okay=False, path_type=Path), default=HERE / "remarks.json")
-def main(results: Path, output: Path, remarks: Path) -> None:
+@click.option(
+    "--remarks", type=click.Path(dir_okay=False, path_type=Path), help="Default: those of paper.json."
+)
+def main(results: Path, output: Path, remarks: Path | None) -> None:
     try:
         found = read(results)
     except ValueError as error:
@@ -111,7 +170,7 @@ def main(results: Path, output: Path, remarks: Path) -> None:
     if not found.records:
         raise click.ClickException(f"{results} holds no records; make some by python -m reproduction.run")
     paper = json.loads((HERE / "paper.json").read_text(encoding="utf-8"))
-    words = json.loads(remarks.read_text(encoding="utf-8")) if remarks.exists() else {}
+    words = json.loads(remarks.read_text(encoding="utf-8")) if remarks else paper["remarks"]
     whole = page(found, paper, words)
     la.io.write_text(output / "tables.md", markdown(whole))
     click.echo(output / "tables.md")

@@ -23,8 +23,7 @@ from rich.console import Console
 
 import leastaction as la
 from leastaction import systems
-from reproduction._execute import end_with_parent, execute
-from reproduction._launch import Options, launched
+from reproduction._execute import Options, end_with_parent, execute, launched
 from reproduction._results import store_of
 from reproduction.problem import Case
 from runner.course import carry_out, say

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import queue
@@ -11,14 +12,16 @@ import sys
 import tempfile
 import threading
 import time
+import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from runner.machine import ROOT, end, environment, failure, last_words, stop
+from runner.store import to_line
 from studies.case import Case
 
-__all__ = ["Options", "solved"]
+__all__ = ["Options", "serve", "solved"]
 
 
 @dataclass(frozen=True)
@@ -40,7 +43,7 @@ class Options:
     jobs: int = 1
     timeout: float = 900.0
     renew: int = 40
-    worker: str = "studies._worker"
+    worker: str = "studies._pool"
 
 
 class Worker:
@@ -136,7 +139,7 @@ def solved(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict
     done: queue.SimpleQueue[tuple[Case, dict]] = queue.SimpleQueue()
     stop = threading.Event()
 
-    def serve(worker: Worker) -> None:
+    def attend(worker: Worker) -> None:
         while not stop.is_set():
             try:
                 case = waiting.get_nowait()
@@ -151,7 +154,7 @@ def solved(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict
 
     with tempfile.TemporaryDirectory(prefix="studies-") as folder:
         workers = [Worker(options, Path(folder)) for _ in range(min(options.jobs, len(cases)))]
-        threads = [threading.Thread(target=serve, args=(w,), daemon=True) for w in workers]
+        threads = [threading.Thread(target=attend, args=(w,), daemon=True) for w in workers]
         for thread in threads:
             thread.start()
         try:
@@ -163,3 +166,49 @@ def solved(cases: Sequence[Case], options: Options) -> Iterator[tuple[Case, dict
                 worker.close()
             for thread in threads:
                 thread.join()
+
+
+# ------------------------------------------------------------------------------------------------- the worker
+def _read(lines: queue.SimpleQueue) -> None:
+    """Pass lines on, and end the process when there are no more."""
+    kept = b""
+    # not sys.stdin: its lock would be held when the interpreter ends
+    while chunk := os.read(0, 65536):
+        *whole, kept = (kept + chunk).split(b"\n")
+        for line in whole:
+            lines.put(line)
+    os._exit(0)
+
+
+def _run(case: Case) -> dict:
+    from studies.solve import solve
+
+    try:
+        return {"finished": True, **solve(case)}
+    except Exception as error:  # whatever a discovery raises is worth a record
+        frames = traceback.extract_tb(error.__traceback__)
+        where = [f"{Path(f.filename).name}:{f.lineno}" for f in frames]
+        return failure("failed", f"{type(error).__name__}: {error}") | {"where": where}
+
+
+def serve() -> None:
+    """Run one case after another in this process: a line of JSON comes in for each, and one goes back.
+
+    Importing SymPy takes a second, so a process serves many runs. It ends when its input does, also in the
+    middle of a run: then the process that started it is gone. What a run prints goes to the error stream.
+    """
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    sys.stdout = sys.stderr
+    lines: queue.SimpleQueue = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(lines,), daemon=True).start()
+    while True:
+        case = Case(**json.loads(lines.get()))
+        print(f"case {case.key}", file=sys.stderr, flush=True)
+        answers.write(to_line(_run(case)) + "\n")
+        answers.flush()
+        gc.collect()
+
+
+if __name__ == "__main__":
+    serve()

@@ -17,11 +17,11 @@ from scipy.integrate import solve_ivp
 
 import leastaction as la
 from leastaction import systems
-from studies import _laws_line, _laws_plane
+from studies import _laws
 
 __all__ = ["KEPT_ASIDE", "LAWS", "error_of_acceleration", "motions"]
 
-LAWS = {law.name: law for law in sorted((*_laws_line.LAWS, *_laws_plane.LAWS), key=lambda law: law.name)}
+LAWS = {law.name: law for law in sorted(_laws.LAWS, key=lambda law: law.name)}
 KEPT_ASIDE = frozenset(tuple(LAWS)[1::2])
 
 _DRAWS = 100

@@ -190,7 +190,11 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
-@pytest.mark.parametrize("page", OURS)
+# The longest page by itself takes as long as all others together.
+_PAGES = [pytest.param(p, marks=pytest.mark.thorough) if p == "choose" else p for p in OURS]
+
+
+@pytest.mark.parametrize("page", _PAGES)
 def test_examples_of_the_pages_run(
     page: str, tables: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

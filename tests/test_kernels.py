@@ -22,7 +22,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ["api", "curve", "diagnosis", "estimation", "library", "mechanics", "model"]
 FOLDERS += ["selection", "simulation", "systems"]
-MODULES = ["control", "delay", "metrics", "sklearn", "threads"]
+MODULES = ["control", "delay", "sklearn", "threads"]
 _PROBE = """
 import json, numpy.linalg, scipy.linalg, threadpoolctl
 blas = [item for item in threadpoolctl.threadpool_info() if item["user_api"] == "blas"]

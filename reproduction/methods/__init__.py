@@ -1,9 +1,9 @@
-"""One file per method; each has TITLE, REFERENCE and ``solve(problem) -> Answer``."""
+"""The methods; each has TITLE, REFERENCE and ``solve(problem) -> Answer``. Both of xL-SINDy are one file."""
 
 from __future__ import annotations
 
 from importlib import import_module
-from types import ModuleType
+from typing import Any
 
 __all__ = ["NAMES", "load"]
 
@@ -23,8 +23,10 @@ NAMES = (
 )
 
 
-def load(name: str) -> ModuleType:
+def load(name: str) -> Any:
     """Import the file of a method; its packages are needed only then."""
     if name not in NAMES:
         raise ValueError(f"method {name!r} is unknown; choose one of {', '.join(NAMES)}")
+    if name.startswith("xlsindy_"):
+        return getattr(import_module("reproduction.methods.xlsindy"), name)
     return import_module(f"reproduction.methods.{name}")

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 import leastaction as la
-from reproduction.methods.xlsindy_exact import states
+from reproduction.methods.xlsindy import exact_states
 from reproduction.problem import Acceleration, Problem, inputs, names
 
 __all__ = ["GIVEN", "STRIDE", "acceleration_of", "choose", "names", "samples"]
@@ -29,7 +29,7 @@ def samples(problem: Problem, given: bool) -> tuple[Samples, Samples]:
         Exact velocities and accelerations plus noise of the case's level; else rates smoothed from positions.
     """
     if given:
-        pairs = [(inputs(*s.swapaxes(0, 1)[:2], f), s[:, 2]) for s, f in states(problem)]
+        pairs = [(inputs(*s.swapaxes(0, 1)[:2], f), s[:, 2]) for s, f in exact_states(problem)]
     else:
         pairs = [
             (inputs(motion.q, motion.qdot, run.forces), motion.qddot)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 # Length of the pieces a motion is cut into, in seconds: short against the growth of small differences.
 _SEGMENT = 0.2
 # How much more sharply than by a single sample the pieces are joined. The bound does not depend on it within
-# 1e5...1e12 (tests/test_metrics.py); an infinite value would lose all digits on long chaotic motions.
+# 1e5...1e12 (tests/systems/test_systems.py); an infinite value would lose all digits on long chaotic motions.
 _JOINT = 1e8
 
 

@@ -337,6 +337,7 @@ def test_diagnostics_describe_the_fit(duffing_model):
     assert duffing_model.provenance["data"] == duffing().digest()
 
 
+@pytest.mark.thorough
 def test_standard_errors_hold_over_the_whole_pipeline():
     """Structure found and |z| < 2 as often as it should be, over eight noise realisations."""
     z = []

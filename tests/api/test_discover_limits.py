@@ -322,7 +322,7 @@ def rest_in_between():
     [
         one(rest_in_between()),
         one(3.0 + 1e-9 * np.random.default_rng(2).standard_normal(T.size)),
-        one(1e9 + np.cos(2.0 * T)),
+        pytest.param(one(1e9 + np.cos(2.0 * T)), marks=pytest.mark.thorough),
         one(np.random.default_rng(3).standard_normal(T.size)),
     ],
     ids=["at rest in between", "noise on a constant", "far from zero", "noise"],

@@ -183,6 +183,7 @@ def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):
     assert page.locator(".fault").count() == 0
 
 
+@pytest.mark.thorough
 def test_a_cancelled_run_leaves_the_app_usable(open_tab):
     tab = open_tab()
     page = tab.page

@@ -164,6 +164,7 @@ def test_a_running_search_shows_its_stages_and_the_law_so_far():
     simulate(script)
 
 
+@pytest.mark.thorough
 def test_a_step_whose_refit_fails_keeps_the_provisional_model_and_says_why():
     async def script(user) -> None:
         await open_candidates(user, "single")

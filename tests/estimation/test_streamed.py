@@ -17,7 +17,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
-from block_helpers import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 from helpers import euler_lagrange, uniform_grid
 from leastaction import systems
 from leastaction.diagnosis.friction import _Late
@@ -34,6 +33,7 @@ from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.streamed import StreamedObservations
+from set_ups import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 
 
 @pytest.fixture(scope="module")

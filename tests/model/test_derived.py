@@ -199,6 +199,7 @@ def test_a_common_error_of_scale_does_not_hide_a_difference():
     assert "rotation" in {s.kind for s in alike.symmetries}
 
 
+@pytest.mark.thorough
 def test_true_symmetries_are_missed_as_rarely_as_the_level_says(rng):
     draws = rng.normal(size=(200, 3)) * SIGMA + list(ORBIT.values())
     found = [rotates(dict(zip(ORBIT, map(float, draw), strict=True))) for draw in draws]

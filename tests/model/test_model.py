@@ -300,7 +300,9 @@ def test_pickle_and_arrays_are_read_only():
         model.covariance[0, 0] = 1.0
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "spherical_spring_pendulum"])
+@pytest.mark.parametrize(
+    "name", ["double_pendulum", pytest.param("spherical_spring_pendulum", marks=pytest.mark.thorough)]
+)
 def test_forecast_errors_of_the_true_model_are_those_expected(name):
     system = systems.get(name)
     data = systems.generate(name, noise=0.05, trials=3, duration=12.0, seed=2, missing=0.1, irregular=True)

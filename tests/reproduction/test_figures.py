@@ -13,9 +13,19 @@ from PIL import Image
 from scipy.integrate import solve_ivp
 
 from leastaction import systems
-from reproduction import _figure_ablation, _figure_basins, _figure_magnetic, basins, methods, problem
+from reproduction import _figure_ablation, _figure_basins, _figure_magnetic, methods, problem
+from reproduction._figure_basins import (
+    MAGNETS,
+    UNDECIDED,
+    Basins,
+    agreement,
+    centres,
+    damping,
+    field_of,
+    lagrangian_of,
+    map_basins,
+)
 from reproduction._plots import label, solved, write_png, write_svg
-from reproduction.basins import MAGNETS, UNDECIDED, Basins, agreement, map_basins
 from reproduction.figures import main
 from reproduction.problem import Answer, Case, pose
 
@@ -31,7 +41,7 @@ def posed(monkeypatch):
 
 @pytest.fixture
 def field(posed):
-    return basins.field_of(posed.system.lagrangian_expression, basins.damping(posed, DAMPING), posed)
+    return field_of(posed.system.lagrangian_expression, damping(posed, DAMPING), posed)
 
 
 def _states(n=50):
@@ -41,7 +51,7 @@ def _states(n=50):
 def test_the_field_of_a_discovered_model_is_the_model_s_own_acceleration(monkeypatch):
     monkeypatch.setattr(problem, "DURATION", 4.0)
     posed, answer = pose(MAGNETIC), methods.load("ours").solve(pose(MAGNETIC))
-    field = basins.field_of(basins.lagrangian_of(posed, answer), basins.damping(posed, 0.15), posed)
+    field = field_of(lagrangian_of(posed, answer), damping(posed, 0.15), posed)
     x, y, vx, vy = _states()
     q, qdot = np.stack([x, y], axis=1), np.stack([vx, vy], axis=1)
     expected = answer.acceleration(q, qdot, -0.15 * qdot)
@@ -51,8 +61,8 @@ def test_the_field_of_a_discovered_model_is_the_model_s_own_acceleration(monkeyp
 def test_terms_that_couple_the_velocities_reach_the_field(posed):
     found = {**posed.true_coefficients, "x_dot*y_dot": 0.2, "x*y_dot": 0.3, "x_dot**2": 0.5}
     system = replace(posed.system, lagrangian=found).with_dissipation({"x_dot**2": 0.1, "y_dot**2": 0.1})
-    lagrangian = basins.lagrangian_of(posed, Answer({k: found[k] for k in found if k != "x_dot**2"}, None))
-    field = basins.field_of(lagrangian, basins.damping(posed, 0.2), posed)
+    lagrangian = lagrangian_of(posed, Answer({k: found[k] for k in found if k != "x_dot**2"}, None))
+    field = field_of(lagrangian, damping(posed, 0.2), posed)
     x, y, vx, vy = _states()
     q, qdot = np.stack([x, y], axis=1), np.stack([vx, vy], axis=1)
     got = np.stack(field.acceleration(x, y, vx, vy), axis=1)
@@ -62,12 +72,12 @@ def test_terms_that_couple_the_velocities_reach_the_field(posed):
 
 def test_a_method_without_a_lagrangian_has_no_basins(posed):
     with pytest.raises(ValueError, match="gave no Lagrangian"):
-        basins.lagrangian_of(posed, Answer(None, None))
+        lagrangian_of(posed, Answer(None, None))
 
 
 def test_motions_end_where_an_adaptive_integrator_finds_them(field):
     found = map_basins(field, pixels=4)
-    side = basins.centres(4, 2.0)
+    side = centres(4, 2.0)
     for row, column in ((0, 0), (0, 2), (1, 0), (2, 3), (3, 1)):
         start = (side[column], side[row], 0.0, 0.0)
         run = solve_ivp(
@@ -84,7 +94,7 @@ def test_steps_converge_with_the_fourth_power_of_their_length(field):
         lambda _, s: [*s[2:], *field.acceleration(*s)], (0, 1), start, "DOP853", rtol=1e-12, atol=1e-13
     )
     errors = [
-        np.abs(basins._advance(field, start[:, None], h, round(1 / h))[:, 0] - run.y[:, -1]).max()
+        np.abs(_figure_basins._advance(field, start[:, None], h, round(1 / h))[:, 0] - run.y[:, -1]).max()
         for h in (0.02, 0.01)
     ]
     assert errors[0] < 1e-5
@@ -100,7 +110,7 @@ def test_the_true_map_has_the_symmetry_of_the_magnets(field):
 
 def test_a_start_at_a_magnet_is_captured_at_once_and_far_starts_are_not(field):
     found = map_basins(field, pixels=41)  # 41: a pixel's centre lies at the middle of the square
-    side = basins.centres(41, 2.0)
+    side = centres(41, 2.0)
     for k, (x, y) in enumerate(MAGNETS):
         here = np.argmin(np.abs(side - y)), np.argmin(np.abs(side - x))
         assert found.magnet[here] == k
@@ -110,15 +120,15 @@ def test_a_start_at_a_magnet_is_captured_at_once_and_far_starts_are_not(field):
 
 def test_the_size_of_the_working_set_does_not_matter(field, monkeypatch):
     whole = map_basins(field, pixels=8)
-    monkeypatch.setattr(basins, "_AT_ONCE", 7)
+    monkeypatch.setattr(_figure_basins, "_AT_ONCE", 7)
     pieces = map_basins(field, pixels=8)
     np.testing.assert_array_equal(pieces.magnet, whole.magnet)
     np.testing.assert_array_equal(pieces.time, whole.time)
 
 
 def test_without_damping_nothing_settles_from_afar(posed, monkeypatch):
-    monkeypatch.setattr(basins, "_LONGEST", 5.0)
-    field = basins.field_of(posed.system.lagrangian_expression, basins.damping(posed, 0.0), posed)
+    monkeypatch.setattr(_figure_basins, "_LONGEST", 5.0)
+    field = field_of(posed.system.lagrangian_expression, damping(posed, 0.0), posed)
     found = map_basins(field, pixels=4)
     assert found.magnet[0, 0] == UNDECIDED
     assert np.isinf(found.time[0, 0])

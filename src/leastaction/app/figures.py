@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from leastaction.report.axes import Axes
+from leastaction.report.axes import Axes, thin_line
 from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
-from leastaction.report.series import thin_line
 
 if TYPE_CHECKING:
     from leastaction import Trajectory

@@ -109,11 +109,8 @@ class ResultView:
                     continue
                 with html.p().classes("formula"):
                     say(f"{name} =", "name", "span")
-                    for k, term in enumerate(terms):
-                        note = "known" if term.known else ""
-                        math(
-                            notation.addend(term.written, term.coefficient, term.standard_error, note, k == 0)
-                        )
+                    for addend in notation.addends(terms):
+                        math(addend)
             if any("sqrt" in term.expression and "_dot" in term.expression for term in model.dissipation):
                 say("|velocity| is dry friction; near rest it is smoothed.", "help")
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
-from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["Effects", "gain_of_terms", "is_minor"]
+__all__ = ["Effects", "compared_accelerations", "gain_of_terms", "is_minor"]
 
 _STATES = 2000  # along the motion, at which an effect is computed
+_COMPARED = 400  # along the motion, at which accelerations are compared
 
 
 def is_minor(fit: Fit, gain: float) -> bool:
@@ -32,6 +33,13 @@ def gain_of_terms(fit: Fit, members: Collection[int]) -> float:
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     z = fit.estimates[at] / scale
     return float(z @ np.linalg.lstsq(covariance / np.outer(scale, scale), z, rcond=None)[0])
+
+
+def compared_accelerations(fit: Fit) -> tuple[Points, np.ndarray]:
+    """States along the motion at which laws are compared, and the size of q̈ there, (n_dof,), never zero."""
+    points, n = fit.points(_COMPARED), fit.problem.candidates.n_dof
+    size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
+    return points, np.maximum(size, 1e-300)
 
 
 @dataclass(frozen=True, eq=False)

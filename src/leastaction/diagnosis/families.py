@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from leastaction.diagnosis.effects import compared_accelerations
 from leastaction.diagnosis.missing_terms import missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
@@ -22,8 +23,6 @@ from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit
 
 __all__ = ["lacking_family", "named_family", "simpler_form"]
-
-_POINTS = 400  # along the motion, at which accelerations are compared
 
 
 def named_family(doubt: Finding, search: Search) -> Finding:
@@ -68,7 +67,7 @@ def _difference(fit: Fit, other: Fit) -> float:
 
     At states where the equations of the fit hold, those of the other leave M₂ (q̈ − q̈₂).
     """
-    points, n = fit.points(_POINTS), fit.problem.candidates.n_dof
+    points, size = compared_accelerations(fit)
 
     def sides(law: Fit) -> np.ndarray:
         physics, index = law.grid.physics(law.structure)
@@ -77,9 +76,8 @@ def _difference(fit: Fit, other: Fit) -> float:
     physics, index = other.grid.physics(other.structure)
     mass = physics.columns.mass_matrix(points, other.coefficients[index])
     change = np.linalg.solve(mass, (sides(other) - sides(fit))[..., None])[..., 0]
-    size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
-    free = [i for i in range(n) if i not in fit.problem.prescribed]
-    return float(np.max((np.sqrt(np.mean(change**2, axis=0)) / np.maximum(size, 1e-300))[free]))
+    free = [i for i in range(len(size)) if i not in fit.problem.prescribed]
+    return float(np.max((np.sqrt(np.mean(change**2, axis=0)) / size)[free]))
 
 
 def _as_offered(found: Fit, names: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -19,6 +19,7 @@ from itertools import product
 import numpy as np
 
 from leastaction.data.validation import FloatArray
+from leastaction.diagnosis.effects import compared_accelerations
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.shapes import with_tangents
@@ -34,7 +35,6 @@ _VISITS = 20_000  # points of the motion that are looked at: its range and its c
 _ENDS = (0.01, 0.99)  # quantiles of the motion that the centres span
 _DEPENDENT = 1e-7  # of the greatest eigenvalue: directions that hardly differ from others
 _BOTH = "potential and kinetic"
-_POINTS = 400  # along the motion, at which accelerations are compared
 
 
 @dataclass(frozen=True)
@@ -163,10 +163,9 @@ def _accelerations(fit: Fit, candidates: EulerLagrange) -> tuple[FloatArray, Flo
 
     Prescribed coordinates do not change.
     """
-    points, n = fit.points(_POINTS), fit.problem.candidates.n_dof
+    points, size = compared_accelerations(fit)
     physics, index = fit.grid.physics(fit.structure)
     mass = physics.columns.mass_matrix(points, fit.coefficients[index])
     change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))
     change[:, list(fit.problem.prescribed)] = 0.0
-    size = np.sqrt(np.mean(np.stack(points.columns[2 * n : 3 * n]) ** 2, axis=1))
-    return change, np.maximum(size, 1e-300)
+    return change, size

@@ -11,7 +11,7 @@ last few control points before it: nothing of the size candidates × control poi
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,9 +42,7 @@ class CandidateBorder:
         out = np.zeros((len(self.control_points), n))
         (moved,) = np.nonzero(step)
         if moved.size:
-            moving = CandidateBorder(
-                self.linearisation, self.weights, self.control_points, self.candidates.subset(moved.tolist())
-            )
+            moving = replace(self, candidates=self.candidates.subset(moved.tolist()))
             for chunk, jacobian, columns in moving.stretches():
                 grid = self.linearisation.observations.grid
                 values = columns[:, :, 1:] @ step[moved]
@@ -68,12 +66,8 @@ class CandidateBorder:
                 by_interval(strong, columns[..., 1:])
                 columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
                 columns[..., :1] *= root
-                jacobian = root * part.jacobian[inside]
-                yield (
-                    chunk,
-                    jacobian.reshape(len(columns), n * n_quad, -1),
-                    columns.reshape(len(columns), n * n_quad, size),
-                )
+                shape = (len(columns), n * n_quad, -1)
+                yield chunk, (root * part.jacobian[inside]).reshape(shape), columns.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from the last link on, each a little above the smallest that leaves its inertia 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -76,6 +77,13 @@ class Chain:
     relative: bool
     left_out: tuple[str, ...]
     apart: float
+
+    def placed(self) -> Iterator[tuple[int, Link, float, float]]:
+        """Number from 1, link, height of its joint above that before, and 1 or −1: up or down along it."""
+        way, sign = 0.0, 1.0 if self.upright else -1.0
+        for number, link in enumerate(self.links, 1):
+            yield number, link, sign * way, sign
+            way = link.length
 
 
 def chain_of(model: LagrangianModel) -> Chain:
@@ -217,9 +225,9 @@ def write_mjcf(model: LagrangianModel) -> str:
     root.append(ET.Comment(_words(model, chain)))
     ET.SubElement(root, "compiler", {"angle": "radian"})
     ET.SubElement(root, "option", {"gravity": f"0 0 {-GRAVITY!r}", "timestep": "0.001", "integrator": "RK4"})
-    body, way, sign = ET.SubElement(root, "worldbody"), 0.0, 1.0 if chain.upright else -1.0
-    for k, link in enumerate(chain.links, 1):
-        body = ET.SubElement(body, "body", {"name": f"link{k}", "pos": f"0 0 {sign * way!r}"})
+    body = ET.SubElement(root, "worldbody")
+    for k, link, height, sign in chain.placed():
+        body = ET.SubElement(body, "body", {"name": f"link{k}", "pos": f"0 0 {height!r}"})
         joint = {"name": f"joint{k}", "type": "hinge", "axis": "0 -1 0", "damping": repr(link.damping)}
         ET.SubElement(body, "joint", joint)
         spin = " ".join([repr(link.inertia)] * 3)
@@ -231,7 +239,6 @@ def write_mjcf(model: LagrangianModel) -> str:
             "size": repr(link.length / 20),
         }
         ET.SubElement(body, "geom", {**end, "contype": "0", "conaffinity": "0"})
-        way = link.length
     return _text(root)
 
 
@@ -247,8 +254,7 @@ def write_urdf(model: LagrangianModel) -> str:
     root = ET.Element("robot", {"name": "leastaction_model"})
     root.append(ET.Comment(_words(model, chain)))
     ET.SubElement(root, "link", {"name": "base"})
-    way, sign = 0.0, 1.0 if chain.upright else -1.0
-    for k, link in enumerate(chain.links, 1):
+    for k, link, height, sign in chain.placed():
         part = ET.SubElement(root, "link", {"name": f"link{k}"})
         inertial = ET.SubElement(part, "inertial")
         ET.SubElement(inertial, "origin", {"xyz": f"0 0 {sign * link.centre!r}"})
@@ -258,10 +264,9 @@ def write_urdf(model: LagrangianModel) -> str:
         joint = ET.SubElement(root, "joint", {"name": f"joint{k}", "type": "continuous"})
         ET.SubElement(joint, "parent", {"link": f"link{k - 1}" if k > 1 else "base"})
         ET.SubElement(joint, "child", {"link": f"link{k}"})
-        ET.SubElement(joint, "origin", {"xyz": f"0 0 {sign * way!r}"})
+        ET.SubElement(joint, "origin", {"xyz": f"0 0 {height!r}"})
         ET.SubElement(joint, "axis", {"xyz": "0 -1 0"})
         ET.SubElement(joint, "dynamics", {"damping": repr(link.damping), "friction": "0"})
-        way = link.length
     return _text(root)
 
 

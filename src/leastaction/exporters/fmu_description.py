@@ -32,6 +32,7 @@ _UNITS = {
     "rad/s2": {"rad": "1", "s": "-2"},
 }
 """Units that are known whatever the data: name -> exponents of its base units."""
+_SOURCES = ("model.c", "motion.c")  # beside the file of the version
 
 
 def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
@@ -74,21 +75,17 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
 
 def model_description(name: str, version: int, table: list[Variable], token: str) -> str:
     """Return modelDescription.xml of FMI 2.0 or 3.0."""
-    given = {"guid" if version == 2 else "instantiationToken": token}
-    root = ET.Element(
-        "fmiModelDescription",
-        {"fmiVersion": f"{version}.0", "modelName": name, **given, "generationTool": "leastaction"},
-    )
+    head = {"fmiVersion": f"{version}.0", "modelName": name}
+    head |= {"guid" if version == 2 else "instantiationToken": token, "generationTool": "leastaction"}
+    root = ET.Element("fmiModelDescription", head)
     able = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "true"}
     if version == 2:
         able |= {"canNotUseMemoryManagementFunctions": "true", "canGetAndSetFMUstate": "true"}
-    else:
-        able |= {"canGetAndSetFMUState": "true"}
-    interface = ET.SubElement(root, "CoSimulation", able)
-    if version == 2:
-        sources = ET.SubElement(interface, "SourceFiles")
-        for file in _units(version):
+        sources = ET.SubElement(ET.SubElement(root, "CoSimulation", able), "SourceFiles")
+        for file in ("fmi2.c", *_SOURCES):
             ET.SubElement(sources, "File", {"name": file})
+    else:
+        ET.SubElement(root, "CoSimulation", able | {"canGetAndSetFMUState": "true"})
     used = {variable.unit for variable in table}
     definitions = ET.SubElement(root, "UnitDefinitions")
     for unit, exponents in _UNITS.items():
@@ -100,53 +97,41 @@ def model_description(name: str, version: int, table: list[Variable], token: str
     ET.SubElement(root, "DefaultExperiment", {"startTime": "0", "stopTime": "10", "stepSize": "0.01"})
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(table):
-        (_variable2 if version == 2 else _variable3)(listed, reference, variable)
+        _list(listed, version, reference, variable)
     _structure(root, version, table)
     return _text(root)
 
 
-def _attributes(reference: int, variable: Variable) -> dict[str, str]:
-    out = {
+def _list(listed: ET.Element, version: int, reference: int, variable: Variable) -> None:
+    attributes = {
         "name": variable.name,
         "valueReference": str(reference),
         "description": variable.description,
         "causality": variable.causality,
         "variability": variable.variability,
     }
-    return out if variable.initial is None else {**out, "initial": variable.initial}
-
-
-def _start(variable: Variable) -> dict[str, str]:
-    unit = {"unit": variable.unit} if variable.unit else {}
-    return unit if variable.start is None else {**unit, "start": repr(variable.start)}
-
-
-def _variable2(listed: ET.Element, reference: int, variable: Variable) -> None:
-    scalar = ET.SubElement(listed, "ScalarVariable", _attributes(reference, variable))
-    ET.SubElement(scalar, "Real", _start(variable))
-
-
-def _variable3(listed: ET.Element, reference: int, variable: Variable) -> None:
-    ET.SubElement(listed, "Float64", {**_attributes(reference, variable), **_start(variable)})
+    if variable.initial is not None:
+        attributes["initial"] = variable.initial
+    value = {"unit": variable.unit} if variable.unit else {}
+    if variable.start is not None:
+        value["start"] = repr(variable.start)
+    if version == 2:
+        ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", value)
+    else:
+        ET.SubElement(listed, "Float64", {**attributes, **value})
 
 
 def _structure(root: ET.Element, version: int, table: list[Variable]) -> None:
     structure = ET.SubElement(root, "ModelStructure")
     outputs = [k for k, v in enumerate(table) if v.causality == "output"]
     unknowns = [k for k in outputs if table[k].initial == "calculated"]
-    if version == 3:
-        for tag, places in (("Output", outputs), ("InitialUnknown", unknowns)):
-            for k in places:
-                ET.SubElement(structure, tag, {"valueReference": str(k)})
-        return
-    for tag, places in (("Outputs", outputs), ("InitialUnknowns", unknowns)):
-        group = ET.SubElement(structure, tag)
+    for tag, places in (("Output", outputs), ("InitialUnknown", unknowns)):
+        group = ET.SubElement(structure, f"{tag}s") if version == 2 else structure
         for k in places:
-            ET.SubElement(group, "Unknown", {"index": str(k + 1)})
-
-
-def _units(version: int) -> list[str]:
-    return [f"fmi{version}.c", "model.c", "motion.c"]
+            if version == 2:
+                ET.SubElement(group, "Unknown", {"index": str(k + 1)})
+            else:
+                ET.SubElement(group, tag, {"valueReference": str(k)})
 
 
 def build_description(name: str) -> str:
@@ -154,7 +139,7 @@ def build_description(name: str) -> str:
     root = ET.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     configuration = ET.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
     sources = ET.SubElement(configuration, "SourceFileSet", {"language": "C99"})
-    for file in _units(3):
+    for file in ("fmi3.c", *_SOURCES):
         ET.SubElement(sources, "SourceFile", {"name": file})
     ET.SubElement(configuration, "Library", {"name": "m"})
     return _text(root)

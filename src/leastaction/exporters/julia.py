@@ -6,28 +6,10 @@ from collections.abc import Sequence
 
 import sympy as sp
 
-from leastaction.exporters.shared import CPrinter, about, assignments, clock, equations
+from leastaction.exporters.shared import MathPrinter, about, assignments, clock, equations
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["write_julia", "write_modelica"]
-
-
-class _CaretPrinter(CPrinter):
-    """Scalar code of the languages that write powers with ``^``."""
-
-    def _print_RealAbs(self, expr):
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_RealSign(self, expr):
-        return f"sign({self._print(expr.args[0])})"
-
-    def _print_Pow(self, expr):
-        base = self._print(expr.base)
-        if abs(expr.exp) == sp.S.Half:
-            return f"sqrt({base})" if expr.exp > 0 else f"(1.0/sqrt({base}))"
-        if expr.exp.is_Integer and expr.exp < 0:
-            return f"(1.0/({base})^{-expr.exp})"
-        return f"(({base})^{self._print(expr.exp) if expr.exp.is_Integer else f'({self._print(expr.exp)})'})"
 
 
 _FUNCTIONS = """
@@ -57,7 +39,7 @@ def write_julia(model: LagrangianModel) -> str:
     n, mechanics, t = model.n_dof, model.mechanics, clock(model.mechanics)
 
     def body(expressions):
-        return assignments(expressions, mechanics, _CaretPrinter().doprint, "{array}[{i}]", 1)
+        return assignments(expressions, mechanics, MathPrinter().doprint, "{array}[{i}]", 1)
 
     lines = [
         *(f"# {line}" for line in about(model, "q[{i}]", 1)),
@@ -110,13 +92,12 @@ def write_modelica(model: LagrangianModel) -> str:
     """Return the package: functions of the state, and a model that moves."""
     n, mechanics = model.n_dof, model.mechanics
     entries = equations(mechanics)
-    rows = [entries[i * n : (i + 1) * n] for i in range(n)]
     lines = [
         *(f"// {line}" for line in about(model, "q[{i}]", 1)),
         'package LeastactionModel "A Lagrangian that leastaction found"',
     ]
     parts = (
-        ("mass_matrix", "mass matrix", f"mass[{n}, {n}]", [e for row in rows for e in row]),
+        ("mass_matrix", "mass matrix", f"mass[{n}, {n}]", entries[: n * n]),
         (
             "right_side",
             "what the accelerations times the mass matrix are without forces",
@@ -135,7 +116,7 @@ def _function(
     model: LagrangianModel, name: str, text: str, result: str, expressions: Sequence[sp.Expr]
 ) -> list[str]:
     n, mechanics = model.n_dof, model.mechanics
-    first, values = assignments(expressions, mechanics, _CaretPrinter().doprint, "{array}[{i}]", 1)
+    first, values = assignments(expressions, mechanics, MathPrinter().doprint, "{array}[{i}]", 1)
     array, _, size = result.partition("[")
     if not size:
         given = values[0]

@@ -5,46 +5,20 @@ from __future__ import annotations
 import re
 
 from leastaction.errors import InputError
-from leastaction.exporters.shared import CPrinter, about, assignments, clock, equations
+from leastaction.exporters.shared import MathPrinter, about, assignments, clock, equations
 from leastaction.identifiers import quoted
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["write"]
 
-_KEYWORDS = frozenset(
-    [
-        "break",
-        "case",
-        "catch",
-        "classdef",
-        "continue",
-        "else",
-        "elseif",
-        "end",
-        "for",
-        "function",
-        "global",
-        "if",
-        "otherwise",
-        "parfor",
-        "persistent",
-        "return",
-        "spmd",
-        "switch",
-        "try",
-        "while",
-    ]
+_KEYWORD = re.compile(
+    "break|case|catch|classdef|continue|else|elseif|end|for|function|global|if|otherwise|parfor|persistent"
+    "|return|spmd|switch|try|while"
 )
 
 
-class _MatlabPrinter(CPrinter):
+class _MatlabPrinter(MathPrinter):
     """Scalar code. Where a real result does not exist, the real* functions stop; others become complex."""
-
-    def _print_RealAbs(self, expr):
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_RealSign(self, expr):
-        return f"sign({self._print(expr.args[0])})"
 
     def _print_log(self, expr):
         return f"reallog({self._print(expr.args[0])})"
@@ -145,7 +119,7 @@ def _function_name(file: str) -> str:
     stem, dot, suffix = file.rpartition(".")
     if not (dot and suffix == "m"):
         raise InputError(f"{quoted(file)} does not end in .m; MATLAB looks for such files, e.g. pendulum.m")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", stem) or stem in _KEYWORDS:
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", stem) or _KEYWORD.fullmatch(stem):
         raise InputError(
             f"{quoted(file)} cannot be called in MATLAB; begin with a letter, then letters, digits and "
             "underscores, at most 63, no keyword, e.g. pendulum.m"

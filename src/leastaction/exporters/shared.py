@@ -12,7 +12,7 @@ from leastaction.library import format_expression
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["CPrinter", "PythonPrinter", "about", "assignments", "clock", "equations", "unused"]
+__all__ = ["CPrinter", "MathPrinter", "PythonPrinter", "about", "assignments", "clock", "equations", "unused"]
 
 
 def unused(name: str, taken: Sequence[str]) -> str:
@@ -125,3 +125,21 @@ class CPrinter(_CodeMixin, C99CodePrinter):
             product = "*".join([self._print(expr.base)] * abs(int(expr.exp)))
             return f"({product})" if expr.exp > 0 else f"(1.0/({product}))"
         return super()._print_Pow(expr)
+
+
+class MathPrinter(CPrinter):
+    """Scalar code of the languages that write powers with ``^``: Julia, Modelica, MATLAB."""
+
+    def _print_RealAbs(self, expr):
+        return f"abs({self._print(expr.args[0])})"
+
+    def _print_RealSign(self, expr):
+        return f"sign({self._print(expr.args[0])})"
+
+    def _print_Pow(self, expr):
+        base = self._print(expr.base)
+        if abs(expr.exp) == sp.S.Half:
+            return f"sqrt({base})" if expr.exp > 0 else f"(1.0/sqrt({base}))"
+        if expr.exp.is_Integer and expr.exp < 0:
+            return f"(1.0/({base})^{-expr.exp})"
+        return f"(({base})^{self._print(expr.exp) if expr.exp.is_Integer else f'({self._print(expr.exp)})'})"

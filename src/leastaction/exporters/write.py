@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import Literal, overload
+from typing import Literal, TypeAlias, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
@@ -15,13 +15,12 @@ from leastaction.model.model import LagrangianModel
 __all__ = ["export"]
 
 
-def _latex(model: LagrangianModel) -> str:
-    return f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n"
+_Path: TypeAlias = "str | os.PathLike[str] | None"
 
 
 _PLAIN = {
     "sympy": sympy.write,
-    "latex": _latex,
+    "latex": lambda model: f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n",
     "python": python.write,
     "c": c.write,
     "casadi": casadi.write,
@@ -34,21 +33,17 @@ _PLAIN = {
 
 
 @overload
-def export(
-    model: LagrangianModel, format: Literal["fmu2", "fmu3"], path: str | os.PathLike[str] | None = None
-) -> bytes: ...
+def export(model: LagrangianModel, format: Literal["fmu2", "fmu3"], path: _Path = None) -> bytes: ...
 @overload
 def export(
     model: LagrangianModel,
     format: Literal[
         "sympy", "latex", "python", "c", "casadi", "jax", "julia", "modelica", "mjcf", "urdf", "matlab"
     ],
-    path: str | os.PathLike[str] | None = None,
+    path: _Path = None,
 ) -> str: ...
 @overload
-def export(
-    model: LagrangianModel, format: str, path: str | os.PathLike[str] | None = None
-) -> str | bytes: ...
+def export(model: LagrangianModel, format: str, path: _Path = None) -> str | bytes: ...
 def export(model, format, path=None):
     """Write a model as a text or file that needs nothing of leastaction.
 

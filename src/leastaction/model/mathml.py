@@ -10,13 +10,16 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from html import escape
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from markupsafe import Markup
 
 from leastaction.findings import Finding
 from leastaction.identifiers import split_name, split_names, written_name
 from leastaction.model.notation import rounded
+
+if TYPE_CHECKING:
+    from leastaction.model.term import ModelTerm
 
 __all__ = ["Notation", "Number", "number_parts"]
 
@@ -101,6 +104,13 @@ class Notation:
         lead = f'<mo form="infix">{sign}</mo>' if sign and not first else f"<mo>{sign}</mo>" if sign else ""
         between = "<mo>·</mo>" if re.match(r"[\d.]+(?!\d*/)", text) else _THIN
         return _math(f"{lead}{body}{power}{between}{self._expression(text, _PRODUCT)}")
+
+    def addends(self, terms: Sequence[ModelTerm]) -> list[Markup]:
+        """The addends of a law, each coefficient with its error below or marked as known."""
+        return [
+            self.addend(t.written, t.coefficient, t.standard_error, "known" if t.known else "", k == 0)
+            for k, t in enumerate(terms)
+        ]
 
     def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
         head, subscript = self._parts[coordinate]

@@ -25,6 +25,7 @@ __all__ = ["ShownModel"]
 
 _NOT_FITTED = {"marker": "s", "markerfacecolor": "none", "linestyle": "none", "color": "0.45"}
 _FITTED = {"marker": "o", "linestyle": "none", "capsize": 3}
+_EQUALS = Markup('<math><mrow><mi class="q" mathvariant="normal">{}</mi><mo>=</mo></mrow></math>')
 
 
 class ShownModel(Shown):
@@ -118,10 +119,7 @@ class ShownModel(Shown):
         found = sorted(model.fit.findings, key=lambda finding: finding.severity != "warning")
         return Card(
             f"LagrangianModel of {', '.join(model.coordinates)}",
-            [
-                status,
-                Typeset(formula(model, None, False), _formulas(model)),
-            ],
+            [status, Typeset(formula(model, None, False), _formulas(model))],
             table,
             [f"{kinds[finding.severity]}{finding}" for finding in found],
         )
@@ -147,16 +145,6 @@ def _formulas(model: LagrangianModel) -> Markup:
     lines: list[Markup] = []
     for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
         if terms:
-            parts = [
-                Markup(
-                    '<math><mrow><mi class="q" mathvariant="normal">{}</mi><mo>=</mo></mrow></math>'
-                ).format(name)
-            ]
-            parts += [
-                notation.addend(
-                    t.written, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
-                )
-                for k, t in enumerate(terms)
-            ]
-            lines.append(Markup('<span class="formula">{}</span>').format(Markup(" ").join(parts)))
+            parts = Markup(" ").join([_EQUALS.format(name), *notation.addends(terms)])
+            lines.append(Markup('<span class="formula">{}</span>').format(parts))
     return Markup("").join(lines)

@@ -8,14 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
 
 from leastaction.report.svg import Colour, dot_path, line_path, number, path, sample_path, stroke, text
-from leastaction.report.ticks import Linear, Scale, Ticks, with_power
+from leastaction.report.text import with_power
+from leastaction.report.ticks import Linear, Scale, Ticks
 
-__all__ = ["HALF", "THIRD", "Axes", "Frame", "shortened"]
+__all__ = ["HALF", "THIRD", "Axes", "Frame", "shortened", "thin_line"]
 
 HALF, THIRD = (520.0, 220.0), (340.0, 210.0)
 """Width and height in pixels of a panel of which two, or three, stand beside each other."""
@@ -28,6 +30,7 @@ _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
 _DIGIT, _LETTER = 9.8, 10.5
 _SPARSE = 16.0  # px from sample to sample, from which on dots do not hide the line below them
 _WIDER = {"−": 1.35, ".": 0.5}  # in digits
+_LINE_POINTS = 900
 _BEHIND, _GRID, _FILL, _DOTS, _LINES, _ABOVE = range(6)  # what is drawn later covers what was earlier
 
 Ends = tuple[float | None, float | None]
@@ -317,3 +320,17 @@ def shortened(words: str, limit: int) -> str:
         return words
     head = (limit - 1) // 2
     return f"{words[:head]}…{words[len(words) - (limit - 1 - head) :]}"
+
+
+def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """Keep the lowest and highest point of each of `n_points` / 2 stretches: no peak is lost."""
+    if t.size <= n_points:
+        return t, y
+    edges = np.linspace(0, t.size, n_points // 2 + 1).astype(int)
+    keep = {0, t.size - 1}
+    for a, b in pairwise(edges):
+        part = y[a:b]
+        if np.isfinite(part).any():
+            keep |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
+    index = np.array(sorted(keep))
+    return t[index], y[index]

@@ -8,8 +8,8 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.model.mathml import Notation
-from leastaction.report.axes import HALF, Axes
-from leastaction.report.series import Series, sample_times, thin_line
+from leastaction.report.axes import HALF, Axes, thin_line
+from leastaction.report.series import Series
 from leastaction.report.text import plain
 
 __all__ = ["DataFigures"]
@@ -32,7 +32,7 @@ class DataFigures:
         start, stop = self.series.zoom
         axes.band(x=(start, stop))
         axes.samples(trial.t, trial.q[:, i], 4.4)
-        t = sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
+        t = _sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
         axes.line(*thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), "fit", 1.1)
         axes.label("t (s)", name, y_unit=self._unit(i))
         said = f"{trial.n_samples} samples, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
@@ -43,7 +43,7 @@ class DataFigures:
         name, trial = self._name(i, derivative), self.series.shown
         start, stop = self.series.zoom
         axes = Axes(HALF)
-        t = sample_times(start, stop, self._share(_ZOOM_POINTS))
+        t = _sample_times(start, stop, self._share(_ZOOM_POINTS))
         if derivative == 0:
             inside = (trial.t >= start) & (trial.t <= stop)
             axes.samples(trial.t[inside], trial.q[inside, i], 4.4)
@@ -114,3 +114,8 @@ class DataFigures:
 
     def _unit(self, i: int, derivative: int = 0) -> str:
         return self.units[i] + ("", "/s", "/s²")[derivative]
+
+
+def _sample_times(start: float, stop: float, n_times: int) -> np.ndarray:
+    """Equal steps, at most 20 000."""
+    return np.linspace(start, stop, int(min(max(n_times, 2), 20_000)))

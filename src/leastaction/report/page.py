@@ -145,19 +145,7 @@ def _data(series: Series, notation: Notation, units: tuple[str, ...]) -> dict[st
 
 def _formulas(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
     groups = (("L", model.terms), ("ψ", model.dissipation))
-    return [
-        {
-            "name": name,
-            "addends": [
-                notation.addend(
-                    t.written, t.coefficient, t.standard_error, "known" if t.known else "", k == 0
-                )
-                for k, t in enumerate(terms)
-            ],
-        }
-        for name, terms in groups
-        if terms
-    ]
+    return [{"name": name, "addends": notation.addends(terms)} for name, terms in groups if terms]
 
 
 def _motions(model: LagrangianModel, notation: Notation) -> dict[str, Any]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 import sympy as sp
@@ -14,10 +13,9 @@ from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import Diagnostics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["Energy", "Series", "sample_times", "thin_line"]
+__all__ = ["Energy", "Series"]
 
 _ZOOM_SAMPLES = (100, 260)  # fewest and most sampling intervals of the zoom
-_LINE_POINTS = 900
 _LAGS = 40
 
 
@@ -141,25 +139,6 @@ def _friction_power(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray) -> 
     function = sp.lambdify(neutral, power, modules="numpy", cse=True)
     with np.errstate(all="ignore"):
         return np.broadcast_to(np.asarray(function(*q.T, *qdot.T), dtype=float), (len(q),))
-
-
-def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Keep the lowest and highest point of each of `n_points` / 2 stretches: no peak is lost."""
-    if t.size <= n_points:
-        return t, y
-    edges = np.linspace(0, t.size, n_points // 2 + 1).astype(int)
-    keep = {0, t.size - 1}
-    for a, b in pairwise(edges):
-        part = y[a:b]
-        if np.isfinite(part).any():
-            keep |= {a + int(np.nanargmin(part)), a + int(np.nanargmax(part))}
-    index = np.array(sorted(keep))
-    return t[index], y[index]
-
-
-def sample_times(start: float, stop: float, n_times: int) -> np.ndarray:
-    """Equal steps, at most 20 000."""
-    return np.linspace(start, stop, int(min(max(n_times, 2), 20_000)))
 
 
 def _diagnostics(model: LagrangianModel) -> Diagnostics:

@@ -8,7 +8,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = ["aligned", "listed", "percent", "plain", "plural", "signed", "typeset", "typeset_all"]
+__all__ = [
+    "aligned",
+    "in_powers",
+    "listed",
+    "percent",
+    "plain",
+    "plural",
+    "signed",
+    "typeset",
+    "typeset_all",
+    "with_power",
+]
 
 _NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:\(\d+\))?(?:e[-+]\d+)?")
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -110,3 +121,28 @@ def listed(names: Sequence[str], limit: int = 8) -> str:
     """Names in a row, the last ones counted."""
     more = len(names) - limit
     return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
+
+
+def in_powers(level: int) -> str:
+    """The value at a whole place of a folded axis.
+
+    Examples
+    --------
+    >>> in_powers(2), in_powers(-4), in_powers(0)
+    ('100', '−10⁴', '0')
+    """
+    size = str(10 ** abs(level)) if abs(level) <= 3 else f"10{str(abs(level)).translate(_SUPERSCRIPTS)}"
+    return f"{'−' if level < 0 else ''}{size}" if level else "0"
+
+
+def with_power(quantity: str, power: int, unit: str) -> str:
+    """A quantity with what its numbers are to be multiplied with.
+
+    Examples
+    --------
+    >>> with_power("x", -6, "m"), with_power("x", 0, "m"), with_power("x", 3, ""), with_power("x", 0, "")
+    ('x (10⁻⁶ m)', 'x (m)', 'x (10³)', 'x')
+    """
+    scale = f"10{str(power).translate(_SUPERSCRIPTS)}" if power else ""
+    inside = f"{scale} {unit}".strip()
+    return f"{quantity} ({inside})" if inside else quantity

@@ -10,9 +10,10 @@ from typing import Protocol
 
 import numpy as np
 
-__all__ = ["Folded", "Linear", "Scale", "Ticks", "folded", "in_powers", "with_power"]
+from leastaction.report.text import in_powers
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+__all__ = ["Folded", "Linear", "Scale", "Ticks", "folded"]
+
 _LINEAR = 10.0  # a folded axis is linear within this and logarithmic beyond
 _SMALLEST = 1e-300  # a step below it could vanish where it is divided
 
@@ -138,25 +139,6 @@ def folded(values: np.ndarray) -> np.ndarray:
     size = np.abs(values)
     beyond = 1.0 + np.log10(np.maximum(size, _LINEAR) / _LINEAR)
     return np.sign(values) * np.where(size <= _LINEAR, size / _LINEAR, beyond)
-
-
-def in_powers(level: int) -> str:
-    """The value at a whole place of a folded axis."""
-    size = str(10 ** abs(level)) if abs(level) <= 3 else f"10{str(abs(level)).translate(_RAISED)}"
-    return f"{'−' if level < 0 else ''}{size}" if level else "0"
-
-
-def with_power(quantity: str, power: int, unit: str) -> str:
-    """A quantity with what its numbers are to be multiplied with.
-
-    Examples
-    --------
-    >>> with_power("x", -6, "m"), with_power("x", 0, "m"), with_power("x", 3, ""), with_power("x", 0, "")
-    ('x (10⁻⁶ m)', 'x (m)', 'x (10³)', 'x')
-    """
-    scale = f"10{str(power).translate(_RAISED)}" if power else ""
-    inside = f"{scale} {unit}".strip()
-    return f"{quantity} ({inside})" if inside else quantity
 
 
 def _written(places: Sequence[float]) -> tuple[list[str], int]:

@@ -1,44 +1,11 @@
-"""Further systems with potentials that are no cosines: double well, Hénon–Heiles, Kepler, Morse."""
+"""Further systems that move freely in a plane: Hénon–Heiles, Kepler, Morse."""
 
 from __future__ import annotations
 
 import math
 
-from leastaction.systems._draw import TwoSines, Uniform, Within
+from leastaction.systems._draw import Uniform, Within
 from leastaction.systems._system import MechanicalSystem
-
-
-def double_well(
-    m: float = 1.0, a: float = 2.0, b: float = 1.0, viscous: float = 0.1, coulomb: float = 0.15
-) -> MechanicalSystem:
-    """Duffing's oscillator with two wells, driven, with viscous and Coulomb friction.
-
-    L = ½mẋ² + ½ax² − ¼bx⁴; the Coulomb friction is smoothed below 0.01 m/s. Start: |x| < 2, rates within ±1.
-    """
-    return MechanicalSystem(
-        name="double_well",
-        title="Double well",
-        coordinates=("x",),
-        parameters={"m": m, "a": a, "b": b, "viscous": viscous, "coulomb": coulomb},
-        lagrangian={"x_dot**2": 0.5 * m, "x**2": 0.5 * a, "x**4": -0.25 * b},
-        dissipation={"x_dot**2/2": viscous, "sqrt(x_dot**2+1/10000)": coulomb},
-        library=(
-            "x_dot**2",
-            "x_dot**4",
-            "x_dot**2*x",
-            "x_dot**2*x**2",
-            "x",
-            "x**2",
-            "x**3",
-            "x**4",
-            "x**5",
-            "x**6",
-            "cos(x)",
-        ),
-        initial=Uniform(q=((-2.0, 2.0),), qdot=((-1.0, 1.0),)),
-        forcing=TwoSines((2.0,)),
-        reference="Guckenheimer & Holmes, Nonlinear Oscillations, section 2.2",
-    )
 
 
 def henon_heiles(m: float = 1.0, k: float = 1.0, c: float = 1.0) -> MechanicalSystem:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from leastaction.errors import InputError
-from leastaction.systems import _arms, _chains, _magnetic, _pendulums, _potentials, _springs
+from leastaction.systems import _arms, _chains, _pendulums, _potentials, _springs
 from leastaction.systems._system import MechanicalSystem
 
 _MAKERS = {
@@ -15,7 +15,7 @@ _MAKERS = {
     "chaotic_pendulum": _pendulums.chaotic_pendulum,
     "cart_spring_pendulum": _springs.cart_spring_pendulum,
     "spherical_spring_pendulum": _springs.spherical_spring_pendulum,
-    "magnetic_pendulum": _magnetic.magnetic_pendulum,
+    "magnetic_pendulum": _pendulums.magnetic_pendulum,
 }
 _FURTHER = {
     "triple_pendulum": _arms.triple_pendulum,
@@ -24,7 +24,7 @@ _FURTHER = {
     "elastic_pendulum_cart": _arms.elastic_pendulum_cart,
     "spring_chain": _chains.spring_chain,
     "toda_chain": _chains.toda_chain,
-    "double_well": _potentials.double_well,
+    "double_well": _chains.double_well,
     "henon_heiles": _potentials.henon_heiles,
     "kepler_orbit": _potentials.kepler_orbit,
     "morse_molecule": _potentials.morse_molecule,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def read_mat_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
 
 def _read_mat73(path: Path, layout: Layout) -> tuple[Layout, Table]:
     try:
-        import h5py
+        h5py: Any = import_module("h5py")
     except ImportError:
         what = f"{path}: reading MAT files of version 7.3"
         raise MissingPackageError(what, "h5py", "mat73", "save with -v7 in MATLAB") from None

@@ -128,7 +128,7 @@ def _wanted(layout: Layout) -> list[str]:
 def _parquet(path: Path) -> Generator[Any]:
     """An open Parquet file."""
     try:
-        import pyarrow.parquet as parquet
+        parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
         raise MissingPackageError(f"{path}: reading Parquet", "pyarrow", "parquet") from None
     if read_bytes(path, 4) != b"PAR1":

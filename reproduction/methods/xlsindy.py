@@ -36,16 +36,16 @@ cancel the known one can leave less of a residual than the true ones do.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
 import leastaction as la
-from reproduction.methods._lagrangian import acceleration_of
-from reproduction.problem import Answer, Problem
+from reproduction.problem import Answer, Problem, acceleration_of
 
-__all__ = ["States", "solve_from"]
+__all__ = ["exact_states", "xlsindy_exact", "xlsindy_positions"]
 
 BATCH = 128
 EPOCHS = 300  # a stage; 100 to 500 in the paper
@@ -171,17 +171,8 @@ def _choose(equations: Equations, lengths: list[int], seed: int) -> tuple[float,
     return pairs[int(np.argmin(np.where(good, price, np.inf)))]
 
 
-def solve_from(problem: Problem, states: States, started: float) -> Answer:
-    """Find the coefficients from given q, q̇ and q̈.
-
-    Parameters
-    ----------
-    problem : Problem
-    states : list of (array, array or None)
-        For each trajectory q, q̇, q̈ as one (n_times, 3, n_dof) array, and the forces.
-    started : float
-        ``time.perf_counter()`` at the beginning of the run, for the history.
-    """
+def _solve_from(problem: Problem, states: States, started: float) -> Answer:
+    """Find the coefficients from given q, q̇ and q̈; `started`, for the history, is when the run began."""
     equations, texts = _equations(problem, states)
     seed = problem.case.seed
     pair = _choose(equations, [len(s) for s, _ in states], seed)
@@ -216,3 +207,54 @@ def solve_from(problem: Problem, states: States, started: float) -> Answer:
         },
         history=history,
     )
+
+
+# ------------------------------------------------------------- the two methods: where q̇ and q̈ come from
+def exact_states(problem: Problem) -> States:
+    """Measured positions with exact rates whose noise is of the case's level, as the authors give them.
+
+    The level is relative to the standard deviation of each rate over all trajectories, or absolute (in
+    units of the rate), as for the positions.  Samples without all positions are left out.
+    """
+    case, rng = problem.case, np.random.default_rng([problem.case.seed, 0])
+    sigma = {}
+    for name in ("qdot", "qddot"):
+        spread = np.concatenate([getattr(motion, name) for motion in problem.truth]).std(axis=0)
+        sigma[name] = case.noise * (spread if case.noise_convention == "relative" else 1.0)
+    out = []
+    for motion, measured in zip(problem.truth, problem.data, strict=True):
+        rates = [
+            exact + sigma[name] * rng.standard_normal(exact.shape)
+            for name, exact in (("qdot", motion.qdot), ("qddot", motion.qddot))
+        ]
+        whole = np.isfinite(measured.q).all(axis=1)
+        stacked = np.stack([measured.q, *rates], axis=1)[whole]
+        out.append((stacked, None if motion.forces is None else motion.forces[whole]))
+    return out
+
+
+def smoothed_states(problem: Problem) -> States:
+    """What a user has: velocities and accelerations from smoothed positions."""
+    return [
+        (np.stack([motion.q, motion.qdot, motion.qddot], axis=1), measured.forces)
+        for motion, measured in zip(la.smooth(problem.data), problem.data, strict=True)
+    ]
+
+
+@dataclass(frozen=True)
+class _Method:
+    TITLE: str
+    REFERENCE: str
+    states: Callable[[Problem], States]
+
+    def solve(self, problem: Problem) -> Answer:
+        started = time.perf_counter()
+        return _solve_from(problem, self.states(problem), started)
+
+
+xlsindy_exact = _Method("xL-SINDy (given q̇, q̈)", "Purnomo & Hayashibe 2023, Sci Rep 13:7919", exact_states)
+xlsindy_positions = _Method(
+    "xL-SINDy (positions only)",
+    "Purnomo & Hayashibe 2023, Sci Rep 13:7919; splines by la.smooth",
+    smoothed_states,
+)

@@ -1,3 +1,0 @@
-from sympy import StrPrinter
-
-class C99CodePrinter(StrPrinter): ...
