@@ -13,6 +13,7 @@ from leastaction import systems
 from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
+from leastaction.diagnosis.verdict import _perhaps_degrees
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
@@ -315,6 +316,17 @@ def test_an_angle_in_degrees():
     degrees = Doubts(data, PENDULUM_LIBRARY, known={"theta_dot**2": 0.5}).one("angle-in-degrees")
     assert degrees.subject == ("theta",)
     assert degrees.values["span"] == pytest.approx(max(np.ptp(t.q) for t in data), rel=0.05)
+
+
+def test_a_wheel_that_turns_is_not_in_degrees_if_its_simulations_follow():
+    """Many turns alone do not tell; the pendulum above in degrees is not followed."""
+    t = np.arange(0.0, 8.0, 0.02)
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, t.size)
+    wheel = la.Trajectory(t, t**2 + noise, forces=np.full(t.size, 2.0), coordinates=["phi"])
+    library = la.Library(["phi_dot**2", "cos(phi)"], ["phi"], angles=["phi"])
+    search = find_structure(begin_search(build_problem(wheel, Request(library))))
+    assert np.ptp(wheel.q) > 4.0 * np.pi
+    assert _perhaps_degrees(search.found, 2.0) == []
 
 
 def test_rivals_come_with_the_experiment_that_separates_them():
