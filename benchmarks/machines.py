@@ -3,7 +3,7 @@
 A machine is a pendulum, a double pendulum with a relative angle, a cart with a pendulum, a mass on a spring
 that stiffens, a rotary pendulum or a pendulum of variable length, all driven, of random size and friction
 (none, viscous, dry or both in each joint), with what real machines add: vibration that nobody measures,
-ripple of a gear, encoders with steps, torques that are held between the ticks of a controller, noisy and late.
+ripple of a gear, encoders with steps, torques that are held between the ticks of a controller, noisy, late.
 Viscous and dry friction of each joint are offered, for pairs of angles also
 those of the relative (or absolute) rate.
 

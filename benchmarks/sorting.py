@@ -10,9 +10,9 @@ is not in the table, a torque of a wrong scale (or far too late, where there is 
 held out.
 
 Half of the kinds are aside: no rule was set on them.  A structure is wrong if it differs from that of the
-machine, and materially wrong if accelerations along the held-out trial are off by more than 5 %, too.  A result
-is as good as the truth if its forecasts of the held-out trial are off by at most a tenth more than those of the
-true law with the true numbers.
+machine, and materially wrong if accelerations along the held-out trial are off by more than 5 %, too.  A
+result is as good as the truth if its forecasts of the held-out trial are off by at most a tenth more than
+those of the true law with the true numbers.
 """
 
 from __future__ import annotations
