@@ -22,6 +22,7 @@ from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
+from set_ups import _pendulum
 
 
 class Doubts:
@@ -59,6 +60,14 @@ def test_delayed_forces():
     # recorded 30 ms before they act
     late = Doubts(*driven(delay=0.03)).one("late-forces")
     assert 0.02 <= late.values["delay"] <= 0.04
+
+
+def test_a_delay_is_not_named_again_as_negative_friction():
+    """20 ms feed energy in as friction of the wrong sign would."""
+    data = _pendulum(6, pushed=0.4, noise=1e-4)
+    data = [t.changed(forces=np.interp(t.t + 0.02, t.t, t.forces[:, 0])[:, None]) for t in data]
+    doubts = Doubts(la.Trajectories(data), ["theta_dot**2", "cos(theta)"], dissipation="auto")
+    assert set(doubts.codes) == {"equations-off", "late-forces"}
 
 
 def test_a_delay_too_small_to_matter_is_a_note():
