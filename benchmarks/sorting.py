@@ -119,7 +119,7 @@ def carried_out(case: Case) -> dict:
         "absent": len(machine.offered) - len(true),
         "off": _off(model, truth, held),
         "stated": stated["error"] if stated else None,
-        "measured": _error(model, held, horizon, spread),
+        "measured": _error(model, asked.data.select(names[FITTED:]), horizon, spread),  # forces as told
         "truth": _error(truth, held, horizon, spread),
         "terms": sorted([*terms, *found]),
         "seconds": round(seconds, 2),
@@ -197,8 +197,9 @@ def _lines(part: list[tuple[Case, dict]]) -> Iterable[str]:
     there, absent = (sum(r[name] for r in sound) for name in ("there", "absent"))
     yield f"  sound set-ups: {len(sound)}, friction missed {missed}/{there}, spurious {spurious}/{absent}"
     for name, some in (("ok", ok), ("usable", usable), ("doubtful", doubtful)):
-        median = 100.0 * np.median([r["off"] for r in some]) if some else np.nan
-        yield f"  {name}: accelerations off by {median:.1f} % (median of {len(some)})"
+        if some:
+            median = 100.0 * np.median([r["off"] for r in some])
+            yield f"  {name}: accelerations off by {median:.1f} % (median of {len(some)})"
 
 
 @click.command()
