@@ -1,9 +1,10 @@
 """Friction on simulated machines: how often it is found, and how often found where there is none.
 
-A machine is a pendulum, a double pendulum with a relative angle, or a cart with a pendulum, all driven, of
-random size and friction (none, viscous, dry or both in each joint), with what real machines add: vibration
-that nobody measures, ripple of a gear, encoders with steps, torques that are held between the ticks of a
-controller, noisy and late.  Viscous and dry friction of each joint are offered, for pairs of angles also
+A machine is a pendulum, a double pendulum with a relative angle, a cart with a pendulum, a mass on a spring
+that stiffens, a rotary pendulum or a pendulum of variable length, all driven, of random size and friction
+(none, viscous, dry or both in each joint), with what real machines add: vibration that nobody measures,
+ripple of a gear, encoders with steps, torques that are held between the ticks of a controller, noisy, late.
+Viscous and dry friction of each joint are offered, for pairs of angles also
 those of the relative (or absolute) rate.
 
     python -m benchmarks.machines --first 0 --count 20 --kind pendulum
@@ -29,7 +30,7 @@ from leastaction.selection.search_state import begin_search
 from leastaction.simulation.integrate import rk4
 from leastaction.threads import single_threaded
 
-KINDS = ("pendulum", "arm", "cart")
+KINDS = ("pendulum", "arm", "cart", "resonator", "rotary", "crane")
 TRIALS, DURATION, RATE, FINE = 4, 6.0, 200.0, 2000.0
 _G, _SMOOTH = 9.81, 0.01
 
@@ -44,6 +45,17 @@ class Plant:
     start: tuple[float, ...]
     accelerate: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
     angles: tuple[str, ...]
+    size: str = "compact"
+    rest: tuple[float, ...] = (0.0,)
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much is recorded."""
+
+    trials: int = TRIALS
+    duration: float = DURATION
+    rate: float = RATE
 
 
 @dataclass(frozen=True)
@@ -121,7 +133,61 @@ def _cart(rng: np.random.Generator) -> Plant:
     return Plant(("q1", "q2"), law, (0.5 * k, 0.3 * m * _G * length), (0.5, 1.0), accelerate, ("q2",))
 
 
-_PLANTS = {"pendulum": _pendulum, "arm": _arm, "cart": _cart}
+def _resonator(rng: np.random.Generator) -> Plant:
+    mass, k, cubic = rng.uniform(0.5, 2.0), rng.uniform(10.0, 60.0), rng.uniform(10.0, 100.0)
+
+    def accelerate(q: np.ndarray, v: np.ndarray, f: np.ndarray) -> np.ndarray:
+        return (f - k * q - cubic * q**3) / mass
+
+    law = {"q1_dot**2": mass / 2.0, "q1**2": -k / 2.0, "q1**4": -cubic / 4.0}
+    return Plant(("q1",), law, (0.5 * k,), (0.5,), accelerate, (), "standard")
+
+
+def _rotary(rng: np.random.Generator) -> Plant:
+    inertia, m, arm, length = rng.uniform(0.02, 0.1), *rng.uniform(0.2, 0.5, 3)
+    a, b, c, weight = inertia + m * arm**2, m * length**2, m * arm * length, m * _G * length
+
+    def accelerate(q: np.ndarray, v: np.ndarray, f: np.ndarray) -> np.ndarray:
+        q2, (v1, v2) = q[..., 1], np.moveaxis(v, -1, 0)
+        cos, sin = np.cos(q2), np.sin(q2)
+        r1 = f[..., 0] - 2.0 * b * sin * cos * v1 * v2 + c * sin * v2**2
+        r2 = f[..., 1] + b * sin * cos * v1**2 - weight * sin
+        m11, m12, m22 = a + b * sin**2, c * cos, b
+        det = m11 * m22 - m12**2
+        return np.stack([(m22 * r1 - m12 * r2) / det, (m11 * r2 - m12 * r1) / det], axis=-1)
+
+    law = {
+        "q1_dot**2": a / 2.0,
+        "q1_dot**2*sin(q2)**2": b / 2.0,
+        "q1_dot*q2_dot*cos(q2)": c,
+        "q2_dot**2": b / 2.0,
+        "cos(q2)": weight,
+    }
+    return Plant(("q1", "q2"), law, (0.5 * weight, 0.3 * weight), (1.0, 1.0), accelerate, ("q1", "q2"))
+
+
+def _crane(rng: np.random.Generator) -> Plant:
+    m, k, length = rng.uniform(0.5, 2.0), rng.uniform(40.0, 120.0), rng.uniform(0.8, 1.5)
+
+    def accelerate(q: np.ndarray, v: np.ndarray, f: np.ndarray) -> np.ndarray:
+        (r, q2), (v1, v2) = np.moveaxis(q, -1, 0), np.moveaxis(v, -1, 0)
+        a1 = (f[..., 0] + m * _G * np.cos(q2) - k * (r - length)) / m + r * v2**2
+        a2 = (f[..., 1] - m * r * (2.0 * v1 * v2 + _G * np.sin(q2))) / (m * r**2)
+        return np.stack([a1, a2], axis=-1)
+
+    law = {
+        "q1_dot**2": m / 2.0,
+        "q2_dot**2*q1**2": m / 2.0,
+        "q1*cos(q2)": m * _G,
+        "q1**2": -k / 2.0,
+        "q1": k * length,
+    }
+    drive = (0.1 * k, 0.3 * m * _G * length)
+    rest = (length + m * _G / k, 0.0)
+    return Plant(("q1", "q2"), law, drive, (0.1, 1.0), accelerate, ("q2",), rest=rest)
+
+
+_PLANTS = dict(zip(KINDS, (_pendulum, _arm, _cart, _resonator, _rotary, _crane), strict=True))
 
 
 def _friction(rng: np.random.Generator, plant: Plant, rates: np.ndarray) -> dict[str, float]:
@@ -150,18 +216,19 @@ def _faults(rng: np.random.Generator) -> dict[str, float]:
     }
 
 
-def draw(kind: str, seed: int) -> Machine:
-    """The machine of a seed, with its recordings."""
+def draw(kind: str, seed: int, extent: Extent | None = None, less: float = 1.0) -> Machine:
+    """The machine of a seed, with its recordings; faults may be less than usual."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
-    plant = _PLANTS[kind](rng)
+    plant, extent = _PLANTS[kind](rng), extent or Extent()
     faults = _faults(rng)
-    n, drive = len(plant.names), np.array(plant.drive)
-    fine, step = np.arange(0.0, DURATION, 1.0 / FINE), round(FINE / RATE)
+    faults |= {name: less * faults[name] for name in ("vibration", "ripple", "encoder", "noise", "late")}
+    n, drive, trials = len(plant.names), np.array(plant.drive), extent.trials
+    fine, step = np.arange(0.0, extent.duration, 1.0 / FINE), round(FINE / extent.rate)
     t = fine[::step]
-    given = np.zeros((TRIALS, t.size, n))  # what the controller asks for
-    for w in rng.uniform(0.5, 6.0, (4, TRIALS, 1, n)):
-        given += rng.normal(size=(TRIALS, 1, n)) * np.sin(
-            w * t[:, None] + rng.uniform(0, 6.3, (TRIALS, 1, n))
+    given = np.zeros((trials, t.size, n))  # what the controller asks for
+    for w in rng.uniform(0.5, 6.0, (4, trials, 1, n)):
+        given += rng.normal(size=(trials, 1, n)) * np.sin(
+            w * t[:, None] + rng.uniform(0, 6.3, (trials, 1, n))
         )
     given *= 0.5 * drive
     tick = np.arange(t.size) // int(faults["held"]) * int(faults["held"])
@@ -172,7 +239,8 @@ def draw(kind: str, seed: int) -> Machine:
     fast = sosfiltfilt(butter(2, band, "band", output="sos"), rng.normal(size=acting.shape), axis=1)
     acting = acting + faults["vibration"] * drive * fast / fast.std()
     table = acting.transpose(1, 0, 2)
-    start = rng.uniform(-1.0, 1.0, (TRIALS, n)) * np.array(plant.start), rng.normal(0.0, 0.3, (TRIALS, n))
+    start = rng.uniform(-1.0, 1.0, (trials, n)) * np.array(plant.start), rng.normal(0.0, 0.3, (trials, n))
+    start[0][...] += plant.rest
 
     def motion(friction: dict[str, float], times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         viscous = np.array([friction.get(f"{name}_dot**2/2", 0.0) for name in plant.names])
@@ -195,9 +263,9 @@ def draw(kind: str, seed: int) -> Machine:
     seen = np.round(recorded[::step] / faults["encoder"]) * faults["encoder"]
     told = given[:, tick] + faults["noise"] * drive * rng.normal(size=given.shape)
     data = la.Trajectories(
-        [la.Trajectory(t, seen[:, k], forces=told[k], coordinates=list(plant.names)) for k in range(TRIALS)]
+        [la.Trajectory(t, seen[:, k], forces=told[k], coordinates=list(plant.names)) for k in range(trials)]
     )
-    library = la.Library.mechanical(plant.names, plant.angles, size="compact")
+    library = la.Library.mechanical(plant.names, plant.angles, size=plant.size)
     return Machine(data, library, plant.law, friction, offered(plant), faults)
 
 

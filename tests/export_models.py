@@ -47,7 +47,25 @@ def odd():
     return LagrangianModel(names, terms, [ModelTerm("abs(n_dot) + sqrt(1 + n_dot**2)", 0.3)])
 
 
+def rubbing():
+    """Every family of friction that has a name, smoothed as `discover` does."""
+    speed = "sqrt(a_dot**2 + 1/10000)"
+    terms = [
+        speed,
+        f"-0.3*exp(-{speed}/0.3)",
+        f"{speed}*abs(cos(a))",
+        f"a_dot*{speed}/2",
+        "a_dot",
+        "a_dot**2/2",
+    ]
+    friction = [
+        ModelTerm(text, size) for text, size in zip(terms, [0.4, 0.5, 0.2, -0.1, 0.05, 0.3], strict=True)
+    ]
+    return LagrangianModel(["a"], [ModelTerm("a_dot**2", 0.4), ModelTerm("cos(a)", 6.0)], friction)
+
+
 MODELS = {
+    "rubbing": rubbing,
     "odd": odd,
     "single": lambda: pendulum("single_pendulum"),
     "chaotic": lambda: pendulum("chaotic_pendulum"),

@@ -81,7 +81,8 @@ def discover(
     dissipation : iterable of str
         Candidates ψ of the dissipation function; force −∂ψ/∂q̇. ``abs(x_dot)`` (Coulomb friction) is
         smoothed near zero velocity. ``"auto"`` offers viscous and dry friction of every coordinate, and
-        between neighbouring angles and lengths.
+        between neighbouring angles and lengths. Other families: ``"viscous"``, ``"dry"``, ``"stribeck"``,
+        ``"quadratic"``, ``"load"``, ``"asymmetric"``; see `Library`.
     method : {"gauss-newton", "adam"}
         ``"adam"`` is the paper's own method, gradient descent with thresholding, for comparison. It is slower
         and less accurate, its thresholds depend on units, and it gives no standard errors (NaN).

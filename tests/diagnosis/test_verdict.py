@@ -14,6 +14,7 @@ from leastaction import systems
 from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
+from leastaction.diagnosis.verdict import _perhaps_degrees
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
@@ -22,6 +23,7 @@ from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
+from set_ups import _pendulum
 
 
 class Doubts:
@@ -59,6 +61,14 @@ def test_delayed_forces():
     # recorded 30 ms before they act
     late = Doubts(*driven(delay=0.03)).one("late-forces")
     assert 0.02 <= late.values["delay"] <= 0.04
+
+
+def test_a_delay_is_not_named_again_as_negative_friction():
+    """20 ms feed energy in as friction of the wrong sign would."""
+    data = _pendulum(6, pushed=0.4, noise=1e-4)
+    data = [t.changed(forces=np.interp(t.t + 0.02, t.t, t.forces[:, 0])[:, None]) for t in data]
+    doubts = Doubts(la.Trajectories(data), ["theta_dot**2", "cos(theta)"], dissipation="auto")
+    assert set(doubts.codes) == {"equations-off", "late-forces"}
 
 
 def test_a_delay_too_small_to_matter_is_a_note():
@@ -334,6 +344,17 @@ def test_an_angle_in_degrees():
     degrees = Doubts(data, PENDULUM_LIBRARY, known={"theta_dot**2": 0.5}).one("angle-in-degrees")
     assert degrees.subject == ("theta",)
     assert degrees.values["span"] == pytest.approx(max(np.ptp(t.q) for t in data), rel=0.05)
+
+
+def test_a_wheel_that_turns_is_not_in_degrees_if_its_simulations_follow():
+    """Many turns alone do not tell; the pendulum above in degrees is not followed."""
+    t = np.arange(0.0, 8.0, 0.02)
+    noise = np.random.default_rng(0).normal(0.0, 1e-3, t.size)
+    wheel = la.Trajectory(t, t**2 + noise, forces=np.full(t.size, 2.0), coordinates=["phi"])
+    library = la.Library(["phi_dot**2", "cos(phi)"], ["phi"], angles=["phi"])
+    search = find_structure(begin_search(build_problem(wheel, Request(library))))
+    assert np.ptp(wheel.q) > 4.0 * np.pi
+    assert _perhaps_degrees(search.found, 2.0) == []
 
 
 def test_rivals_come_with_the_experiment_that_separates_them():

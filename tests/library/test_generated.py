@@ -13,6 +13,7 @@ from leastaction import InputError, Library, systems
 from leastaction.estimation.domains import undefined_along
 from leastaction.library.chains import runs, runs_after
 from leastaction.library.families import ALL_SIZES, choose_size, mechanical_terms
+from leastaction.library.friction import FRICTION, has_direction
 from leastaction.library.grammar import grown_terms, size_of
 from leastaction.library.term import make_term
 
@@ -260,3 +261,39 @@ def test_usual_friction_among_others_is_offered_once():
     library = Library(["x_dot**2"], ["x"], dissipation=["abs(x_dot)", "auto", "abs(x_dot)**3/3"])
     assert [term.text for term in library.dissipation] == ["abs(x_dot)", "x_dot**2/2", "abs(x_dot)**3/3"]
     assert Library(["x_dot**2"], ["x"]).with_dissipation("auto").dissipation == library.dissipation[1::-1]
+
+
+@pytest.mark.parametrize("family", FRICTION)
+def test_families_of_friction_dissipate(family, rng):
+    """In any state; those with a direction change sign with it, so that no power is left of both ways."""
+    moved = ["a", "b", "x"]
+    library = Library(["a_dot**2"], moved, angles=["a", "b"], dissipation=family)
+    assert library == Library(["a_dot**2"], moved, angles=["a", "b"], dissipation=[family, family])
+    names = [*moved, *(f"{name}_dot" for name in moved)]
+    for term in library.dissipation:
+        assert make_term(term.text, names, kind="dissipation") == term
+        rates = [sp.Symbol(f"{name}_dot", real=True) for name in moved]
+        expr = term.at(dict.fromkeys(term.shapes, 0.4)).expr
+        power = sum(rate * sp.diff(expr, rate) for rate in rates)
+        function = sp.lambdify([sp.Symbol(name, real=True) for name in names], power, "numpy")
+        q, v = rng.normal(size=(3, 200)), rng.normal(size=(3, 200))
+        ahead, back = (np.broadcast_to(function(*q, *(s * v)), 200) for s in (1.0, -1.0))
+        if has_direction(term):
+            np.testing.assert_allclose(ahead, -back)
+        else:
+            assert min(ahead.min(), back.min()) >= 0.0 < ahead.max()
+    assert any(map(has_direction, library.dissipation)) == (family == "asymmetric")
+
+
+def test_stribeck_friction_decays_from_the_static_to_the_sliding_value():
+    dry, excess = Library(["x"], ["x"], dissipation="stribeck").dissipation
+    force = sp.diff(2.0 * dry.expr + 0.5 * excess.at({"x_stribeck": 0.3}).expr, sp.Symbol("x_dot", real=True))
+    at = sp.lambdify(sp.Symbol("x_dot", real=True), force, "numpy")
+    np.testing.assert_allclose([at(1e-9), at(0.3), at(-9.0)], [2.5, 2.0 + 0.5 / np.e, -2.0], rtol=1e-6)
+
+
+def test_what_is_no_family_is_an_expression():
+    with pytest.raises(InputError, match="unknown name 'coulomb'"):
+        Library(["x_dot**2"], ["x"], dissipation="auto").with_dissipation(["coulomb"])
+    both = Library(["x_dot**2"], ["x"], dissipation=["stribeck", "load"]).dissipation
+    assert [term.text for term in both][::2] == ["abs(x_dot)", "abs(x_dot)*abs(x)"]

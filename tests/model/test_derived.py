@@ -433,6 +433,17 @@ def test_a_length_shows_the_clock(clock):
     assert ratio.gravity == pytest.approx(9.81 * clock**2)
     assert ratio.clock == (None if clock == 1.0 else pytest.approx(clock, rel=1e-3))
     assert ("not that of the Earth" in str(ratio)) == (clock != 1.0)
+    unit = {1e-3: "times may be in milliseconds", 60.0: "times may be in minutes"}.get(clock, "")
+    assert ratio.unit == unit
+    assert unit in str(ratio)
+
+
+@pytest.mark.parametrize(
+    ("length", "said"), [(300.0, "millimetres"), (30.0, "centimetres"), (11.8, "inches"), (0.6, "inclined")]
+)
+def test_a_length_in_another_unit_is_named(length, said):
+    ratio, _ = _hanging(True).gravity({"a": length})
+    assert said in str(ratio)
 
 
 def test_a_ratio_knows_its_error():

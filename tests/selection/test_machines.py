@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import leastaction as la
 from leastaction.curve.knots import lay_knots
@@ -132,7 +134,7 @@ def test_absent_friction_is_added_once_in_a_thousand(rng):
     """200 looks at friction that is not there, chosen by chance alone: any share is enough."""
     added = 0
     for _ in range(200):
-        choice = _Choice(linear(rng), np.array([False, True]), 0.0)
+        choice = _Choice(linear(rng), np.array([False, True]), 0.0, np.zeros(2, bool))
         added += choice.added([0]) != [0]
     assert added <= 2
 
@@ -149,3 +151,85 @@ def test_the_terms_of_a_machine_without_friction_stay():
     data, request, _ = _machine(_pendulum(5, pushed=2.0, noise=1e-4))
     search = run_search(begin_search(build_problem(data, request)))
     assert [search.problem.terms[k].text for k in search.found.structure] == ["theta_dot**2", "cos(theta)"]
+
+
+# ------------------------------------------------------------------------------- friction by name
+def rubbing(seed: int, friction) -> la.Trajectories:
+    """A driven pendulum, 0.4 q̇² + 6 cos q, with friction as a function of q and q̇."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 6.0, 0.005)
+    force = np.zeros((t.size, 4, 1))
+    for w in rng.uniform(0.5, 6.0, (4, 4, 1)):
+        force += 2.4 * rng.normal(size=(4, 1)) * np.sin(w * t[:, None, None] + rng.uniform(0.0, 6.3, (4, 1)))
+    curves = CubicSpline(t, force)
+    q, _ = rk4(
+        lambda q, v, f: (f - 6.0 * np.sin(q) - friction(q, v)) / 0.8,
+        rng.uniform(-1.0, 1.0, (4, 1)),
+        rng.normal(0.0, 0.3, (4, 1)),
+        t,
+        substeps=8,
+        forces=curves,
+    )
+    q += rng.normal(0.0, 1e-3, q.shape)
+    return la.Trajectories(
+        [la.Trajectory(t, q[:, k], forces=force[:, k], coordinates=["q"]) for k in range(4)]
+    )
+
+
+def sign(v: np.ndarray) -> np.ndarray:
+    return np.tanh(v / 0.005)
+
+
+def friction_of(data: la.Trajectories, *families: str) -> dict[str, float]:
+    """What is found: candidates as offered → coefficients."""
+    library = la.Library.mechanical(["q"], ["q"], size="compact")
+    search = run_search(begin_search(build_problem(data, Request(library, {}, families))))
+    fit, terms = search.found, search.problem.terms
+    assert [terms[k].text for k in fit.structure if terms[k].kind == "lagrangian"] == ["q_dot**2", "cos(q)"]
+    friction = [k for k in fit.structure if terms[k].kind == "dissipation"]
+    texts = [re.sub(r"sqrt\(q_dot\*\*2 \+ [\d/]+\)", "abs(q_dot)", terms[k].text) for k in friction]
+    return dict(zip(texts, fit.coefficients[friction].tolist(), strict=True))
+
+
+def test_friction_that_differs_between_directions_is_found_with_its_sign():
+    found = friction_of(rubbing(1, lambda q, v: np.where(v > 0.0, 0.1, 0.4) * v), "asymmetric")
+    assert list(found) == ["q_dot**2/2", "q_dot*abs(q_dot)/2"]
+    np.testing.assert_allclose([*found.values()], [0.25, -0.15], rtol=0.02)
+
+
+def test_friction_that_does_not_differ_between_directions_is_not_found_to():
+    found = friction_of(rubbing(1, lambda q, v: 0.3 * v + 0.3 * sign(v)), "asymmetric")
+    assert list(found) == ["q_dot**2/2", "abs(q_dot)"]
+
+
+def test_asymmetry_that_would_feed_energy_in_is_left_out():
+    """A constant force without any friction."""
+    request = Request(["theta_dot**2", "cos(theta)"], {}, ["asymmetric"])
+    search = run_search(begin_search(build_problem(_pendulum(1, offset=0.3, noise=1e-4), request)))
+    kinds = {search.problem.terms[k].kind for k in search.found.structure}
+    assert kinds == {"lagrangian"}
+
+
+def test_friction_that_grows_with_the_load_is_found():
+    found = friction_of(rubbing(1, lambda q, v: (0.2 + 0.4 * abs(np.cos(q))) * sign(v)), "load")
+    assert list(found) == ["abs(q_dot)", "abs(q_dot)*abs(cos(q))"]
+    np.testing.assert_allclose([*found.values()], [0.2, 0.4], rtol=0.1)
+
+
+@pytest.mark.thorough
+def test_stribeck_friction_is_found_with_its_speed():
+    """Beside it dry friction, whose worth shows only where the speed may give way."""
+    data = rubbing(2, lambda q, v: sign(v) * (0.4 + 0.5 * np.exp(-abs(v) / 0.3)) + 0.2 * v)
+    library = la.Library.mechanical(["q"], ["q"], size="compact")
+    model = la.discover(data, library, dissipation=["auto", "stribeck"])
+    assert model.fit.status == "ok"
+    (speed,) = model.shapes
+    assert speed.name == "q_stribeck"
+    assert speed.value == pytest.approx(0.3, abs=3.0 * speed.standard_error)
+    sizes = [term.coefficient for term in model.dissipation]
+    np.testing.assert_allclose(sizes, [0.2, 0.4, 0.5], rtol=0.1)
+
+
+def test_dry_friction_alone_is_no_stribeck_friction():
+    found = friction_of(rubbing(1, lambda q, v: 0.5 * sign(v)), "auto", "stribeck")
+    assert list(found) == ["abs(q_dot)"]

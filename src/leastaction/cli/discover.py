@@ -81,9 +81,10 @@ Example:
 )
 @click.option(
     "--dissipation",
-    metavar="EXPR,EXPR|auto",
-    help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)'; auto: viscous and dry friction of every "
-    "coordinate, and between neighbouring angles and lengths.",
+    metavar="EXPR|FAMILY,...",
+    help="Candidates for friction, e.g. 'x_dot**2/2, abs(x_dot)', and families: auto (viscous and dry "
+    "friction of every coordinate, and between neighbouring angles and lengths), viscous, dry, stribeck, "
+    "quadratic, load, asymmetric.",
 )
 @length_option
 @click.option(

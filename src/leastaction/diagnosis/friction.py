@@ -70,7 +70,10 @@ def hidden_friction(effects: Effects, relevance: float) -> list[Finding]:
 
 
 def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]:
-    """Friction that was left out because it would have fed energy in, where that would be worth knowing."""
+    """Friction that was left out because it would have fed energy in, where that would be worth knowing.
+
+    Forces that act late look like friction that is negative: what a delay explains is not named twice.
+    """
     fit = effects.fit
     columns, out = fit.problem.candidates, list[Finding]()
     for m in left_out:
@@ -80,10 +83,28 @@ def feeding_friction(effects: Effects, left_out: Sequence[int]) -> list[Finding]
             model, base = beside(fit, candidates)
             value = model.solution((*base, len(base)))[[len(base)]]
             share = effects.of_terms(candidates.subset([len(base)]), value)
-            if share <= DIAGNOSIS.worth_knowing:
+            if share <= DIAGNOSIS.worth_knowing or _is_delay(fit, candidates):
                 continue
         out.append(find("negative-dissipation", term.text))
     return out
+
+
+def _is_delay(fit: Fit, candidates: EulerLagrange) -> bool:
+    """Whether a delay of the forces leaves nothing for the last of the candidates, a friction, to explain."""
+    if fit.grid.forces is None:
+        return False
+    model, base = beside(fit, WithPushes(candidates, _Late(_rates_of_forces(fit))))
+    chosen, friction, delay = base[: len(fit.structure)], len(fit.structure), len(fit.structure) + 1
+    known = (*chosen, delay)
+    certain = chi_square_cutoff()
+    return gain_of(model, chosen, delay) > certain and gain_of(model, known, friction) <= certain
+
+
+def _rates_of_forces(fit: Fit) -> np.ndarray:
+    """Derivatives of the given forces at the quadrature points."""
+    assert fit.grid.forces is not None
+    given = [trajectory.forces for trajectory in fit.problem.trajectories]
+    return force_rates(fit.grid.spline, fit.grid.times, given, fit.grid.forces.values.dtype.type)
 
 
 def _most_likely(
@@ -172,8 +193,7 @@ def late_forces(effects: Effects, relevance: float) -> list[Finding]:
     fit = effects.fit
     if fit.grid.forces is None:
         return []
-    given = [trajectory.forces for trajectory in fit.problem.trajectories]
-    rates = force_rates(fit.grid.spline, fit.grid.times, given, fit.grid.forces.values.dtype.type)
+    rates = _rates_of_forces(fit)
     chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(rates))
     model, base = beside(fit, late)

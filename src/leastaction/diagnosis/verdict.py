@@ -90,7 +90,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
     if unexplained:
-        found += _perhaps_degrees(fit)
+        found += _perhaps_degrees(fit, period)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
@@ -212,14 +212,20 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     ]
 
 
-def _perhaps_degrees(fit: Fit) -> list[Finding]:
-    """An angle that covers more than two turns within a recording may be in degrees."""
+def _perhaps_degrees(fit: Fit, period: float) -> list[Finding]:
+    """An angle that covers more than two turns within a recording may be in degrees.
+
+    Not where free runs follow the data: no law whose sines and cosines are those of degrees does, and where
+    the angle does not matter, nor does its unit.
+    """
     spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
-    return [
+    found = [
         find("angle-in-degrees", name, span=span)
         for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
         if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
     ]
+    follows = found and fit.converged and forecast_error(fit, period) <= DIAGNOSIS.follows
+    return [] if follows else found
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:

@@ -180,10 +180,11 @@ def _smooth_friction(
     library: Library, known: dict[Term, float], rates: np.ndarray
 ) -> tuple[Library, dict[Term, float], list[Finding]]:
     """The library with |v| smoothed near zero velocity, and a note on where."""
-    smoothing = {
-        f"{c}_dot": _round_to_one_digit(ESTIMATION.dry_width * r)
-        for c, r in zip(library.coordinates, rates, strict=True)
-    }
+    narrow = {s.name for term in library.dissipation if term.shapes for s in term.expr.free_symbols}
+    smoothing: dict[str, float] = {}
+    for name, rate in zip(library.velocities, rates, strict=True):
+        width = ESTIMATION.stribeck_width if name in narrow else ESTIMATION.dry_width
+        smoothing[name] = _round_to_one_digit(width * rate)
     softened = smooth_abs(library, smoothing)
     if softened is library:
         return library, known, []

@@ -81,6 +81,14 @@ class EstimationSettings:
     """Share of the coordinate of the smallest length that a search begins with, where it is added in
     squares: less is as good as none. Half, twice: no effect."""
 
+    stribeck_width: float = 0.003
+    """Share of the rms velocity, as `dry_width`, where Stribeck friction is offered: with 0.01 that makes up
+    for what the smoothing of dry friction leaves out, in three of three pendulums."""
+
+    stribeck_scales: tuple[float, float] = (0.02, 0.5)
+    """Least and greatest scale of Stribeck friction over the rms velocity. Less is lost in the smoothing;
+    more is nearly a straight line, which viscous friction is already."""
+
     bias_settled: float = 0.02
     """Share of a slow force that one more round may change. Half: no effect; twice: forces off by 0.0070
     instead of 0.0071 N m."""

@@ -2,7 +2,7 @@
 
 In ``exp(-{a}*x)`` a is compared with 1/x, in ``(x-{p})**2`` p with x, in ``x**2+{h}**2`` h with |x|, and in
 ``r**{n}`` n is an exponent.  So the data give a range wherever the user gives none.  It says where starts are
-tried; only a range from the user is a bound.
+tried; bounds are only a range from the user, and that of the speeds of Stribeck friction.
 
 In ``cos({w}*t)`` w is a frequency, and its likelihood is a comb: A cos wt looks like A₀ cos w₀t as long as
 (w − w₀) t stays below a quarter of a turn at all times.  So starts are a quarter of a turn apart at the
@@ -44,7 +44,7 @@ class ShapeRange:
     spacing : {"linear", "log", "exponent", "frequency"}
         Of the starts.
     bounded : bool
-        Whether the parameter has to stay there, because the user said so.
+        Whether the parameter has to stay there, because the user said so, or the data tell no other.
     apart : float
         How far apart the starts of a frequency are.
     """
@@ -147,7 +147,10 @@ def shape_ranges(
         _check_ends(name, ends)
     out: dict[str, ShapeRange] = {}
     for name in names:
-        found = _from_part(shape_symbol(name), [t.expr for t in terms if name in t.shapes], states)
+        bearers = [t for t in terms if name in t.shapes]
+        found = _from_part(shape_symbol(name), [t.expr for t in bearers], states)
+        if all(t.kind == "dissipation" for t in bearers):
+            found = _of_speeds(shape_symbol(name), bearers, states) or found
         if name in given:
             low, high = map(float, given[name])
             if found.spacing == "frequency":
@@ -199,6 +202,22 @@ def _from_part(
             if found is not None:
                 return found
     return ShapeRange(1.0 / ESTIMATION.shape_scales, ESTIMATION.shape_scales, "log")
+
+
+def _of_speeds(
+    symbol: sp.Symbol, terms: Sequence[Term], states: Mapping[str, np.ndarray]
+) -> ShapeRange | None:
+    """The range of a scale of speeds v_s in exp(−|v|/v_s): what friction can tell from dry and viscous.
+
+    Far below the usual speed it is lost where |v| is smoothed; above, exp(−|v|/v_s) is a line.
+    """
+    for decay in (part for term in terms for part in term.expr.atoms(sp.exp)):
+        speed = -sp.simplify(decay.args[0] * symbol)
+        if not is_constant(speed) and all(str(s).endswith("_dot") for s in speed.free_symbols):
+            usual = _rms(_values(speed, states))
+            low, high = (usual * share for share in ESTIMATION.stribeck_scales)
+            return ShapeRange(low, high, "log", bounded=True)
+    return None
 
 
 def _in_wave(

@@ -24,6 +24,7 @@ from leastaction.curve.smoothing import Smooth
 from leastaction.data.trajectories import Trajectory
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
+from leastaction.library import has_direction
 from leastaction.mechanics.equations import Mechanics
 from leastaction.simulation.integrate import rk4
 
@@ -126,7 +127,7 @@ def minimise_simulation_error(
         That of ``curve``.
     curve : Smooth
     structure : Structure
-        Terms to move; the coefficients of dissipation stay positive.
+        Terms to move; the coefficients of dissipation stay positive, but for those of a direction.
     coefficients : (n_candidates,) array
     horizon : float
         Seconds.
@@ -145,12 +146,13 @@ def minimise_simulation_error(
     if not 0.0 < before.max() < _LOST:
         return None
     flow.scale = np.sqrt(np.mean(before**2, axis=(0, 1)))
-    kinds = [grid.problem.terms[k].kind for k in members]
+    terms = [grid.problem.terms[k] for k in members]
+    positive = [term.kind == "dissipation" and not has_direction(term) for term in terms]
     found = least_squares(
         lambda x: flow.errors(x[None]).ravel(),
         one,
         flow.slopes,
-        bounds=([0.0 if kind == "dissipation" else -np.inf for kind in kinds], np.inf),
+        bounds=([0.0 if bound else -np.inf for bound in positive], np.inf),
         loss="soft_l1",
         max_nfev=_EVALUATIONS,
     )

@@ -21,6 +21,7 @@ Imports from outside this folder: ``errors`` and ``identifiers`` only.
 
 from __future__ import annotations
 
+from leastaction.library.friction import has_direction
 from leastaction.library.library import Library
 from leastaction.library.parser import (
     format_expression,
@@ -41,6 +42,7 @@ __all__ = [
     "alike",
     "exchanges",
     "format_expression",
+    "has_direction",
     "is_constant",
     "make_term",
     "parse_expression",

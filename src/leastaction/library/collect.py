@@ -8,13 +8,11 @@ from pathlib import Path
 
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
-from leastaction.library.families import usual_friction
 from leastaction.library.shapes import check_shapes
 from leastaction.library.term import Candidate, Dropped, Kind, Term, make_term
 
-__all__ = ["collect", "read_terms", "with_usual_friction"]
+__all__ = ["collect", "read_terms"]
 
-_AUTO = "auto"
 _MAX_BYTES = 2_000_000  # of a file
 
 
@@ -102,21 +100,3 @@ def _read_lines(path: str | os.PathLike[str]) -> list[str]:
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         raise InputError(f"{shown}:{line}: not UTF-8 text; save the file as UTF-8") from None
-
-
-def with_usual_friction(
-    given: Iterable[Candidate] | Candidate, coordinates: Sequence[str], angles: Sequence[str]
-) -> Iterable[Candidate] | Candidate:
-    """Candidates for friction, with what ``"auto"`` stands for in its place.
-
-    Examples
-    --------
-    >>> with_usual_friction(["auto", "x_dot**4"], ["x"], [])
-    ['x_dot**2/2', 'abs(x_dot)', 'x_dot**4']
-    """
-    if given == _AUTO:
-        return usual_friction(coordinates, angles)
-    if not isinstance(given, Iterable) or isinstance(given, Candidate):
-        return given  # to be refused with others
-    usual = usual_friction(coordinates, angles)
-    return [text for item in given for text in (usual if item == _AUTO else [item])]

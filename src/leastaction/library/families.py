@@ -35,7 +35,7 @@ their factors are, and potentials when they are independent beside constants.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import combinations, combinations_with_replacement, pairwise, permutations
+from itertools import combinations, combinations_with_replacement, permutations
 
 from leastaction.errors import InputError
 from leastaction.library.chains import chain_kinetic, chain_potentials, runs, runs_after
@@ -50,7 +50,6 @@ __all__ = [
     "choose_size",
     "mechanical_terms",
     "monomial",
-    "usual_friction",
     "velocity_product",
 ]
 
@@ -118,26 +117,6 @@ def mechanical_terms(
         else _potentials(lengths, angles, size, degree)
     )
     return [*kinetic, *_gyroscopic(turned, angles), *potentials]
-
-
-def usual_friction(coordinates: Sequence[str], angles: Sequence[str] = ()) -> list[str]:
-    """Return viscous and dry friction of every coordinate, and between neighbours of one kind.
-
-    A joint between two links rubs with the rate of its own angle if that is measured from the link before,
-    and with the difference of two rates if angles are measured from a fixed direction.
-
-    Examples
-    --------
-    >>> usual_friction(["x"])
-    ['x_dot**2/2', 'abs(x_dot)']
-    >>> usual_friction(["a", "b"], ["a", "b"])[4:]
-    ['(a_dot-b_dot)**2/2', 'abs(a_dot-b_dot)']
-    """
-    lengths = [name for name in coordinates if name not in angles]
-    pairs = [pair for kind in (angles, lengths) for pair in pairwise(kind)]
-    rates = [f"{a}_dot" for a in coordinates] + [f"{a}_dot-{b}_dot" for a, b in pairs]
-    squares = [f"({rate})**2/2" if "-" in rate else f"{rate}**2/2" for rate in rates]
-    return [text for square, rate in zip(squares, rates, strict=True) for text in (square, f"abs({rate})")]
 
 
 def _check_degree(degree: object) -> None:

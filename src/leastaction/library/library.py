@@ -9,8 +9,9 @@ from typing import Any, overload
 
 from leastaction.errors import InputError
 from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, names_in_terms
-from leastaction.library.collect import collect, read_terms, with_usual_friction
+from leastaction.library.collect import collect, read_terms
 from leastaction.library.families import check_angles, check_count, mechanical_terms
+from leastaction.library.friction import with_families
 from leastaction.library.grammar import description_lengths, grown_terms
 from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within, summary_of
 from leastaction.library.parser import normalise
@@ -39,8 +40,9 @@ class Library(ShownLibrary, Sequence[Term]):
     parameters
         Numbers that the texts may use by name. They are inserted immediately.
     dissipation
-        Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ. ``"auto"``, also among others:
-        viscous and dry friction of every coordinate, and between neighbouring angles and lengths.
+        Candidates ψ_k of the dissipation function; the force is −∂ψ/∂q̇ₙ. Families by name, also among
+        others: ``"auto"`` (viscous and dry), ``"viscous"``, ``"dry"``, ``"stribeck"``, ``"quadratic"``,
+        ``"load"``, ``"asymmetric"``.
 
     Attributes
     ----------
@@ -78,8 +80,8 @@ class Library(ShownLibrary, Sequence[Term]):
         if clash:
             raise InputError(f"parameter {min(clash)!r} has the name of something else; rename it")
         self._terms, repeated = collect(terms, names, parameters, "lagrangian")
-        offered = with_usual_friction(dissipation, self._coordinates, self._angles)
-        self._dissipation, again = collect(offered, names, parameters, "dissipation")
+        friction = with_families(dissipation, self._coordinates, self._angles)
+        self._dissipation, again = collect(friction, names, parameters, "dissipation")
         self._dropped: tuple[Dropped, ...] = (*repeated, *again)
         self._lengths: Mapping[Term, float] = {}
         if not self._terms:

@@ -37,6 +37,16 @@ __all__ = ["STANDARD_GRAVITY", "GravityRatio", "gravity_ratios"]
 
 STANDARD_GRAVITY = 9.80665
 _RANGE = 0.03  # share of g that lengths and places explain
+_ALIKE = 0.02  # share by which a factor may differ from that of a unit
+# factors of the clock, and what was given in another unit than seconds and metres
+_UNITS = {
+    1e-3: "times may be in milliseconds",
+    1e-6: "times may be in microseconds",
+    60.0: "times may be in minutes",
+    10.0: "the length may be in centimetres",
+    1e3**0.5: "the length may be in millimetres",
+    0.0254**-0.5: "the length may be in inches",
+}
 
 
 @dataclass(frozen=True)
@@ -85,6 +95,13 @@ class GravityRatio:
             return None
         return math.sqrt(self.gravity / STANDARD_GRAVITY)
 
+    @property
+    def unit(self) -> str:
+        """What is in another unit than seconds or metres, where a usual one explains g; else empty."""
+        clock = self.clock or 1.0
+        error = self.standard_error / (2.0 * self.value)
+        return next((said for k, said in _UNITS.items() if abs(clock / k - 1.0) <= _ALIKE + 2.0 * error), "")
+
     def __str__(self) -> str:
         error = f" ± {self.standard_error:.2g}" if self.standard_error > 0.0 else ""
         source = f"from {self.potential} over {self.coupling}"
@@ -95,9 +112,12 @@ class GravityRatio:
         text = f"g is {self.gravity:.5g}{error} m/s², {source} and l = {self.length:g} m of {self.link}"
         if self.clock is None:
             return text
+        text = f"{text}: not that of the Earth"
+        if self.unit:
+            return f"{text}; {self.unit}"
         return (
-            f"{text}: not that of the Earth; a second of the recording may be {self.clock:.4g} s, the length "
-            "not in metres, or the plane of motion inclined"
+            f"{text}; a second of the recording may be {self.clock:.4g} s, the length not in metres, or the "
+            "plane of motion inclined"
         )
 
     @property

@@ -9,7 +9,8 @@ linear in the coefficients of all candidates, so that
 
 the sum of squares that a set of candidates leaves in coordinate i, costs a small linear problem.  A friction
 is added if it removes the relevant share of S_i from one coordinate at least, with a coefficient that is
-positive beyond chance; it is dropped if it does not.  A term of L is dropped if its coefficient may be zero
+positive beyond chance (of either sign, where it tells by how much directions differ); it is dropped if it
+does not.  A term of L is dropped if its coefficient may be zero
 and S_i hardly rises without it.  Chance is judged run by run (White 1982, Econometrica 50:1), for as many
 looks as there are candidates to be looked at (:mod:`leastaction.selection.significance`).
 """
@@ -32,6 +33,7 @@ from leastaction.estimation.simulation_error import (
     minimise_simulation_error,
 )
 from leastaction.estimation.structure import Structure
+from leastaction.library import has_direction
 from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["FreeRunTerms", "terms_of_free_runs"]
@@ -121,8 +123,9 @@ def _chosen(
     fit: Fit, linear: LinearRuns, structure: Structure, columns: Sequence[int], relevance: float
 ) -> tuple[Structure, np.ndarray]:
     """The structure after adding and dropping on the linear problem, and its coefficients."""
-    is_friction = np.array([fit.problem.terms[k].kind == "dissipation" for k in columns])
-    choice = _Choice(linear, is_friction, relevance)
+    terms = [fit.problem.terms[k] for k in columns]
+    is_friction = np.array([term.kind == "dissipation" for term in terms])
+    choice = _Choice(linear, is_friction, relevance, np.array(list(map(has_direction, terms))))
     members = [n for n, k in enumerate(columns) if k in structure]
     seen: set[tuple[int, ...]] = set()
     while tuple(members) not in seen:
@@ -140,6 +143,7 @@ class _Choice:
     linear: LinearRuns
     is_friction: np.ndarray
     relevance: float
+    has_direction: np.ndarray
 
     @property
     def certain(self) -> float:
@@ -155,7 +159,8 @@ class _Choice:
         rest = self.linear.with_columns([n for n in members if n != column])
         share = float(np.max(1.0 - best.squares / np.maximum(rest.squares, 1e-300)))
         if self.is_friction[column]:
-            return share if z > self.certain else -1.0
+            size = abs(z) if self.has_direction[column] else z
+            return share if size > self.certain else -1.0
         return max(share, self.relevance) if abs(z) > self.certain else share
 
     def added(self, members: list[int]) -> list[int]:

@@ -1,8 +1,10 @@
 """Fit the shape parameters together with curve and coefficients, and drop what they make needless.
 
-A term that only made up for wrong numbers loses its worth when these are right.
+A term that only made up for wrong numbers loses its worth when these are right.  The opposite happens, too:
+numbers that make up for a term that is not there hide its worth, until both are moved at once.
 
-Cost: three to six joint fits. Skipped where the structure holds no shape parameter.
+Cost: three to six joint fits, and a search on their quadratic model. Skipped where the structure holds no
+shape parameter.
 """
 
 from __future__ import annotations
@@ -13,10 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.shapes import fit_shapes
+from leastaction.estimation.shapes import fit_shapes, with_tangents
 from leastaction.estimation.structure import Structure
 from leastaction.library import exchanges, shape_symbol
-from leastaction.selection.likelihood_refinement import penalty, refine, value
+from leastaction.selection.likelihood_refinement import beside, gain_of, penalty, refine, value
 from leastaction.selection.search_state import Search
 
 __all__ = ["run"]
@@ -31,7 +33,7 @@ def run(search: Search) -> Search:
         return search
     fit = fit_shapes(fit)
     for _ in range(_ROUNDS):
-        better = _smaller(fit) or _other(fit, search)
+        better = _smaller(fit) or _larger(fit) or _other(fit, search)
         if better is None:
             break
         fit = better
@@ -75,6 +77,26 @@ def _smaller(fit: Fit) -> Fit | None:
     if len(fit.structure) < 2 or np.min(fit.z**2) > penalty(fit.grid):
         return None
     other = fit_shapes(fit.grid.fit(fit.structure.without([weakest]), fit.start))
+    return other if value(other) > value(fit) else None
+
+
+def _larger(fit: Fit) -> Fit | None:
+    """The fit with the term that is worth most where the shape parameters may give way, if that is better."""
+    names = fit.problem.shapes_of(fit.structure)
+    absent = [k for k in fit.problem.free.tolist() if k not in fit.structure]
+    if not names or not absent:
+        return None
+    whole, _ = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
+    tangents = range(len(fit.problem.candidates), len(whole.candidates))
+    columns = whole.candidates.subset([*fit.structure, *tangents, *absent])
+    model, _ = beside(fit, columns)
+    here = tuple(range(len(fit.structure) + len(names)))
+    gains = [gain_of(model, here, len(here) + n) for n in range(len(absent))]
+    price = penalty(fit.grid) + fit.problem.surcharges[absent]
+    best = int(np.argmax(gains - price))
+    if gains[best] <= price[best]:
+        return None
+    other = fit_shapes(fit.grid.fit(fit.structure.with_([absent[best]]), fit.start))
     return other if value(other) > value(fit) else None
 
 
