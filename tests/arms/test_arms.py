@@ -374,7 +374,7 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
     assert arms.load(out / "arm.json").can_exist.all()
     for wrong, words in [
         ([], "--convention is missing"),
-        (["--convention", "modified", "--urdf", "x"], "one of --urdf and --dh"),
+        (["--convention", "modified", "--urdf", "x"], "one of --urdf, --mjcf and --dh"),
     ]:
         failed = runner.invoke(program, [*given, *wrong])
         assert failed.exit_code == 2

@@ -15,8 +15,8 @@ from leastaction.arms.model import ArmModel, FitFacts
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
+from leastaction.library.tree import Joint, KinematicTree
 from leastaction.mechanics.arm_columns import ArmTerm
-from leastaction.mechanics.tree import Joint, KinematicTree
 
 __all__ = ["from_dict", "load", "save", "to_dict", "write_python"]
 
@@ -212,7 +212,10 @@ def _list(values: Any) -> Any:
 
 def _plain(joint: Joint) -> dict[str, Any]:
     given: dict[str, Any] = vars(joint)
-    return {key: _list(value) if hasattr(value, "tolist") else value for key, value in given.items()}
+    out = {key: _list(value) if hasattr(value, "tolist") else value for key, value in given.items()}
+    if joint.limits is not None:  # JSON has no NaN
+        out["limits"] = [None if np.isnan(x) else x for x in joint.limits.tolist()]
+    return out
 
 
 def _array(value: Any) -> Any:

@@ -15,7 +15,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.mechanics.tree import KinematicTree
+from leastaction.library.tree import KinematicTree
 
 __all__ = ["TorqueErrors", "prepared", "torque_errors"]
 

@@ -21,12 +21,14 @@ from leastaction.arms.base import (
     with_prior,
 )
 from leastaction.arms.log import TorqueErrors, prepared, torque_errors
-from leastaction.arms.urdf import write_urdf
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
+from leastaction.library.mjcf import write_mjcf
+from leastaction.library.tree import KinematicTree
+from leastaction.library.urdf import write_urdf
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import (
     ArmColumns,
@@ -36,7 +38,6 @@ from leastaction.mechanics.arm_columns import (
     joint_terms,
     presliding,
 )
-from leastaction.mechanics.tree import KinematicTree
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel", "FitFacts"]
@@ -346,6 +347,18 @@ class ArmModel:
     def to_urdf(self, source: str | Path, path: str | Path) -> None:
         """Write the inertias of the tree into a copy of the URDF that it was read from; see `bodies`."""
         write_urdf(self.tree, source, path)
+
+    def to_mjcf(self, path: str | Path) -> None:
+        """Write the tree as a MuJoCo model, with rotors, viscous and dry friction and springs; see `bodies`.
+
+        Joints of MuJoCo have no other friction and no constant torques: these are left out.
+        """
+        values = np.zeros((4, len(self.tree)))
+        kinds = ("rotor", "viscous", "dry", "spring")
+        for term, value in zip(self.terms, self.coefficients.tolist(), strict=True):
+            if term.kind in kinds:
+                values[kinds.index(term.kind), term.place] = value
+        write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
 
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""
