@@ -78,7 +78,8 @@ def test_a_joint_turns_about_its_own_point_from_its_reference(file):
 def test_trees_survive_urdf_and_mjcf(file, tmp_path, rng):
     """URDF → tree → MJCF → tree: the same torques, friction and limits."""
     urdf = """<robot name="r"><link name="base"/><link name="a"><inertial>
-      <origin xyz="0.1 0 0.2" rpy="1 0 2"/><mass value="2"/><inertia ixx="0.03" iyy="0.02" izz="0.025"/></inertial></link>
+      <origin xyz="0.1 0 0.2" rpy="1 0 2"/><mass value="2"/>
+      <inertia ixx="0.03" iyy="0.02" izz="0.025"/></inertial></link>
       <link name="b"><inertial><mass value="1"/><inertia ixx="0.01" iyy="0.02" izz="0.02"/></inertial></link>
       <joint name="one" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 3 1"/>
         <origin xyz="0 0 0.2" rpy="0.3 -0.2 3"/><limit lower="-2" upper="1" effort="9" velocity="3"/>

@@ -93,8 +93,8 @@ def arm(
     DATA are logs of joint angles and, by --forces, joint torques. Prints the combinations of parameters that
     the log determines, with standard errors, and writes the arm: arm.json, Python code of its inverse
     dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links that
-    are written can exist, and agree with the data as closely as possible. Give logged velocities with --velocity NAME=COLUMN: they show the clock of
-    the robot where the stamps of the log scatter.
+    are written can exist, and agree with the data as closely as possible. Give logged velocities with
+    --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log scatter.
     """
     from leastaction import arms
 
