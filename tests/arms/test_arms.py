@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -257,6 +260,45 @@ def test_python_code_computes_the_same_torques(found, tmp_path, rng):
         spec.loader.exec_module(code)  # type: ignore[union-attr]
         states = rng.normal(size=(3, len(model.tree)))
         np.testing.assert_allclose(code.torques(*states), model.torques(*states)[0], atol=1e-10)
+        np.testing.assert_allclose(code.gravity(states[0]), model.gravity(states[0])[0], atol=1e-10)
+        np.testing.assert_allclose(code.friction(states[1]), model.friction(*states[:2])[0], atol=1e-10)
+
+
+def test_c_and_casadi_compute_the_same_torques(tmp_path, rng):
+    slide = arms.KinematicTree.from_joints(
+        [
+            {"axis": (0, 1, 0)},
+            {"kind": "prismatic", "axis": (1, 0, 1), "origin": (0.1, 0.2, 0.3), "rpy": (1, 2, 3)},
+            {"axis": (0.6, 0.0, 0.8), "origin": (0.0, 0.2, 0.1), "parent": "q1"},
+        ]
+    )
+    kinds = {kind: [0.3, 0.2, 0.1] for kind in ("rotor", "spring", "offset", "viscous", "dry", "quadratic")}
+    model = arms.ArmModel.of_tree(
+        slide.with_inertias(bodies(3, rng)), {**kinds, "asymmetric": [0.1, 0.0, 0.2]}
+    )
+    q, v, a = rng.normal(size=(3, 3))
+    expected = model.torques(q, v, a)[0], model.gravity(q)[0], model.friction(q, v)[0]
+    casadi = pytest.importorskip("casadi")
+    assert casadi
+    functions = model.to_casadi()
+    ours = functions["torques"](q, v, a), functions["gravity"](q), functions["friction"](v)
+    for one, other in zip(ours, expected, strict=True):
+        np.testing.assert_allclose(np.array(one).ravel(), other, atol=1e-10)
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    model.to_c(tmp_path / "arm.c")
+    library = tmp_path / "arm.so"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(tmp_path / "arm.c"), "-o", str(library), "-lm"], check=True)
+    code = ctypes.CDLL(str(library))
+    for name, given, other in zip(
+        ("torques", "gravity", "friction"), ((q, v, a), (q,), (v,)), expected, strict=True
+    ):
+        tau = np.zeros(3)
+        pointers = [np.ascontiguousarray(x).ctypes.data_as(ctypes.c_void_p) for x in (*given, tau)]
+        getattr(code, f"arm_{name}")(*pointers)
+        np.testing.assert_allclose(tau, other, atol=1e-10)
 
 
 def test_acceleration_inverts_torques(found, rng):
