@@ -6,6 +6,7 @@ import ctypes
 import importlib.util
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -327,6 +328,38 @@ def test_bad_logs_are_refused_in_one_line(found, rng):
         arms.identify(log, WRIST, friction=["sticky"])
     with pytest.raises(la.InputError, match="shape"):
         model.torques([0.0], [0.0], [0.0])
+
+
+def test_a_contact_is_reported_and_a_clean_log_is_not(found):
+    true, model = found
+    assert not any("contact" in note for note in model.facts.notes)
+    log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
+    pushed = log.forces.copy()
+    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += 2.0
+    again = arms.identify(la.Trajectory(log.t, log.q, pushed, log.coordinates, "run"), WRIST)
+    (note,) = [note for note in again.facts.notes if "contact" in note]
+    assert note.startswith("from 3.0")
+    assert "the torque of q2" in note
+    assert "\n" not in note
+
+
+def test_currents_are_reported_where_the_tree_has_inertias(found):
+    true, _ = found
+    log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
+    known = WRIST.with_inertias(true.tree.inertias)
+    currents = la.Trajectory(log.t, log.q, log.forces / [0.9, 12.0, 1.1], log.coordinates)
+    notes = [note for note in arms.identify(currents, known).facts.notes if "torque constant" in note]
+    assert len(notes) == 1
+    assert "torques of q2 are 0.08" in notes[0]
+
+
+def test_degrees_show_by_the_limits_of_the_file(found, file):
+    true, _ = found
+    log = recorded(true, np.random.default_rng(4), 2.0)
+    limited = replace(WRIST.joints[0], limits=np.array([-0.01, 0.01, 1.0, 1.0]))
+    tree = replace(WRIST, joints=(limited, *WRIST.joints[1:]))
+    with pytest.raises(la.InputError, match="degrees to radians"):
+        prepared(Trajectories([log]), tree)
 
 
 def test_names_may_come_in_any_sequence(found):
