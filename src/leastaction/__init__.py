@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from leastaction import casadi as casadi
     from leastaction import control as control
     from leastaction import delay as delay
+    from leastaction import experiment as experiment
     from leastaction import io, metrics, systems
     from leastaction import units as units
     from leastaction.api import discover
@@ -94,7 +95,9 @@ _HOMES = {
 }
 
 # Modules for particular needs are reached by their name, but are not in the list below.
-_MODULES = frozenset({"arms", "casadi", "control", "delay", "io", "metrics", "systems", "units"})
+_MODULES = frozenset(
+    {"arms", "casadi", "control", "delay", "experiment", "io", "metrics", "systems", "units"}
+)
 
 __all__ = [
     "AdamOptions",

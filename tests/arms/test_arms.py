@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
+import shutil
+import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import leastaction as la
+from arm_helpers import PI, SEVEN, WRIST, bodies, motion, recorded, truth
 from leastaction import arms
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import prepared
@@ -16,23 +21,6 @@ from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
-
-PI = np.pi
-WRIST = arms.KinematicTree.from_dh(
-    [{"d": 0.3}, {"alpha": -PI / 2, "a": 0.05}, {"a": 0.25, "alpha": PI / 2}], modified=True
-)
-SEVEN = arms.KinematicTree.from_dh(
-    [
-        {"d": 0.34},
-        {"alpha": -PI / 2},
-        {"alpha": PI / 2, "d": 0.4},
-        {"alpha": PI / 2},
-        {"alpha": -PI / 2, "d": 0.4},
-        {"alpha": -PI / 2},
-        {"alpha": PI / 2, "d": 0.126},
-    ],
-    modified=True,
-)
 
 URDF = """<?xml version="1.0"?>
 <robot name="two">
@@ -50,49 +38,6 @@ URDF = """<?xml version="1.0"?>
     <origin xyz="0.1 0 0.3" rpy="0 0.5 0"/></joint>
 </robot>
 """
-
-
-def bodies(n: int, rng: np.random.Generator) -> np.ndarray:
-    """(n, 10) inertial parameters of ellipsoids, lighter towards the hand."""
-    out = []
-    for k in range(n):
-        mass, centre = 4.0 * 0.72**k * rng.uniform(0.8, 1.2), rng.normal(0.0, 0.05, 3)
-        turn, size = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(0.04, 0.1, 3)
-        second = mass * (turn @ np.diag(size**2) @ turn.T + np.outer(centre, centre))
-        inertia = np.trace(second) * np.eye(3) - second
-        out.append([mass, *(mass * centre), *inertia[np.triu_indices(3)]])
-    return np.array(out)
-
-
-def motion(n: int, duration: float, rate: float, rng: np.random.Generator) -> list[np.ndarray]:
-    """Times and a sum of sines with its derivatives."""
-    t = np.arange(0.0, duration, 1.0 / rate)
-    out = np.zeros((3, t.size, n))
-    for j in range(n):
-        for k in range(1, 9):
-            (a, b), w = rng.normal(0.0, 0.5 / np.sqrt(k) / (1.0 + 0.15 * k), 2), 2.0 * PI * 0.15 * k
-            wave, slope = a * np.sin(w * t) + b * np.cos(w * t), w * (a * np.cos(w * t) - b * np.sin(w * t))
-            out[:, :, j] += wave, slope, -(w**2) * wave
-    return [t, *out]
-
-
-def recorded(
-    model: arms.ArmModel,
-    rng: np.random.Generator,
-    duration: float = 10.0,
-    rate: float = 250.0,
-    noise: float = 0.02,
-) -> la.Trajectory:
-    """A log of the model: encoder steps, noisy torques."""
-    t, *states = motion(len(model.tree), duration, rate, rng)
-    torques = model.torques(*states, successive=True)
-    torques += noise * torques.std(axis=0) * rng.normal(size=torques.shape)
-    step = 2.0 * PI / 2**18
-    return la.Trajectory(t, np.rint(states[0] / step) * step, torques, model.coordinates)
-
-
-def truth(tree: arms.KinematicTree, rng: np.random.Generator, **joints: list[float]) -> arms.ArmModel:
-    return arms.ArmModel.of_tree(tree.with_inertias(bodies(len(tree), rng)), joints, distance=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -316,6 +261,45 @@ def test_python_code_computes_the_same_torques(found, tmp_path, rng):
         spec.loader.exec_module(code)  # type: ignore[union-attr]
         states = rng.normal(size=(3, len(model.tree)))
         np.testing.assert_allclose(code.torques(*states), model.torques(*states)[0], atol=1e-10)
+        np.testing.assert_allclose(code.gravity(states[0]), model.gravity(states[0])[0], atol=1e-10)
+        np.testing.assert_allclose(code.friction(states[1]), model.friction(*states[:2])[0], atol=1e-10)
+
+
+def test_c_and_casadi_compute_the_same_torques(tmp_path, rng):
+    slide = arms.KinematicTree.from_joints(
+        [
+            {"axis": (0, 1, 0)},
+            {"kind": "prismatic", "axis": (1, 0, 1), "origin": (0.1, 0.2, 0.3), "rpy": (1, 2, 3)},
+            {"axis": (0.6, 0.0, 0.8), "origin": (0.0, 0.2, 0.1), "parent": "q1"},
+        ]
+    )
+    kinds = {kind: [0.3, 0.2, 0.1] for kind in ("rotor", "spring", "offset", "viscous", "dry", "quadratic")}
+    model = arms.ArmModel.of_tree(
+        slide.with_inertias(bodies(3, rng)), {**kinds, "asymmetric": [0.1, 0.0, 0.2]}
+    )
+    q, v, a = rng.normal(size=(3, 3))
+    expected = model.torques(q, v, a)[0], model.gravity(q)[0], model.friction(q, v)[0]
+    casadi = pytest.importorskip("casadi")
+    assert casadi
+    functions = model.to_casadi()
+    ours = functions["torques"](q, v, a), functions["gravity"](q), functions["friction"](v)
+    for one, other in zip(ours, expected, strict=True):
+        np.testing.assert_allclose(np.array(one).ravel(), other, atol=1e-10)
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler")
+    model.to_c(tmp_path / "arm.c")
+    library = tmp_path / "arm.so"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([compiler, *flags, str(tmp_path / "arm.c"), "-o", str(library), "-lm"], check=True)
+    code = ctypes.CDLL(str(library))
+    for name, given, other in zip(
+        ("torques", "gravity", "friction"), ((q, v, a), (q,), (v,)), expected, strict=True
+    ):
+        tau = np.zeros(3)
+        pointers = [np.ascontiguousarray(x).ctypes.data_as(ctypes.c_void_p) for x in (*given, tau)]
+        getattr(code, f"arm_{name}")(*pointers)
+        np.testing.assert_allclose(tau, other, atol=1e-10)
 
 
 def test_acceleration_inverts_torques(found, rng):
@@ -346,6 +330,38 @@ def test_bad_logs_are_refused_in_one_line(found, rng):
         model.torques([0.0], [0.0], [0.0])
 
 
+def test_a_contact_is_reported_and_a_clean_log_is_not(found):
+    true, model = found
+    assert not any("contact" in note for note in model.facts.notes)
+    log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
+    pushed = log.forces.copy()
+    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += 2.0
+    again = arms.identify(la.Trajectory(log.t, log.q, pushed, log.coordinates, "run"), WRIST)
+    (note,) = [note for note in again.facts.notes if "contact" in note]
+    assert note.startswith("from 3.0")
+    assert "the torque of q2" in note
+    assert "\n" not in note
+
+
+def test_currents_are_reported_where_the_tree_has_inertias(found):
+    true, _ = found
+    log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
+    known = WRIST.with_inertias(true.tree.inertias)
+    currents = la.Trajectory(log.t, log.q, log.forces / [0.9, 12.0, 1.1], log.coordinates)
+    notes = [note for note in arms.identify(currents, known).facts.notes if "torque constant" in note]
+    assert len(notes) == 1
+    assert "torques of q2 are 0.08" in notes[0]
+
+
+def test_degrees_show_by_the_limits_of_the_file(found, file):
+    true, _ = found
+    log = recorded(true, np.random.default_rng(4), 2.0)
+    limited = replace(WRIST.joints[0], limits=np.array([-0.01, 0.01, 1.0, 1.0]))
+    tree = replace(WRIST, joints=(limited, *WRIST.joints[1:]))
+    with pytest.raises(la.InputError, match="degrees to radians"):
+        prepared(Trajectories([log]), tree)
+
+
 def test_names_may_come_in_any_sequence(found):
     true, _ = found
     log = recorded(true, np.random.default_rng(2), 3.0)
@@ -374,7 +390,7 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
     assert arms.load(out / "arm.json").can_exist.all()
     for wrong, words in [
         ([], "--convention is missing"),
-        (["--convention", "modified", "--urdf", "x"], "one of --urdf and --dh"),
+        (["--convention", "modified", "--urdf", "x"], "one of --urdf, --mjcf and --dh"),
     ]:
         failed = runner.invoke(program, [*given, *wrong])
         assert failed.exit_code == 2

@@ -7,6 +7,7 @@ import pytest
 import sympy as sp
 
 import leastaction as la
+from leastaction.library.tree import INERTIAL, KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import (
     FRICTION,
@@ -17,7 +18,6 @@ from leastaction.mechanics.arm_columns import (
     presliding,
 )
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics, mass_matrix
-from leastaction.mechanics.tree import INERTIAL, KinematicTree
 
 PLANAR = KinematicTree.from_dh([{"a": 0.3}, {"a": 0.2}], modified=False, gravity=(0.0, -9.81, 0.0))
 SPATIAL = KinematicTree.from_dh(
@@ -98,10 +98,20 @@ def symbolic_terms(tree: KinematicTree) -> list[sp.Expr]:
     return out
 
 
+MJCF = """<mujoco><worldbody><body pos="0 0 0.5" euler="90 0 0">
+  <joint name="a" pos="0.1 0 0" axis="0 0.6 0.8" ref="90"/><geom size="0.1"/>
+  <body pos="0.3 0.1 0"><joint name="b" type="slide" axis="0 0 1" ref="0.2"/><geom size="0.1"/></body>
+</body></worldbody></mujoco>"""
+
+
 @pytest.mark.parametrize(
-    ("tree", "stride"), [(PLANAR, 1), (SPATIAL, 4), (GANTRY, 1)], ids=["planar", "spatial", "gantry"]
+    ("tree", "stride"),
+    [(PLANAR, 1), (SPATIAL, 4), (GANTRY, 1), (MJCF, 1)],
+    ids=["planar", "spatial", "gantry", "mjcf"],
 )
-def test_columns_are_those_of_the_symbolic_lagrangian(tree, stride, rng):
+def test_columns_are_those_of_the_symbolic_lagrangian(tree, stride, rng, file):
+    if isinstance(tree, str):
+        tree = la.Library.from_mjcf(file(tree, "arm.xml"))
     # a term may not be longer than the parser allows; the operator is linear
     pieces = [sp.Add.make_args(sp.expand(e).evalf(17)) for e in symbolic_terms(tree)[::stride]]
     moving = [[p for p in some if p.free_symbols] for some in pieces]

@@ -14,7 +14,21 @@ from leastaction.arms.file import load
 from leastaction.arms.identify import identify
 from leastaction.arms.log import TorqueErrors
 from leastaction.arms.model import ArmModel
-from leastaction.arms.urdf import read_urdf, write_urdf
-from leastaction.mechanics.tree import KinematicTree
+from leastaction.arms.payload import Payload, payload
+from leastaction.library.mjcf import read_mjcf, write_mjcf
+from leastaction.library.tree import KinematicTree
+from leastaction.library.urdf import read_urdf, write_urdf
 
-__all__ = ["ArmModel", "KinematicTree", "TorqueErrors", "identify", "load", "read_urdf", "write_urdf"]
+__all__ = [
+    "ArmModel",
+    "KinematicTree",
+    "Payload",
+    "TorqueErrors",
+    "identify",
+    "load",
+    "payload",
+    "read_mjcf",
+    "read_urdf",
+    "write_mjcf",
+    "write_urdf",
+]

@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
-from leastaction.mechanics.tree import KinematicTree
 
 __all__ = [
     "BaseParameters",

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, find_base
+from leastaction.arms.doubts import contact_notes, scale_notes
 from leastaction.arms.log import prepared
 from leastaction.arms.model import ArmModel, FitFacts
 from leastaction.arms.regression import Choice, Regression
@@ -36,8 +37,8 @@ from leastaction.estimation.joint import Physics
 from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
+from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, inertial_terms, joint_terms
-from leastaction.mechanics.tree import KinematicTree
 from leastaction.threads import single_threaded
 
 __all__ = ["identify"]
@@ -115,6 +116,7 @@ def identify(
     columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), choice.history)
     base, columns, fit = _fitted(laid, columns, base, choice)
     fit = _weighted(laid, columns, fit)
+    notes += _doubts(laid, columns, fit, tuple(data.names))
     base, coefficients, covariance = _turned(base, columns, fit, _corrected(laid, columns, fit))
     weights = fit.weights
     facts = FitFacts(
@@ -182,6 +184,15 @@ def _fitted(
     physics = Physics(columns, np.ones(len(columns), bool), laid.forces.values)
     members = [base.members[k] for k in kept]
     return base.subset(members), columns, fit_weights(laid.observations, physics, start)
+
+
+def _doubts(laid: _Laid, columns: ArmColumns, fit: JointFit, names: tuple[str, ...]) -> list[str]:
+    """Notes on what the log may hold besides the arm."""
+    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+    notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
+    points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
+    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(columns.tree), -1)
+    return notes + scale_notes(columns.tree, points, torques)
 
 
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:

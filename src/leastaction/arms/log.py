@@ -15,13 +15,14 @@ from scipy.signal import butter, sosfiltfilt
 
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.mechanics.tree import KinematicTree
+from leastaction.library.tree import KinematicTree
 
 __all__ = ["TorqueErrors", "prepared", "torque_errors"]
 
 _TRIM = 0.3  # s at each end, where filters and splines lack data on one side
 _FEWEST = 200  # samples
 _MOST_TURNS = 12.0 * np.pi  # rad, that joints of an arm span: more are degrees
+_BEYOND = 2.0  # times the range between a joint's limits, which no motion in radians spans
 _STILL = 1e-3  # rad or m: a joint that spans less stands still
 _SLOW = 0.02  # of the mean square velocity, below which positions do not tell the time
 _AGREES = 0.02  # of a tick, by which half of the stamps scatter that need no clock
@@ -74,6 +75,12 @@ def _check(data: Trajectories, tree: KinematicTree) -> None:
             raise InputError(
                 f"joint {joint.name!r} spans {span:.0f} rad, which looks like degrees; convert the angles to "
                 "radians"
+            )
+        room = np.nan if joint.limits is None else joint.limits[1] - joint.limits[0]
+        if joint.kind == "revolute" and span > _BEYOND * room:
+            raise InputError(
+                f"joint {joint.name!r} spans {span:.3g}, but its limits are {room:.3g} rad apart; convert "
+                "angles in degrees to radians, or correct the limits"
             )
     still = [joint.name for joint, span in zip(tree.joints, spans, strict=True) if span < _STILL]
     if len(still) == len(tree):

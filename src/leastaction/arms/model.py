@@ -21,14 +21,17 @@ from leastaction.arms.base import (
     with_prior,
 )
 from leastaction.arms.log import TorqueErrors, prepared, torque_errors
-from leastaction.arms.urdf import write_urdf
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
+from leastaction.library.mjcf import write_mjcf
+from leastaction.library.tree import KinematicTree
+from leastaction.library.urdf import write_urdf
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import (
+    FRICTION,
     ArmColumns,
     ArmTerm,
     JointScales,
@@ -36,7 +39,6 @@ from leastaction.mechanics.arm_columns import (
     joint_terms,
     presliding,
 )
-from leastaction.mechanics.tree import KinematicTree
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel", "FitFacts"]
@@ -252,6 +254,12 @@ class ArmModel:
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
         return np.tensordot(inertial, columns, 1).T
 
+    def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
+        """(n_times, n_dof) torques of friction alone, to be compensated."""
+        q, qdot = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (q, qdot))
+        kept = np.where([term.kind in FRICTION for term in self.terms], self.coefficients, 0.0)
+        return np.tensordot(kept, self.columns(q, qdot, np.zeros_like(q)), 1).T
+
     def acceleration(self, q: ArrayLike, qdot: ArrayLike, torques: ArrayLike) -> np.ndarray:
         """(n_times, n_dof) accelerations under given torques."""
         q, qdot = np.atleast_2d(np.asarray(q, float)), np.atleast_2d(np.asarray(qdot, float))
@@ -347,6 +355,18 @@ class ArmModel:
         """Write the inertias of the tree into a copy of the URDF that it was read from; see `bodies`."""
         write_urdf(self.tree, source, path)
 
+    def to_mjcf(self, path: str | Path) -> None:
+        """Write the tree as a MuJoCo model, with rotors, viscous and dry friction and springs; see `bodies`.
+
+        Joints of MuJoCo have no other friction and no constant torques: these are left out.
+        """
+        values = np.zeros((4, len(self.tree)))
+        kinds = ("rotor", "viscous", "dry", "spring")
+        for term, value in zip(self.terms, self.coefficients.tolist(), strict=True):
+            if term.kind in kinds:
+                values[kinds.index(term.kind), term.place] = value
+        write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
+
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""
         from leastaction.arms import file
@@ -354,10 +374,22 @@ class ArmModel:
         file.save(self, path)
 
     def to_python(self, path: str | Path) -> None:
-        """Write a module with a function ``torques(q, qdot, qddot)`` that needs NumPy alone."""
-        from leastaction.arms import file
+        """Write a module with ``torques``, ``gravity`` and ``friction``, in NumPy alone."""
+        from leastaction.arms import code
 
-        file.write_python(self, path)
+        code.write_python(self, path)
+
+    def to_c(self, path: str | Path) -> None:
+        """Write C99 code with ``arm_torques``, ``arm_gravity`` and ``arm_friction``; needs math.h alone."""
+        from leastaction.arms import code
+
+        code.write_c(self, path)
+
+    def to_casadi(self) -> dict[str, Any]:
+        """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as CasADi functions, by name."""
+        from leastaction.arms import code
+
+        return code.casadi_functions(self)
 
 
 def _short(text: str, most: int = 34) -> str:

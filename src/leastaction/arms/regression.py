@@ -25,6 +25,7 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.forces import forces_on
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.intervals import points_at
+from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import (
     ArmColumns,
     ArmTerm,
@@ -34,7 +35,6 @@ from leastaction.mechanics.arm_columns import (
     presliding,
     smooth_sign,
 )
-from leastaction.mechanics.tree import KinematicTree
 
 __all__ = ["Choice", "Regression"]
 

@@ -36,6 +36,7 @@ Example:
 )
 @data_options(coordinates_required=False)
 @click.option("--urdf", metavar="FILE", shell_complete=complete_file, help="URDF of the arm.")
+@click.option("--mjcf", metavar="FILE", shell_complete=complete_file, help="MuJoCo model instead.")
 @click.option(
     "--dh",
     metavar="FILE",
@@ -49,15 +50,14 @@ Example:
     help="Of the table: modified (Craig) or standard.",
 )
 @click.option(
-    "--joints", metavar="A,B", help="Joints of the URDF that move; the others are taken as fixed at zero."
+    "--joints", metavar="A,B", help="Joints of the file that move; the others stay where it places them."
 )
 @click.option(
     "--gravity",
     type=float,
     nargs=3,
-    default=(0.0, 0.0, -9.81),
     metavar="X Y Z",
-    help="In the world, in m/s² (default: 0 0 -9.81).",
+    help="In the world, in m/s² (default: what the MuJoCo model says, or 0 0 -9.81).",
 )
 @click.option(
     "--base-rpy",
@@ -78,31 +78,29 @@ Example:
     required=True,
     metavar="DIR",
     shell_complete=complete_folder,
-    help="Directory for arm.json, inverse_dynamics.py and arm.urdf.",
+    help="Directory for arm.json, inverse_dynamics.py, and arm.urdf or arm.xml.",
 )
 def arm(
     data: Callable[..., DataOptions],
-    urdf: str | None,
-    dh: str | None,
-    convention: str | None,
-    joints: str | None,
     hold_out: str | None,
     output: str,
-    **placed: Any,
+    urdf: str | None,
+    mjcf: str | None,
+    **geometry: Any,
 ) -> None:
     """Identify the inertial parameters and the friction of a robot arm.
 
     DATA are logs of joint angles and, by --forces, joint torques. Prints the combinations of parameters that
     the log determines, with standard errors, and writes the arm: arm.json, Python code of its inverse
-    dynamics, and with --urdf a copy of it with the inertias found. Its links are bodies that can exist, as
-    near to the data as possible. Give logged velocities with --velocity NAME=COLUMN: they show the clock of
-    the robot where the stamps of the log scatter.
+    dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links that
+    are written can exist, and agree with the data as closely as possible. Give logged velocities with
+    --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log scatter.
     """
     from leastaction import arms
 
-    names = ("arm.json", "inverse_dynamics.py", *(("arm.urdf",) if urdf else ()))
-    folder = check_folder(output, names)
-    tree = _tree(urdf, dh, convention, joints, placed)
+    robots = (*(("arm.urdf",) if urdf else ()), *(("arm.xml",) if mjcf else ()))
+    folder = check_folder(output, ("arm.json", "inverse_dynamics.py", *robots))
+    tree = _tree(urdf, mjcf, **geometry)
     options = data(default=tree.coordinates)
     if not options.forces:
         raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
@@ -117,6 +115,8 @@ def arm(
         writers["inverse_dynamics.py"] = solid.to_python
     if urdf is not None:
         writers["arm.urdf"] = partial(solid.to_urdf, urdf)
+    if mjcf is not None:
+        writers["arm.xml"] = solid.to_mjcf
     write_together(folder, writers)
     say(str(found))
     say(f"note: {one_line(solid.facts.notes[-1])}")
@@ -126,21 +126,31 @@ def arm(
 
 
 def _tree(
-    urdf: str | None, dh: str | None, convention: str | None, joints: str | None, placed: dict[str, Any]
+    urdf: str | None,
+    mjcf: str | None,
+    dh: str | None,
+    convention: str | None,
+    joints: str | None,
+    gravity: tuple[float, float, float] | None,
+    base_rpy: tuple[float, float, float],
 ) -> KinematicTree:
     from leastaction import arms
 
-    if (urdf is None) == (dh is None):
-        raise InputError("give the arm's geometry with one of --urdf and --dh")
+    if [urdf, mjcf, dh].count(None) != 2:
+        raise InputError("give the arm's geometry with one of --urdf, --mjcf and --dh")
+    chosen = None if joints is None else [name.strip() for name in joints.split(",")]
+    if mjcf is not None:
+        return arms.read_mjcf(mjcf, joints=chosen, gravity=gravity, base_rpy=base_rpy)
+    down = gravity or (0.0, 0.0, -9.81)
     if urdf is not None:
-        chosen = None if joints is None else [name.strip() for name in joints.split(",")]
-        return arms.read_urdf(urdf, joints=chosen, **placed)
+        return arms.read_urdf(urdf, joints=chosen, gravity=down, base_rpy=base_rpy)
     if convention is None:
         raise InputError(
             "--convention is missing; say whether the table of --dh is modified (Craig) or standard"
         )
     assert dh is not None
-    return arms.KinematicTree.from_dh(_table(dh), modified=convention == "modified", **placed)
+    craig = convention == "modified"
+    return arms.KinematicTree.from_dh(_table(dh), modified=craig, gravity=down, base_rpy=base_rpy)
 
 
 def _table(path: str) -> list[dict[str, Any]]:

@@ -21,6 +21,7 @@ from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
 from leastaction.identifiers import TIME, quoted
 from leastaction.library import Library, Term, smooth_abs
+from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem", "states_along"]
@@ -167,6 +168,11 @@ def states_along(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
 
 
 def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:
+    if isinstance(given, KinematicTree):
+        raise InputError(
+            "a kinematic tree gives the form of the equations, so that nothing need be discovered; use "
+            "leastaction.arms.identify(trajectories, tree)"
+        )
     library = given if isinstance(given, Library) else Library(given, coordinates)
     if library.coordinates != coordinates:
         raise InputError(

@@ -15,8 +15,10 @@
 * ``jets.py`` holds the derivatives behind that: values and first and mixed second derivatives by the
   chain rule, in double or high precision, without symbolic differentiation. ``invariance.py`` asks with
   them what shifts, turns and exchanges of coordinates demand of the coefficients.
+* ``tree.py`` holds kinematic trees, which stand for a library where the geometry is known (``geometry.py``);
+  ``urdf.py`` and ``mjcf.py`` read them from files.
 
-Imports from outside this folder: ``errors`` and ``identifiers`` only.
+Imports from outside this folder: ``errors``, ``identifiers`` and the reading of files.
 """
 
 from __future__ import annotations

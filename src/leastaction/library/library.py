@@ -12,6 +12,7 @@ from leastaction.identifiers import FUNCTION_NAMES, check_coordinate_names, name
 from leastaction.library.collect import collect, read_terms
 from leastaction.library.families import check_angles, check_count, mechanical_terms
 from leastaction.library.friction import with_families
+from leastaction.library.geometry import FromGeometry
 from leastaction.library.grammar import description_lengths, grown_terms
 from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within, summary_of
 from leastaction.library.parser import normalise
@@ -22,7 +23,7 @@ from leastaction.library.term import Candidate, Dropped, Kind, Term
 __all__ = ["Library"]
 
 
-class Library(ShownLibrary, Sequence[Term]):
+class Library(FromGeometry, ShownLibrary, Sequence[Term]):
     """Candidate terms of the Lagrangian, L = Σ_k λ_k φ_k, and of the dissipation function.
 
     Immutable: every method returns a new library.
@@ -202,8 +203,7 @@ class Library(ShownLibrary, Sequence[Term]):
         '69 terms in r, phi (angles: phi): 45 with velocities, 24 without; 36 left out'
         """
         names = check_coordinate_names(coordinates)
-        terms = grown_terms(names, check_angles(angles, names))
-        library = cls(terms, names, angles=angles)
+        library = cls(grown_terms(names, check_angles(angles, names)), names, angles=angles)
         library._lengths = description_lengths(library.terms)
         return library
 
@@ -392,7 +392,7 @@ class Library(ShownLibrary, Sequence[Term]):
         return self.replace(terms=terms, dissipation=dissipation)
 
     def summary(self) -> str:
-        """Return one line with the number of terms of each kind.
+        """One line with the number of terms of each kind.
 
         Examples
         --------

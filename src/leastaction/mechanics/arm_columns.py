@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from leastaction.library.tree import INERTIAL, KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import (
     Motion,
@@ -31,7 +32,6 @@ from leastaction.mechanics.rigid_bodies import (
     regressor,
     slopes,
 )
-from leastaction.mechanics.tree import INERTIAL, KinematicTree
 
 __all__ = [
     "FRICTION",

@@ -19,8 +19,8 @@ from functools import cached_property
 
 import numpy as np
 
+from leastaction.library.tree import INERTIAL, KinematicTree
 from leastaction.mechanics import Points
-from leastaction.mechanics.tree import INERTIAL, KinematicTree
 
 __all__ = ["Motion", "inverse_dynamics", "mass_matrix", "regressor", "slopes"]
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["GRAVITY", "INERTIAL", "Joint", "KinematicTree", "rpy_matrix"]
+__all__ = ["GRAVITY", "INERTIAL", "Joint", "KinematicTree", "axis_rotation", "rpy_matrix"]
 
 GRAVITY = (0.0, 0.0, -9.81)
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
@@ -48,6 +48,11 @@ class Joint:
         Unit vector in the frame of the joint.
     inertia : (10,) array or None
         What the maker or a drawing says of the link, see `INERTIAL`, in kg, kg m and kg m².
+    limits : (4,) array or None
+        Lowest and highest coordinate (rad, m), speed (rad/s, m/s) and torque (N m, N); NaN where the file
+        gives none.
+    dynamics : mapping of str to float
+        What the maker says acts in the joint: "rotor", "viscous", "dry", "spring" and "offset".
     """
 
     name: str
@@ -58,13 +63,15 @@ class Joint:
     origin: np.ndarray
     axis: np.ndarray
     inertia: np.ndarray | None = None
+    limits: np.ndarray | None = None
+    dynamics: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, eq=False)
 class KinematicTree:
     """The geometry of an arm: joints in sequence, parents first, and the direction of gravity.
 
-    Make one by `from_urdf` (of ``leastaction.arms``), `from_dh` or `from_joints`.
+    Make one by `from_dh` or `from_joints`, or from a file by ``Library.from_urdf`` or ``Library.from_mjcf``.
 
     Attributes
     ----------
@@ -226,6 +233,18 @@ class KinematicTree:
         unknown = np.full(len(INERTIAL), np.nan)
         return np.array([unknown if j.inertia is None else j.inertia for j in self.joints])
 
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """(n_dof, 4) lowest and highest coordinate, speed and torque of each joint; NaN where unknown."""
+        unknown = np.full(4, np.nan)
+        return np.array([unknown if j.limits is None else j.limits for j in self.joints])
+
+    @property
+    def dynamics(self) -> dict[str, np.ndarray]:
+        """Kind of friction, rotor or spring → (n_dof,) what the maker says; for `ArmModel.of_tree`."""
+        kinds = dict.fromkeys(kind for joint in self.joints for kind in joint.dynamics)
+        return {kind: np.array([j.dynamics.get(kind, 0.0) for j in self.joints]) for kind in kinds}
+
     def with_inertias(self, inertias: np.ndarray) -> KinematicTree:
         """The tree with other inertial parameters, (n_links, 10)."""
         given = zip(self.joints, np.asarray(inertias, dtype=float), strict=True)
@@ -248,6 +267,13 @@ def rpy_matrix(rpy: ArrayLike) -> np.ndarray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def axis_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
+    """(3, 3) rotation by an angle in rad about a unit vector (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
 
 
 def _joint(

@@ -1,36 +1,32 @@
 """Read the kinematic tree of a URDF, and write identified inertias back into one.
 
-Only what mechanics needs is read: links with their inertia, joints with origin, axis and kind.  Meshes and
-everything else are left alone.  Document types and entities are refused, so that no file can make the parser
-expand or fetch anything.
+Only what mechanics needs is read: links with their inertia, joints with origin, axis, kind, limits and
+dynamics.  Meshes and everything else are left alone; no mesh need exist.
 """
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from xml.parsers import expat
 
 import numpy as np
 
-from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
+from leastaction.data.formats.atomic import write_bytes
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
-from leastaction.mechanics.tree import GRAVITY, Joint, KinematicTree, rpy_matrix
+from leastaction.library.robot_xml import about_centre, identifier, moved, numbers, parse_robot, written
+from leastaction.library.tree import GRAVITY, Joint, KinematicTree, rpy_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
 __all__ = ["read_urdf", "write_urdf"]
 
-_MOST = 20_000_000  # bytes
 _MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 _INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_NAME = re.compile(r"[^\W\d]\w*\Z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +38,8 @@ class _UrdfJoint:
     rotation: np.ndarray
     origin: np.ndarray
     axis: np.ndarray
+    limits: np.ndarray
+    dynamics: dict[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +81,7 @@ def read_urdf(
     InputError
         If the file is no URDF, or has joints that are not supported.
     """
-    root = _parsed(path)
+    root = _root(path)
     found, masses = _contents(root, str(path), joints)
     names = [joint.name for joint in found if joint.kind in _MOVING]
     for name in joints or ():
@@ -96,23 +94,25 @@ def read_urdf(
         own = masses.get(link.link)
         if link.body < 0 or own is None:
             continue
-        moved = _moved(own, link.rotation, link.origin)
+        added = moved(own, link.rotation, link.origin)
         before = inertias[link.body]
-        inertias[link.body] = moved if before is None else before + moved
+        inertias[link.body] = added if before is None else before + added
     bodies = {link.link: link for link in placed}
     made: list[Joint] = []
     for joint, inertia in zip(sequence, inertias, strict=True):
         parent = bodies[joint.parent]
         made.append(
             Joint(
-                _identifier(joint.name),
-                _identifier(joint.child),
+                identifier(joint.name),
+                identifier(joint.child),
                 _MOVING[joint.kind],
                 parent.body,
                 parent.rotation @ joint.rotation,
                 parent.origin + parent.rotation @ joint.origin,
                 joint.axis,
                 inertia,
+                joint.limits,
+                joint.dynamics,
             )
         )
     turn = rpy_matrix(base_rpy).T
@@ -136,12 +136,12 @@ def write_urdf(tree: KinematicTree, source: str | Path, path: str | Path) -> Non
     """
     if np.isnan(tree.inertias).any():
         raise InputError("the tree has links without inertia; take the tree of model.bodies()")
-    root = _parsed(source)
+    root = _root(source)
     every = [element.get("name", "") for element in root.findall("joint")]
-    moving = {name for name in every if _identifier(name) in tree.coordinates}
+    moving = {name for name in every if identifier(name) in tree.coordinates}
     found, _ = _contents(root, str(source), list(moving))
     placed, sequence = _placed(found, moving, str(source))
-    if tuple(_identifier(joint.name) for joint in sequence) != tree.coordinates:
+    if tuple(identifier(joint.name) for joint in sequence) != tree.coordinates:
         raise InputError(f"{source} has other joints than the tree; give the file that it was read from")
     first = {joint.child: k for k, joint in enumerate(sequence)}
     elements = {link.get("name"): link for link in root.findall("link")}
@@ -155,43 +155,6 @@ def write_urdf(tree: KinematicTree, source: str | Path, path: str | Path) -> Non
             element.insert(0, _inertial(tree.inertias[first[link.link]]))
     ET.indent(root)
     write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
-
-
-def _inertial(row: np.ndarray) -> ET.Element:
-    """The element, with the inertia about the centre of mass."""
-    mass, centre = row[0], row[1:4] / row[0]
-    about = _matrix(row[4:]) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    element = ET.Element("inertial")
-    ET.SubElement(element, "origin", xyz=" ".join(f"{x:.9g}" for x in centre), rpy="0 0 0")
-    ET.SubElement(element, "mass", value=f"{mass:.9g}")
-    upper = about[np.triu_indices(3)]
-    ET.SubElement(element, "inertia", {k: f"{v:.9g}" for k, v in zip(_INERTIA, upper, strict=True)})
-    return element
-
-
-def _parsed(path: str | Path) -> ET.Element:
-    data = read_bytes(check_path(path), _MOST + 1)
-    if len(data) > _MOST:
-        raise InputError(f"{path} has more than {_MOST} bytes; a URDF has less")
-
-    def refuse(*_: object) -> int:
-        raise InputError(f"{path} declares a document type or entities; remove them, a URDF needs none")
-
-    # expat first, for declarations alone: ElementTree gives no way to refuse them
-    guard = expat.ParserCreate()
-    guard.StartDoctypeDeclHandler = guard.EntityDeclHandler = guard.ExternalEntityRefHandler = refuse
-    try:
-        guard.Parse(data, True)
-        root = ET.fromstring(data)
-    except (expat.ExpatError, ET.ParseError) as error:
-        raise InputError(
-            f"{path} is not XML: {error}; if it is a xacro file, run xacro on it first"
-        ) from None
-    if root.tag != "robot":
-        raise InputError(f"{path} holds <{quoted(root.tag)[1:-1]}>; expected a URDF, whose root is <robot>")
-    if any("xacro" in element.tag for element in root.iter()):
-        raise InputError(f"{path} holds xacro macros; expand them first: xacro FILE > robot.urdf")
-    return root
 
 
 def _contents(
@@ -245,12 +208,16 @@ def _joint(element: ET.Element, path: str, moving: list[str] | None) -> _UrdfJoi
     rotation, origin = _pose(element.find("origin"), where)
     along = element.find("axis")
     axis = (
-        np.array([1.0, 0.0, 0.0]) if along is None else _numbers(along.get("xyz", "1 0 0"), f"{where}, axis")
+        np.array([1.0, 0.0, 0.0]) if along is None else numbers(along.get("xyz", "1 0 0"), f"{where}, axis")
     )
     length = float(np.linalg.norm(axis))
     if kind != "fixed" and length == 0.0:
         raise InputError(f"{where} has an axis without length; write for example <axis xyz='0 0 1'/>")
-    return _UrdfJoint(name, kind, ends[0], ends[1], rotation, origin, axis / (length or 1.0))
+    dynamics = _dynamics(element.find("dynamics"), where)
+    limits = _limits(element.find("limit"), kind, where)
+    return _UrdfJoint(
+        name, kind, ends[0], ends[1], rotation, origin, axis / (length or 1.0), limits, dynamics
+    )
 
 
 def _placed(joints: list[_UrdfJoint], moving: set[str], path: str) -> tuple[list[_Placed], list[_UrdfJoint]]:
@@ -288,48 +255,6 @@ def _growing(items: list[_Placed]) -> Iterator[_Placed]:
         k += 1
 
 
-def _mass(element: ET.Element, where: str) -> np.ndarray:
-    """(10,) of an <inertial> in the frame of its link."""
-    rotation, centre = _pose(element.find("origin"), where)
-    mass, inertia = element.find("mass"), element.find("inertia")
-    value = _numbers("" if mass is None else mass.get("value", ""), f"{where}, mass", 1)[0]
-    given = {} if inertia is None else inertia.attrib
-    six = np.array([_numbers(given.get(key, "0"), f"{where}, {key}", 1)[0] for key in _INERTIA])
-    about = np.concatenate([[value], np.zeros(3), six])
-    return _moved(about, rotation, centre)
-
-
-def _moved(row: np.ndarray, rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Inertial parameters in a frame in which their own has this pose."""
-    mass, first = row[0], rotation @ row[1:4]
-    own = rotation @ _matrix(row[4:]) @ rotation.T
-    cross = origin @ first * np.eye(3) * 2.0 - np.outer(origin, first) - np.outer(first, origin)
-    own = own + cross + mass * (origin @ origin * np.eye(3) - np.outer(origin, origin))
-    return np.concatenate([[mass], first + mass * origin, own[np.triu_indices(3)]])
-
-
-def _matrix(six: np.ndarray) -> np.ndarray:
-    xx, xy, xz, yy, yz, zz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
-def _pose(element: ET.Element | None, where: str) -> tuple[np.ndarray, np.ndarray]:
-    if element is None:
-        return np.eye(3), np.zeros(3)
-    rpy = _numbers(element.get("rpy", "0 0 0"), f"{where}, rpy")
-    return rpy_matrix(rpy), _numbers(element.get("xyz", "0 0 0"), f"{where}, xyz")
-
-
-def _numbers(text: str, where: str, count: int = 3) -> np.ndarray:
-    try:
-        values = np.array([float(part) for part in text.split()])
-    except ValueError:
-        values = np.zeros(0)
-    if values.size != count or not np.isfinite(values).all():
-        raise InputError(f"{where} is {quoted(text)}; expected {count} finite number{'s' * (count > 1)}")
-    return values
-
-
 def _name(element: ET.Element, what: str, path: str) -> str:
     name = element.get("name")
     if not name:
@@ -337,7 +262,53 @@ def _name(element: ET.Element, what: str, path: str) -> str:
     return name
 
 
-def _identifier(name: str) -> str:
-    """A name that expressions may hold."""
-    text = re.sub(r"\W", "_", name)
-    return text if _NAME.match(text) else f"_{text}"
+def _root(path: str | Path) -> ET.Element:
+    root = parse_robot(path, "robot", "URDF")
+    if any("xacro" in element.tag for element in root.iter()):
+        raise InputError(f"{path} holds xacro macros; expand them first: xacro FILE > robot.urdf")
+    return root
+
+
+def _limits(element: ET.Element | None, kind: str, where: str) -> np.ndarray:
+    """(4,) lowest and highest coordinate, speed, torque; NaN where there is no limit."""
+    given = {} if element is None else element.attrib
+    keys = ("lower", "upper", "velocity", "effort")
+    out = [float(numbers(given.get(key, "0"), f"{where}, {key}", 1)[0]) for key in keys]
+    if kind == "continuous" or out[0] >= out[1]:
+        out[:2] = np.nan, np.nan
+    return np.array(out[:2] + [value if value > 0.0 else np.nan for value in out[2:]])
+
+
+def _dynamics(element: ET.Element | None, where: str) -> dict[str, float]:
+    given = {} if element is None else element.attrib
+    pairs = (("viscous", "damping"), ("dry", "friction"))
+    return {kind: float(numbers(given[key], f"{where}, {key}", 1)[0]) for kind, key in pairs if key in given}
+
+
+def _pose(element: ET.Element | None, where: str) -> tuple[np.ndarray, np.ndarray]:
+    if element is None:
+        return np.eye(3), np.zeros(3)
+    rpy = numbers(element.get("rpy", "0 0 0"), f"{where}, rpy")
+    return rpy_matrix(rpy), numbers(element.get("xyz", "0 0 0"), f"{where}, xyz")
+
+
+def _mass(element: ET.Element, where: str) -> np.ndarray:
+    """(10,) of an <inertial> in the frame of its link."""
+    rotation, centre = _pose(element.find("origin"), where)
+    mass, inertia = element.find("mass"), element.find("inertia")
+    value = numbers("" if mass is None else mass.get("value", ""), f"{where}, mass", 1)[0]
+    given = {} if inertia is None else inertia.attrib
+    six = np.array([numbers(given.get(key, "0"), f"{where}, {key}", 1)[0] for key in _INERTIA])
+    about = np.concatenate([[value], np.zeros(3), six])
+    return moved(about, rotation, centre)
+
+
+def _inertial(row: np.ndarray) -> ET.Element:
+    """The element, with the inertia about the centre of mass."""
+    centre, about = about_centre(row)
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=written(centre), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=written(row[:1]))
+    upper = about[np.triu_indices(3)]
+    ET.SubElement(element, "inertia", {k: written(v) for k, v in zip(_INERTIA, upper, strict=True)})
+    return element

@@ -1,0 +1,117 @@
+"""What a library becomes where the geometry is known: a kinematic tree.
+
+Multiplied out, the Lagrangian of a chain of seven joints has far too many terms for a list of expressions,
+but only ten parameters a link.  These constructors therefore return the tree, whose columns are computed
+numerically.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from leastaction.library.tree import GRAVITY, KinematicTree
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+__all__ = ["FromGeometry"]
+
+
+class FromGeometry:
+    """Constructors of `Library` that return a `KinematicTree`, for ``leastaction.arms.identify``."""
+
+    @staticmethod
+    def from_urdf(
+        path: str | Path,
+        *,
+        joints: list[str] | None = None,
+        gravity: ArrayLike = GRAVITY,
+        base_rpy: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> KinematicTree:
+        """Read the kinematic tree of a URDF; see ``leastaction.arms.read_urdf``.
+
+        Parameters
+        ----------
+        path : str or Path
+        joints : list of str, optional
+            Joints that move; by default all that can.
+        gravity, base_rpy : array_like, shape (3,)
+            In the world, in m/s²; roll, pitch and yaw of the base in the world, in rad.
+
+        Raises
+        ------
+        InputError
+            If the file is no URDF, or has joints that are not supported.
+        """
+        from leastaction.library.urdf import read_urdf
+
+        return read_urdf(path, joints=joints, gravity=gravity, base_rpy=base_rpy)
+
+    @staticmethod
+    def from_mjcf(
+        path: str | Path,
+        *,
+        joints: list[str] | None = None,
+        gravity: ArrayLike | None = None,
+        base_rpy: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> KinematicTree:
+        """Read the kinematic tree of a MuJoCo model; see ``leastaction.arms.read_mjcf``.
+
+        Parameters
+        ----------
+        path : str or Path
+        joints : list of str, optional
+            Joints that move; by default all.
+        gravity : array_like, shape (3,), optional
+            In the world, in m/s²; by default what the file says.
+        base_rpy : array_like, shape (3,)
+            Roll, pitch and yaw of the base in the world, in rad.
+
+        Raises
+        ------
+        InputError
+            If the file is no MJCF, or holds what is not supported.
+        """
+        from leastaction.library.mjcf import read_mjcf
+
+        return read_mjcf(path, joints=joints, gravity=gravity, base_rpy=base_rpy)
+
+    @staticmethod
+    def from_joints(
+        joints: Iterable[Mapping[str, Any]],
+        *,
+        modified: bool | None = None,
+        gravity: ArrayLike = GRAVITY,
+        base_rpy: ArrayLike = (0.0, 0.0, 0.0),
+        name: str = "arm",
+    ) -> KinematicTree:
+        """A tree from axes and offsets, or a chain from its Denavit–Hartenberg table.
+
+        Parameters
+        ----------
+        joints : iterable of mappings
+            One for each joint. With `modified`, rows of the table (``a``, ``d``, ``alpha``, ``theta``), see
+            `KinematicTree.from_dh`; without, axes and offsets (``axis``, ``origin``, ``rpy``, ``parent``),
+            see `KinematicTree.from_joints`. Lengths in m, angles in rad.
+        modified : bool, optional
+            Convention of the table: True for Craig's, False for the original one.
+        gravity, base_rpy, name
+            As of `KinematicTree.from_dh`.
+
+        Raises
+        ------
+        InputError
+            If a row is not as expected.
+
+        Examples
+        --------
+        >>> from leastaction import Library
+        >>> Library.from_joints([{"a": 0.3}, {"a": 0.2}], modified=False, gravity=(0.0, -9.81, 0.0))
+        <KinematicTree 'arm': q1, q2>
+        """
+        given: dict[str, Any] = {"gravity": gravity, "base_rpy": base_rpy, "name": name}
+        if modified is None:
+            return KinematicTree.from_joints(joints, **given)
+        return KinematicTree.from_dh(joints, modified=modified, **given)
