@@ -19,6 +19,7 @@ import leastaction
 from leastaction.curve.settings import CURVE
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.settings import ESTIMATION
+from leastaction.hidden.settings import HIDDEN
 from leastaction.selection.settings import SELECTION
 
 # --------------------------------------------------- measured data: whole, and what their README says
@@ -51,7 +52,13 @@ def test_licence_is_beside_the_data():
 
 
 # ------------------------- thresholds: one frozen object a package, every value documented and in use
-SETTINGS = {"CURVE": CURVE, "ESTIMATION": ESTIMATION, "SELECTION": SELECTION, "DIAGNOSIS": DIAGNOSIS}
+SETTINGS = {
+    "CURVE": CURVE,
+    "ESTIMATION": ESTIMATION,
+    "HIDDEN": HIDDEN,
+    "SELECTION": SELECTION,
+    "DIAGNOSIS": DIAGNOSIS,
+}
 
 
 def _documented(settings) -> set[str]:
