@@ -24,6 +24,7 @@ from leastaction.curve.settings import CURVE
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.errors import MissingPackageError
 from leastaction.estimation.settings import ESTIMATION
+from leastaction.hidden.settings import HIDDEN
 from leastaction.model.model import ModelTerm
 from leastaction.selection.settings import SELECTION
 
@@ -57,7 +58,13 @@ def test_licence_is_beside_the_data():
 
 
 # ------------------------- thresholds: one frozen object a package, every value documented and in use
-SETTINGS = {"CURVE": CURVE, "ESTIMATION": ESTIMATION, "SELECTION": SELECTION, "DIAGNOSIS": DIAGNOSIS}
+SETTINGS = {
+    "CURVE": CURVE,
+    "ESTIMATION": ESTIMATION,
+    "HIDDEN": HIDDEN,
+    "SELECTION": SELECTION,
+    "DIAGNOSIS": DIAGNOSIS,
+}
 
 
 def _documented(settings) -> set[str]:

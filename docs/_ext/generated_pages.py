@@ -34,6 +34,7 @@ _ORDER = (
     "magnetic_pendulum",
     "unknown_anchor",
     "missing_samples",
+    "hidden_pendulum",
     "camera_pixels",
     "lacking_term",
     "unmeasured_drive",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -49,6 +49,7 @@ def discover(
     angles: Iterable[str] | None = None,
     force_offset: Iterable[str] | Mapping[str, float] = (),
     prescribed: Iterable[str] = (),
+    hidden: Iterable[str] = (),
     robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
@@ -99,6 +100,11 @@ def discover(
         support, a joint without a torque sensor. Their own equations are not used, so terms that occur only
         there (the trolley's mass) are not found. In the model, the force on such a coordinate is its
         acceleration.
+    hidden : iterable of str
+        Coordinates that no sensor saw. Their names occur in the candidates, and the data have no samples of
+        them. Their motion is estimated together with the coefficients (``diagnostics.hidden_motion``). Offer
+        few candidates, and fix by a known coefficient what the choice of such a coordinate leaves open (the
+        finding ``hidden-gauge`` says it). See :doc:`/hidden`.
     robust : bool
         Leave out isolated samples more than five standard deviations off a smooth motion (glitches of a
         camera, lost counts); a note says how many. Heavy-tailed noise, with more than 5 % of the samples out
@@ -169,9 +175,9 @@ def discover(
     clock.start("prepare")
     trajectories = Trajectories.coerce(trajectories)
     grouping = None if groups is None else Grouping.of(groups, trajectories)
-    prescribed = _texts(prescribed)
+    prescribed, hidden = _texts(prescribed), _texts(hidden)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
-    _refuse_together(slow, grouping, descent)
+    _refuse_together(slow, grouping, descent, hidden)
     request = Request(
         library,
         known or {},
@@ -182,9 +188,10 @@ def discover(
         prescribed,
         robust=robust and not descent,
         shapes=dict(shapes or {}),
+        hidden=hidden,
     )
     with employ(workers) as crew:
-        whole = bool(descent or slow)
+        whole = bool(descent or slow or request.hidden)
         setup = _set_up(trajectories, request, positions_alone=descent, whole=whole).computed_by(crew)
         search = begin_search(
             setup,
@@ -241,8 +248,19 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
     return replace(setup, findings=(*read, *setup.findings, *findings))
 
 
-def _refuse_together(slow: Mapping[int, float], grouping: Grouping | None, descent: bool) -> None:
+def _refuse_together(
+    slow: Mapping[int, float], grouping: Grouping | None, descent: bool, hidden: Sequence[str]
+) -> None:
     """Refuse arguments that no method takes together."""
+    if hidden and (slow or descent or grouping is not None):
+        what = (
+            "method 'adam'"
+            if descent
+            else "groups"
+            if grouping is not None
+            else "a force_offset that changes"
+        )
+        raise InputError(f"hidden coordinates cannot be estimated with {what}; leave one of the two out")
     if grouping is not None and (slow or descent):
         what = "method 'adam'" if descent else "a force_offset that changes"
         raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
@@ -282,6 +300,11 @@ def _given(
         "robust": request.robust,
         "force_offset": {**dict.fromkeys(request.force_offset), **search.bias.seconds_of},
         "prescribed": [setup.problem.coordinates[i] for i in setup.problem.prescribed],
+        **(
+            {"hidden": [setup.problem.coordinates[i] for i in setup.problem.hidden]}
+            if setup.problem.hidden
+            else {}
+        ),
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
         **({} if descent is None else {"adam": asdict(descent)}),
         **({} if grouping is None else {"groups": [grouping.names[place] for place in grouping.places]}),

@@ -12,7 +12,8 @@ from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import find, status_of
-from leastaction.model.diagnostics import Diagnostics, PathPoint, pareto
+from leastaction.hidden.band import curve_errors
+from leastaction.model.diagnostics import Diagnostics, HiddenMotion, PathPoint, pareto
 from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -48,7 +49,7 @@ def assemble_model(
         fit.problem.trajectories,
         grid.spline,
         fit.control_points,
-        fit.weights.position_std,
+        fit.position_std,
         density,
         verdict.equation_error,
         _path(points),
@@ -59,6 +60,7 @@ def assemble_model(
         prepared=setup.findings,
         pareto=pareto(points),
         angles=tuple(options.get("angles", ())),
+        hidden_motion=_hidden_motion(fit),
     )
     terms = _terms(fit)
     unknown = bool(np.isnan(fit.covariance).any())
@@ -67,7 +69,7 @@ def assemble_model(
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
         None if unknown else _covariance(fit),
-        fit.weights.position_std,
+        fit.position_std,
         FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
             "version": _version(),
@@ -81,6 +83,22 @@ def assemble_model(
         _shapes(fit),
         _groups(fit, unknown),
     )
+
+
+def _hidden_motion(fit: Fit) -> dict[str, tuple[HiddenMotion, ...]]:
+    """The curve of every coordinate without a sensor, with its standard error."""
+    problem = fit.problem
+    if not problem.hidden:
+        return {}
+    times = [t.t for t in problem.trajectories]
+    errors, curves = curve_errors(fit, problem.hidden, times), list(fit.curves())
+    return {
+        problem.coordinates[i]: tuple(
+            HiddenMotion(t, q[:, i].copy(), e[:, column])
+            for t, q, e in zip(times, curves, errors, strict=True)
+        )
+        for column, i in enumerate(problem.hidden)
+    }
 
 
 def _covariance(fit: Fit) -> np.ndarray:

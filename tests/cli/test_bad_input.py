@@ -124,6 +124,18 @@ def test_column_is_missing(coordinates, more, says):
     discover(2, *more, coordinates=coordinates, says=says)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "says"),
+    [
+        ("x", ("--hidden", "'x'", "has a column")),
+        ("y", ("'y'", "occurs in no candidate")),
+        ("y z", ("--hidden", "y z")),
+    ],
+)
+def test_a_hidden_coordinate_makes_no_sense(hidden, says):
+    discover(2, "--hidden", hidden, says=says)
+
+
 def test_text_in_a_number():
     discover(2, data=table([*LINES[:7], "0.14,abc,0", *LINES[8:]]), says=("run.csv", "line 9", "'x'", "abc"))
 

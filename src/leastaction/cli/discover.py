@@ -209,6 +209,7 @@ def discover(
             known=given,
             force_offset=offsets,
             prescribed=_moved_by_others(options, prescribed),
+            hidden=options.hidden,
             robust=not keep_outliers,
             method=method,
             seed=seed,
@@ -332,11 +333,11 @@ def _library(
         )
     with blame("--library"):
         if source == "auto":
-            library = Library.mechanical(options.names, options.angles, size=size, gyroscopic=gyroscopic)
+            library = Library.mechanical(options.all_names, options.angles, size=size, gyroscopic=gyroscopic)
         elif source == "symbolic":
-            library = Library.symbolic(options.names, options.angles)
+            library = Library.symbolic(options.all_names, options.angles)
         else:
-            library = Library.from_file(source, options.names, angles=options.angles)
+            library = Library.from_file(source, options.all_names, angles=options.angles)
     if dissipation is None:
         return library
     with blame("--dissipation"):

@@ -38,6 +38,7 @@ class DataOptions:
     inputs: tuple[str, ...] = ()
     time_unit: str | None = None
     units: dict[str, str] | str = "SI"
+    hidden: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
@@ -53,11 +54,17 @@ class DataOptions:
             for name in {*moved} & {*columns}:
                 raise InputError(f"{quoted(name)} is named in --coordinates, too; name it in one of the two")
             names = check_coordinate_names([*columns, *moved])
+        with blame("--hidden"):
+            unseen = check_coordinate_names(name_list(given["hidden"])) if given.get("hidden") else ()
+            for name in {*unseen} & {*names}:
+                raise InputError(
+                    f"{quoted(name)} has a column, too: leave it out of --coordinates and --input"
+                )
         columns |= moved
         columns = dict(zip(names, columns.values(), strict=True))
         with blame("--angles"):
             turning = check_coordinate_names(name_list(angles)) if angles else ()
-            _check_are_coordinates(turning, names)
+            _check_are_coordinates(turning, [*names, *unseen])
         with blame("--forces"):
             driving = _force_columns(forces, names) if forces else {}
         rates = []
@@ -73,13 +80,18 @@ class DataOptions:
             units = _units(given.get("units") or "SI")
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
         inputs = names[len(names) - len(moved) :]
-        said = (given.get("time_unit"), units)
+        said = (given.get("time_unit"), units, unseen)
         return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs, *said)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the coordinates."""
+        """Names of the coordinates that have columns."""
         return tuple(self.coordinates)
+
+    @property
+    def all_names(self) -> tuple[str, ...]:
+        """Names of the coordinates of the law, hidden ones last."""
+        return (*self.coordinates, *self.hidden)
 
     def in_order_of(self, names: Sequence[str]) -> DataOptions:
         """Return the same with the coordinates in another order."""
@@ -104,7 +116,7 @@ class DataOptions:
                 self.time,
                 self.forces or None,
                 self.trial,
-                self.angles,
+                tuple(name for name in self.angles if name not in self.hidden),
                 self.velocities or None,
                 self.accelerations or None,
                 time_unit=self.time_unit,
@@ -165,9 +177,15 @@ _INPUT = click.option(
     "rope. Candidates may contain them and their velocities. Same as naming them in --coordinates and "
     "--prescribed.",
 )
+_HIDDEN = click.option(
+    "--hidden",
+    metavar="A,B",
+    help="Coordinates without a sensor: they occur in the candidates and have no column. Their motion is "
+    "estimated, too. Needs a library of few terms (FILE).",
+)
 _DATA_PARAMETERS = (
     *("data", "coordinates", "time", "time_unit", "units", "trial", "forces", "force_delay", "angles"),
-    *("velocity", "acceleration", "input"),
+    *("velocity", "acceleration", "input", "hidden"),
 )
 
 
@@ -241,7 +259,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
         ),
         *_COLUMNS,
-        *((_INPUT,) if coordinates_required else ()),
+        *((_INPUT, _HIDDEN) if coordinates_required else ()),
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

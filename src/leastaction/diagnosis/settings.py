@@ -18,6 +18,10 @@ __all__ = ["DIAGNOSIS", "DiagnosisSettings"]
 class DiagnosisSettings:
     """Settings of `leastaction.diagnosis`."""
 
+    hidden_open: float = 0.3
+    """Share of the spread of a hidden coordinate by which its motion in a trial may be uncertain. Preference:
+    beyond it the motion is hardly known."""
+
     half_a_sample: float = 0.15
     """Sampling intervals by which a delay may differ from half of one, to be called forces that are held.
     Half, twice: no effect."""

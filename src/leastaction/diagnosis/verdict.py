@@ -13,6 +13,7 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
+from leastaction.diagnosis.hidden import about_hidden
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
@@ -57,7 +58,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     floor = fit.grid.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
     every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
-    chi2 = fit.linearisation.squares / fit.grid.observations.counts / every**2
+    counts = fit.grid.observations.counts
+    chi2 = fit.linearisation.squares / np.maximum(counts, 1) / every**2
     share, rms = fit.equation_error()
     size = rms / np.maximum(share, 1e-300)
     share = np.maximum(share, _behind_noise(fit, size, period))
@@ -102,7 +104,9 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
-    to_its_end = look_for_causes and not search.stopped
+    if fit.problem.hidden:
+        found += about_hidden(search)
+    to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
     if to_its_end and inexact(found):
         found += _form(search, exact=not doubtful(found))
     grouped = fit.problem.candidates.grouped
@@ -110,7 +114,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
         found += free_scales(fit)
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
-    return Verdict(tuple(found), float(np.mean(chi2)), rms)
+    return Verdict(tuple(found), float(np.mean(chi2[counts > 0])), rms)
 
 
 def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]:
@@ -122,7 +126,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     known = wrong_known(fit) if usable else []
     found: list[Finding] = []
     short = fit.problem.trajectories.n_samples <= MOST_SAMPLES
-    again = short and not fit.problem.candidates.grouped  # a new search has one law for all trials
+    # a new search has one law for all trials, and takes every coordinate as measured
+    again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
         # what needs no further term comes first
         found = exchanged_forces(search) or search_afresh(search)
@@ -204,7 +209,8 @@ def _unexplained_little(
 
 def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
-    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.problem.trajectories], axis=0))
+    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.completed_data()], axis=0))
+    noise = np.where(np.isnan(fit.position_std), 0.0, noise)
     return [
         find("looks-like-noise", name, share=part)
         for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
@@ -242,7 +248,7 @@ def _signal(fit: Fit) -> list[Finding]:
     return [
         find("motion-in-noise", name, motion=size, noise=noise)
         for name, size, noise in zip(
-            fit.problem.trajectories.coordinates, spread, fit.weights.position_std, strict=True
+            fit.problem.trajectories.coordinates, spread, fit.position_std, strict=True
         )
         if size < DIAGNOSIS.visible * noise
     ]
@@ -372,6 +378,8 @@ def _whiteness(fit: Fit) -> list[Finding]:
         fit.weights.noise_std,
         strict=True,
     ):
+        if r.size < 3:  # a hidden coordinate leaves no residuals
+            continue
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))
         visible = abs(lag) > DIAGNOSIS.lag_one + 4.0 / np.sqrt(r.size) and sigma > 1.01 * least
         if visible and not (name in loose and quantity == "position"):

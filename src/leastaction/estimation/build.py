@@ -10,11 +10,19 @@ import sympy as sp
 
 from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
+from leastaction.data.columns import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
+from leastaction.estimation.hidden import (
+    anchored,
+    check_hidden_terms,
+    knots_of_all,
+    refuse_prescribed,
+    with_hidden,
+)
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
@@ -48,6 +56,7 @@ class Request:
     prescribed: Iterable[str] = ()
     robust: bool = True
     shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
+    hidden: Iterable[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,12 +105,15 @@ def build_problem(
     ------
     InputError, DataError
     """
-    trajectories = Trajectories.coerce(trajectories)
+    trajectories, hidden = with_hidden(Trajectories.coerce(trajectories), request.hidden, request.library)
     library = _library(request.library, trajectories.coordinates)
+    check_hidden_terms(library, [trajectories.coordinates[i] for i in hidden])
     angles = library.angles if request.angles is None else tuple(request.angles)
-    trajectories = trajectories.unwrap(angles)
-    _check_data(trajectories)
+    measured = [name for i, name in enumerate(trajectories.coordinates) if i not in hidden]
+    trajectories = trajectories.unwrap([name for name in angles if name in measured])
+    _check_data(trajectories, hidden)
     places = _prescribed(request.prescribed, trajectories.coordinates)
+    refuse_prescribed(trajectories.coordinates, hidden, places)
     trajectories, unused_forces = _without_forces_on(places, trajectories)
     library = _with_offsets(library.with_dissipation(request.dissipation), request.force_offset)
     known = _resolve_known(library, dict(request.known or {}))
@@ -116,11 +128,13 @@ def build_problem(
     findings += unused_forces
     findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
+    seen = arranged(trajectories, measured)
     if request.robust:
-        trajectories, left_out = leave_out_outliers(trajectories, request.degree, most_samples)
+        seen, left_out = leave_out_outliers(seen, request.degree, most_samples)
         findings += left_out
+    trajectories = anchored(joined(seen, trajectories), library, hidden)
     searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
-    scales = lay_knots(searched, request.degree)
+    scales = knots_of_all(lay_knots(arranged(searched, measured), request.degree), hidden)
     library, known, smoothed = _smooth_friction(library, known, scales.rates)
     states = states_along(library.coordinates, scales)
     undefined = undefined_along(library, states, known)
@@ -142,6 +156,7 @@ def build_problem(
         lengths=_lengths(library),
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
         between="band-limited" if _fast_forces_act(searched) else "slow",
+        hidden=hidden,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
 
@@ -260,8 +275,10 @@ def _is_smoothed(term: Term, velocity: str) -> bool:
     return any(velocity in {s.name for s in part.free_symbols} for part in term.expr.atoms(sp.Abs))
 
 
-def _check_data(trajectories: Trajectories) -> None:
+def _check_data(trajectories: Trajectories, hidden: tuple[int, ...]) -> None:
     for i, name in enumerate(trajectories.coordinates):
+        if i in hidden:
+            continue
         parts = [t.q[:, i] for t in trajectories]
         count = sum(int(np.isfinite(part).sum()) for part in parts)
         if count < FEWEST_SAMPLES:
@@ -338,7 +355,7 @@ def _about_angles(
     ]
     turning: dict[str, int] = {}
     for i, name in enumerate(trajectories.coordinates):
-        if name in angles:
+        if name in angles or not any(np.isfinite(t.q[1:, i]).any() for t in trajectories):
             continue
         steps = np.concatenate([np.diff(t.q[:, i][np.isfinite(t.q[:, i])]) for t in trajectories])
         wraps = int(np.sum(np.abs(np.abs(steps) - 2 * np.pi) < 0.5))

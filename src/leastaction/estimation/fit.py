@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candidates
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Weights
@@ -148,6 +149,13 @@ class Fit:
         return self.estimates / np.maximum(self.standard_errors, 1e-300)
 
     @property
+    def position_std(self) -> np.ndarray:
+        """(n_dof,) noise of the positions; NaN where there are none."""
+        out = self.weights.position_std.copy()
+        out[list(self.problem.hidden)] = np.nan
+        return out
+
+    @property
     def start(self) -> Start:
         """Where a fit of another structure may begin."""
         return Start(self.control_points, self.coefficients, self.weights)
@@ -174,6 +182,18 @@ class Fit:
         parts = spline.split(self.control_points)
         for space, part, times in zip(spline.spaces, parts, self.grid.times, strict=True):
             yield space.evaluate(part, times)
+
+    def completed_data(self) -> Trajectories:
+        """The data, with the fitted curve in the place of hidden coordinates."""
+        hidden, data = list(self.problem.hidden), self.problem.trajectories
+        if not hidden:
+            return data
+        items: list[Trajectory] = []
+        for trajectory, curve in zip(data, self.curves(), strict=True):
+            q = trajectory.q.copy()
+            q[:, hidden] = curve[:, hidden]
+            items.append(trajectory.changed(q=q))
+        return Trajectories(items)
 
     def regular(self, coefficients: np.ndarray | None = None) -> float:
         """Share of the motion along which the mass matrix is positive definite."""

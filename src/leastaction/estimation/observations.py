@@ -116,7 +116,8 @@ def counts_and_floors(
         counts[k] = sum(int(np.isfinite(part).sum()) for part in parts)
         mean = sum(float(part[np.isfinite(part)].sum()) for part in parts) / max(counts[k], 1)
         squares = sum(float(((part[np.isfinite(part)] - mean) ** 2).sum()) for part in parts)
-        floors[k] = RELATIVE_FLOOR * np.sqrt(squares / max(counts[k], 1))
+        # without samples that differ there is no noise: any number will do, and the logarithm of one is zero
+        floors[k] = RELATIVE_FLOOR * np.sqrt(squares / max(counts[k], 1)) or 1.0
     return counts, floors
 
 

@@ -57,6 +57,8 @@ class Problem:
     between : {"slow", "band-limited", "linear", "held"}
         What the known forces do between their samples; ``"slow"``: only their slow part acts
         (:mod:`leastaction.estimation.forces`).
+    hidden : tuple of int
+        Coordinates without a single measured position.
     """
 
     trajectories: Trajectories
@@ -69,6 +71,7 @@ class Problem:
     lengths: np.ndarray | None = None
     forms: tuple[Dropped, ...] = ()
     between: Between = "slow"
+    hidden: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)

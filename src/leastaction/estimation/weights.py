@@ -94,7 +94,9 @@ def start_weights(
     n = observations.n_dof
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
-    counts = np.maximum(np.bincount(observations.coordinates, observations.counts), 1)
+    counts = np.bincount(observations.coordinates, observations.counts)
+    few = counts <= len(observations.grid.spaces)  # a hidden coordinate counts as any other
+    counts = np.where(few, max(counts.max(), 1), counts)
     weighed = at.equation > _NOTHING
     ratio = counts / np.where(weighed, at.equation, 1.0)
     ratio[~weighed] = ratio[weighed].min() if weighed.any() else 1.0

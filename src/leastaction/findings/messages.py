@@ -148,6 +148,22 @@ CODES: dict[str, Message] = {
         "bound it around the value that you expect: shapes={{'{subject}': (low, high)}}",
         on_command_line="bound it around the value that you expect: --shape {subject}=LOW..HIGH",
     ),
+    # coordinates without a sensor
+    "hidden-coordinate": Message("note", templates.hidden_coordinate),
+    "hidden-gauge": Message(
+        "warning",
+        "the candidates leave open how {subject} is measured ({changes}): with other values of it the same "
+        "terms describe the same motion",
+        "give the coefficient of a term with {subject} as known, or leave out a candidate",
+    ),
+    "hidden-start-unconfirmed": Message(
+        "note",
+        "the search for the motion of {subject} did not confirm the law that it began with",
+        "if the fit is doubtful, offer fewer candidates, give coefficients as known, or record for longer",
+    ),
+    "hidden-motion-open": Message(
+        "warning", templates.hidden_motion_open, "record more of the motion that {subject} acts on"
+    ),
     # the data
     "rate-unexplained": Message(
         "warning",

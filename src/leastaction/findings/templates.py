@@ -25,6 +25,8 @@ __all__ = [
     "fill",
     "friction",
     "groups_differ",
+    "hidden_coordinate",
+    "hidden_motion_open",
     "imitated_remedy",
     "late_forces",
     "missing_term",
@@ -383,3 +385,18 @@ def groups_differ(f: dict[str, Any]) -> str:
     return fill(
         what + " between the groups {groups} ({changes}){same}", {**f, "changes": changes, "same": same}
     )
+
+
+def hidden_coordinate(f: dict[str, Any]) -> str:
+    """What is known of a coordinate without a sensor, and what is a matter of choice."""
+    text = "{subject} was not measured: its motion is estimated from the equations "
+    text += "(standard error {standard_error:.2g})"
+    choices = {"sign": "its sign", "half a turn": "its zero up to half a turn"}
+    named = " and ".join(choices[kind] for kind in f["gauge"])
+    return fill(text + (f"; {named} is a matter of choice" if named else ""), f)
+
+
+def hidden_motion_open(f: dict[str, Any]) -> str:
+    """In how many trials the motion of a hidden coordinate is uncertain."""
+    where = "" if f["of"] == 1 else " in {trials} of {of} trials"
+    return fill("the motion of {subject} is hardly determined" + where + " (standard error {error:.2g})", f)

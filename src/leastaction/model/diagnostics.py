@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, overload
 
 import numpy as np
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
-__all__ = ["Diagnostics", "PathPoint", "TradeOff", "pareto"]
+__all__ = ["Diagnostics", "HiddenMotion", "PathPoint", "TradeOff", "pareto"]
 
 _NOT_BORNE_OUT = ("no-fit", "fit-is-worse")
 _MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none"}
@@ -201,6 +201,24 @@ class TradeOff(Shown, Sequence[PathPoint]):
         return Card(f"Trade-off of {counted(len(self), 'structure')}", rows=rows)
 
 
+class HiddenMotion(NamedTuple):
+    """Estimated motion of a coordinate without a sensor, in one trajectory.
+
+    Attributes
+    ----------
+    t : (n_times,) array
+        Times of the samples, in seconds.
+    q : (n_times,) array
+        The coordinate.
+    standard_error : (n_times,) array
+        Of ``q``, given the structure of the law; the choice of the coordinate's sign or zero is not in it.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    standard_error: np.ndarray
+
+
 @dataclass(frozen=True, eq=False)
 class Diagnostics(Shown):
     """Results of a discovery that the report shows and the model file does not store.
@@ -234,6 +252,8 @@ class Diagnostics(Shown):
         ``discover(force_offset={coordinate: seconds})``.
     angles : tuple of str
         Coordinates that are angles.
+    hidden_motion : dict
+        Coordinate without a sensor → its estimated motion, one `HiddenMotion` per trajectory.
     """
 
     trajectories: Trajectories
@@ -251,6 +271,18 @@ class Diagnostics(Shown):
     prepared: tuple[Finding, ...] = ()
     pareto: tuple[PathPoint, ...] = ()
     angles: tuple[str, ...] = ()
+    hidden_motion: dict[str, tuple[HiddenMotion, ...]] = field(
+        default_factory=dict[str, tuple[HiddenMotion, ...]]
+    )
+
+    @property
+    def positions(self) -> list[np.ndarray]:
+        """(n_times, n_dof) samples of every trajectory, with the estimated motion of hidden coordinates."""
+        out = [trajectory.q.copy() for trajectory in self.trajectories]
+        for name, motions in self.hidden_motion.items():
+            for q, motion in zip(out, motions, strict=True):
+                q[:, self.trajectories.coordinates.index(name)] = motion.q
+        return out
 
     @property
     def trade_off(self) -> TradeOff:
@@ -288,10 +320,9 @@ class Diagnostics(Shown):
         units, written = units_of(self.trajectories, self.angles), written_names(run.coordinates)
         panels: list[Panel] = []
         for i, c in enumerate(run.coordinates):
-            series = [
-                Series(run.t, run.q[:, i], "measured", style=_MEASURED),
-                Series(run.t, curve[:, i], "fitted"),
-            ]
+            series = [Series(run.t, curve[:, i], "fitted")]
+            if c not in self.hidden_motion:
+                series.insert(0, Series(run.t, run.q[:, i], "measured", style=_MEASURED))
             panels.append(Panel(written[c], units.get(c, ""), series))
         return Display(panels, name).plot(ax, **kwargs)
 

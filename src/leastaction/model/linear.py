@@ -241,10 +241,10 @@ class Resting:
 
 
 def _ranges(model: LagrangianModel) -> np.ndarray | None:
-    """(n_dof, 2) of the recorded positions."""
+    """(n_dof, 2) of the recorded positions, or of the estimated motion of a hidden coordinate."""
     if model.diagnostics is None:
         return None
-    spans = np.array([[np.nanmin(t.q, 0), np.nanmax(t.q, 0)] for t in model.diagnostics.trajectories])
+    spans = np.array([[np.nanmin(q, 0), np.nanmax(q, 0)] for q in model.diagnostics.positions])
     return np.stack([spans[:, 0].min(axis=0), spans[:, 1].max(axis=0)], axis=1)
 
 

@@ -95,6 +95,8 @@ def forecast_title(result: ForecastResult) -> str:
 
 def curve_title(series: Series, i: int, name: str) -> str:
     """How well curve and samples agree."""
+    if i not in series.measured:
+        return f"{name}: not measured; the curve is estimated from the equations"
     ratio = _ratio(series, i)
     if math.isnan(ratio):
         return f"{name}: samples and fitted curve"

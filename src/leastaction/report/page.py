@@ -130,9 +130,12 @@ def _data(series: Series, notation: Notation, units: tuple[str, ...]) -> dict[st
         "figures": DataFigures(series, notation, units),
         "panels": [
             {
+                "index": i,
                 "curve": captions.curve_title(series, i, notation.text(name)),
                 "zoom": captions.zoom_title(series, notation.text(name)),
-                "residuals": captions.residual_title(series, i, notation.text(name)),
+                "residuals": captions.residual_title(series, i, notation.text(name))
+                if i in series.measured
+                else "",
             }
             for i, name in enumerate(names[:_MOST_DRAWN])
         ],

@@ -65,6 +65,12 @@ class Series:
         start = float(t[0]) + 0.5 * (self.shown.duration - length)
         return start, start + length
 
+    @cached_property
+    def measured(self) -> tuple[int, ...]:
+        """Coordinates that a sensor saw."""
+        hidden = _diagnostics(self.model).hidden_motion
+        return tuple(i for i, name in enumerate(self.model.coordinates) if name not in hidden)
+
     def correlation(self, coordinate: int) -> np.ndarray:
         """Autocorrelation of the residuals at lags of 1, 2, … samples, missing ones left out."""
         parts = [r[:, coordinate] for r in self.residuals]

@@ -194,20 +194,22 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
     values = np.concatenate([trial.q for trial in data])
     rows = []
     for i, name in enumerate(model.coordinates):
-        column = values[:, i]
-        there = np.isfinite(column)
-        spread, sigma = float(np.std(column[there])), float(model.noise_std[i])
+        there = np.isfinite(values[:, i]) & (i in series.measured)
+        seen = values[there, i]
+        if i not in series.measured:  # where its estimated motion lies
+            seen = np.concatenate([motion.q for motion in diagnostics.hidden_motion[name]])
+        spread, sigma = float(np.std(seen)), float(model.noise_std[i])
         rows.append(
             {
                 "symbol": notation.heading(name),
                 "name": name,
                 "unit": units[i],
-                "range": f"{plain(column[there].min())} … {plain(column[there].max())}",
+                "range": f"{plain(seen.min())} … {plain(seen.max())}",
                 "samples": int(there.sum()),
                 "missing": int((~there).sum()),
                 "wraps": data.wraps_removed[name],
-                "noise": plain(sigma, full=True),
-                "relative": percent(sigma / spread) if spread > 0 else "–",
+                "noise": plain(sigma, full=True) if i in series.measured else "not measured",
+                "relative": percent(sigma / spread) if spread > 0 and i in series.measured else "–",
                 "equation": "prescribed"
                 if name in model.prescribed
                 else plain(float(diagnostics.equation_error[i]), full=True),
@@ -220,6 +222,8 @@ def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> l
     """How white and how normal the residuals are."""
     rows = []
     for i, name in enumerate(series.model.coordinates):
+        if i not in series.measured:
+            continue
         sigma = max(float(series.model.noise_std[i]), 1e-300)
         residuals = series.all_residuals(i)
         lags = series.correlation(i)

@@ -30,7 +30,7 @@ def forecast_error(fit: Fit, horizon: float) -> float:
     most = _JUDGED // len(apart)
     try:
         parts = [
-            _errors(fit, horizon, excerpt(fit.problem.trajectories.select(t), most), law) for t, *law in apart
+            _errors(fit, horizon, excerpt(fit.completed_data().select(t), most), law) for t, *law in apart
         ]
     except InputError:  # too short for a simulation
         return np.inf
@@ -47,6 +47,10 @@ def _errors(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) ->
     horizon = min(horizon, 0.4 * shortest)
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
     run = Law(mechanics.acceleration, problem.prescribed, mechanics.timed)
-    result = forecast(run, data, fit.weights.position_std, horizon, window)
-    errors = np.array([trace.rms / result.std for trace in result.traces])
+    noise, seen = fit.position_std, [i for i in range(data.n_dof) if i not in problem.hidden]
+    if problem.hidden:  # its curve stands for samples, which count as much as those that were taken
+        spread = np.nanstd(np.concatenate([t.q for t in data]), axis=0)
+        noise[list(problem.hidden)] = spread[list(problem.hidden)] * (noise / spread)[seen].mean()
+    result = forecast(run, data, noise, horizon, window)
+    errors = np.array([(trace.rms / result.std)[seen] for trace in result.traces])
     return errors[~np.isnan(errors)]

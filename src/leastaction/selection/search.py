@@ -25,6 +25,7 @@ from leastaction.selection.strategies import (
     force_sampling,
     frequency_scan,
     grown_families,
+    hidden_start,
     irrelevant_terms,
     kinetic_restart,
     shape_fit,
@@ -35,7 +36,7 @@ from leastaction.selection.strategies import (
     weak_start,
 )
 
-__all__ = ["ON_ONE_GRID", "find_on_data", "find_structure", "run_search"]
+__all__ = ["ON_ONE_GRID", "WITH_HIDDEN", "find_on_data", "find_structure", "run_search"]
 
 ON_ONE_GRID = (
     shape_start,
@@ -53,6 +54,17 @@ ON_ONE_GRID = (
 """Strategies that find a structure from nothing but a first grid, in order."""
 
 
+WITH_HIDDEN = (
+    hidden_start,
+    finer_knots,
+    terms_again,
+    irrelevant_terms,
+    feeding_friction,
+    exact_equations,
+)
+"""Strategies where some coordinates have no samples, in order."""
+
+
 def find_structure(search: Search) -> Search:
     """Run the strategies that find a structure, from the grid of the search."""
     for strategy in ON_ONE_GRID:
@@ -62,6 +74,11 @@ def find_structure(search: Search) -> Search:
 
 def run_search(search: Search) -> Search:
     """Run every strategy."""
+    if search.problem.hidden:
+        search.report("search", {})
+        for strategy in WITH_HIDDEN:
+            search = _attempt(strategy.run, search)
+        return search
     found = force_bias.run(search, find_on_data)
     found = _attempt(partial(force_sampling.run, again=find_on_data), found)
     return _attempt(simulation_error.run, found)

@@ -1,0 +1,78 @@
+"""
+A pendulum that nobody measured
+===============================
+
+A double pendulum has one encoder, at its first joint. The second link swings unseen. It pulls on the first
+one, however, and that is enough to find the law of both and the motion of the second.
+
+The recording has a second encoder (Kaheman et al., HardwareX 15, 2023, MIT licence). We withhold it, and use
+it at the end to check. Angles are measured from upright, so both links hang at π.
+"""
+
+from importlib.resources import as_file, files
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import leastaction as la
+
+with as_file(files("leastaction") / "datasets" / "double_pendulum.csv.gz") as path:
+    data = la.read_csv(path, coordinates=["theta1"])
+    withheld = la.read_csv(path, coordinates=["theta2"])
+data, withheld = data[:12], withheld[:12]
+print(data)
+
+# %%
+# We write down what two links on two joints have: kinetic energies, one coupling, two weights, and viscous
+# friction in each joint. Nothing drives the pendulum, so one coefficient sets the scale.
+
+library = la.Library(
+    [
+        "theta1_dot**2",
+        "theta2_dot**2",
+        "theta1_dot*theta2_dot*cos(theta1-theta2)",
+        "cos(theta1)",
+        "cos(theta2)",
+    ],
+    ["theta1", "theta2"],
+    angles=["theta1", "theta2"],
+)
+friction = ["theta1_dot**2/2", "(theta1_dot-theta2_dot)**2/2"]
+model = la.discover(data, library, {"theta1_dot**2": 1.0}, friction, hidden=["theta2"])
+print(model.format_table())
+for finding in model.fit.findings:
+    if finding.code.startswith("hidden"):
+        print(finding)
+
+# %%
+# The coefficients published for this pendulum, from a fit with both encoders, are 0.5568, 0.9827, -117.92 and
+# -55.81. How far is the unseen angle from its encoder?
+
+motions = model.diagnostics.hidden_motion["theta2"]
+errors = []
+for motion, run in zip(motions, withheld, strict=True):
+    error = motion.q - run.q[:, 0]
+    errors.append(np.median(np.abs(error - 2 * np.pi * np.round(error / (2 * np.pi)))))
+print(
+    f"median error {1e3 * np.median(errors):.1f} mrad, largest of a recording {1e3 * np.max(errors):.1f} mrad"
+)
+
+figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
+motion, run = motions[0], withheld[0]
+turns = 2 * np.pi * np.round((motion.q[0] - run.q[0, 0]) / (2 * np.pi))
+axes[0].plot(run.t, data[0].q[:, 0], ".", ms=2, color="0.6", label="first link, measured")
+axes[0].plot(run.t, run.q[:, 0], ".", ms=2, color="tab:orange", label="second link, withheld")
+axes[0].plot(motion.t, motion.q - turns, color="tab:blue", label="second link, estimated")
+axes[0].set_ylabel("angle (rad)")
+axes[0].legend(loc="upper right")
+reach = 1.96 * motion.standard_error
+axes[1].plot(motion.t, 1e3 * (motion.q - turns - run.q[:, 0]), color="tab:blue", label="error")
+axes[1].fill_between(motion.t, -1e3 * reach, 1e3 * reach, color="tab:blue", alpha=0.2, label="95 % band")
+axes[1].set(xlabel="t (s)", ylabel="error (mrad)")
+axes[1].legend(loc="upper right")
+plt.show()
+
+# %%
+# **What to learn.** A coordinate without a sensor is named in ``hidden``; its name occurs in the candidates.
+# Offer few candidates, and read what the findings say: which choice of its zero or sign was made, and whether
+# the candidates leave more open.

@@ -1,0 +1,40 @@
+"""What is known of coordinates without a sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.findings import Finding, find
+from leastaction.hidden.band import curve_errors
+from leastaction.hidden.gauge import open_changes, reflections
+from leastaction.selection.search_state import Search
+
+__all__ = ["about_hidden"]
+
+
+def about_hidden(search: Search) -> list[Finding]:
+    """One finding for each hidden coordinate, and one for what is open of it."""
+    fit = search.found
+    names, hidden = fit.problem.coordinates, list(fit.problem.hidden)
+    times = [t.t for t in fit.problem.trajectories]
+    errors = [np.sqrt(np.mean(e**2, axis=0)) for e in curve_errors(fit, hidden, times)]
+    spread = np.sqrt(np.mean([np.var(curve[:, hidden], axis=0) for curve in fit.curves()], axis=0))
+    changes = open_changes(fit) if fit.usable else {}
+    discrete = reflections(fit.problem, list(fit.structure))
+    out: list[Finding] = []
+    for column, i in enumerate(hidden):
+        own = [float(e[column]) for e in errors]
+        kinds = [change.kind for change in discrete if change.coordinate == i]
+        typical = float(np.median(own))
+        out.append(find("hidden-coordinate", names[i], standard_error=typical, gauge=kinds))
+        if names[i] in changes:
+            out.append(find("hidden-gauge", names[i], changes=list(changes[names[i]])))
+        loose = [
+            t
+            for t, e in zip(fit.problem.trajectories.names, own, strict=True)
+            if not e < DIAGNOSIS.hidden_open * spread[column]
+        ]
+        if loose:
+            out.append(find("hidden-motion-open", names[i], trials=len(loose), of=len(own), error=typical))
+    return out

@@ -1,0 +1,86 @@
+"""How well a fit knows its curve: posterior standard deviation of the coordinates.
+
+With the curve's block H of the normal matrix, its border C and the covariance Σ of the coefficients,
+
+    cov(P) = H⁻¹ + H⁻¹C Σ CᵀH⁻¹,
+
+so that the variance of q_i(t) = b(t)ᵀP_i follows from the band of H⁻¹ and one solution a coefficient.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from leastaction.curve.bspline import SplineSpace
+from leastaction.estimation.banded import BandedFactor
+from leastaction.estimation.elimination import NormalEquations
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.joint import linearise
+from leastaction.estimation.observations import Recipe
+
+__all__ = ["curve_errors"]
+
+
+def curve_errors(fit: Fit, coordinates: Sequence[int], times: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """(n_times, n_coordinates) standard deviations of the fitted curve, trajectory by trajectory.
+
+    NaN in a trajectory whose normal matrix is not positive definite.
+    """
+    return [_errors_of(fit, k, list(coordinates), t) for k, t in enumerate(times)]
+
+
+def _errors_of(fit: Fit, trial: int, coordinates: list[int], times: np.ndarray) -> np.ndarray:
+    normal, space = _normal_of(fit, trial), fit.grid.spline.spaces[trial]
+    try:
+        factor = BandedFactor.of(normal.rows)
+    except np.linalg.LinAlgError:
+        return np.full((times.size, len(coordinates)), np.nan)
+    inverse, n_dof = factor.inverse_rows(), fit.control_points.shape[1]
+    half = factor.forward(normal.border[:, 1:])
+    follow = factor.backward(half).reshape(len(inverse), n_dof, -1)
+    out = np.empty((times.size, len(coordinates)))
+    for column, i in enumerate(coordinates):
+        own = _band(space, inverse[:, i, i::n_dof], times)
+        first, basis = space.local_basis(times, 0)
+        slope = np.einsum("ta,tak->tk", basis, follow[first[:, None] + np.arange(basis.shape[1]), i])
+        out[:, column] = own + np.einsum("tk,kl,tl->t", slope, fit.covariance, slope)
+    return np.sqrt(np.clip(out, 0.0, None))
+
+
+def _band(space: SplineSpace, inverse: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """b(t)ᵀ H⁻¹ b(t), from the rows of H⁻¹ from each control point on."""
+    first, basis = space.local_basis(times, 0)
+    out, width = np.zeros(times.size), basis.shape[1]
+    for a in range(width):
+        for d in range(width - a):
+            out += (2.0 if d else 1.0) * basis[:, a] * basis[:, a + d] * inverse[first + a, d]
+    return out
+
+
+def _normal_of(fit: Fit, trial: int) -> NormalEquations:
+    """The normal equations of one trajectory, whoever holds those of all."""
+    grid, problem = fit.grid, fit.problem
+    spline, data = grid.spline, problem.trajectories
+    counts = np.cumsum([0, *(space.n_intervals for space in spline.spaces)]).tolist()
+    points = slice(int(spline.offsets[trial]), int(spline.offsets[trial + 1]))
+    intervals = slice(counts[trial], counts[trial + 1])
+    rates = [replace(rate, values=rate.values[trial : trial + 1]) for rate in data.rates]
+    given = data[trial]
+    samples = ([given.t], [given.q], rates)
+    recipe = Recipe(
+        (spline.spaces[trial],),
+        spline.n_quadrature,
+        counts[-1],
+        points,
+        intervals,
+        samples,
+        grid.observations.floors,
+    )
+    physics, index = grid.physics(fit.structure)
+    at = linearise(
+        recipe.observe(), physics.within(intervals), fit.control_points[points], fit.coefficients[index]
+    )
+    return at.normal(fit.weights)

@@ -1,0 +1,130 @@
+"""From motions in single windows to one motion along every trajectory.
+
+Every window has several solutions, on different branches of the hidden coordinate. The path is chosen
+that fits and continues from window to window: the sum of log(1 + χ²) and log(1 + jump²) is least. It is
+found by dynamic programming (Viterbi 1967, IEEE Trans. Inf. Theory 13:260).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from leastaction.hidden.draws import Scales
+from leastaction.hidden.shooting import Shooter, Solutions
+
+__all__ = ["Chained", "chain"]
+
+_SMALL = 0.02  # of a scale: a jump between windows that is of no concern
+
+
+@dataclass(frozen=True, eq=False)
+class Chained:
+    """Hidden coordinates at the samples of every trajectory.
+
+    Attributes
+    ----------
+    values : list of (n_times, n_hidden) arrays
+    jumps : list of (n_windows - 1,) arrays
+        Between neighbouring windows, in scales of the hidden state.
+    chosen : Solutions
+        Of every window the solution on the path.
+    """
+
+    values: list[np.ndarray]
+    jumps: list[np.ndarray]
+    chosen: Solutions
+
+
+def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.ndarray]) -> Chained:
+    """Choose a solution of every window, and read off the hidden coordinates.
+
+    Parameters
+    ----------
+    shooter : Shooter
+        Its windows cover every trajectory.
+    found : Solutions
+        One set of coefficients, with several solutions of each window.
+    scales : Scales
+    times : list of (n_times,) arrays
+        Samples of each trajectory.
+    """
+    windows, hidden = shooter.windows, list(shooter.windows.hidden)
+    kept = found.deviation.shape[1] // len(windows)
+    owner = np.repeat(np.arange(len(windows)), kept)
+    given = np.repeat(found.coefficients, owner.size, axis=0).T
+    motions = shooter.motions(found.states[0], given, owner)
+    motions = motions[..., [*hidden, *(shooter.n_dof + i for i in hidden)]]
+    motions = np.moveaxis(motions, 0, 1).reshape(len(windows), kept, windows.nodes.size, -1)
+    misfit = np.log1p(found.deviation[0]).reshape(len(windows), kept)
+    period = np.select([scales.cyclic, scales.angular], [0.0, 2.0 * np.pi], np.inf)[hidden]
+    jump = partial(_jumps, unit=scales.unit[[*hidden, *(shooter.n_dof + i for i in hidden)]], period=period)
+    values: list[np.ndarray] = []
+    jumps: list[np.ndarray] = []
+    places = np.empty(len(windows), dtype=int)
+    for k, t in enumerate(times):
+        rows = np.flatnonzero(windows.trial == k)
+        begin = windows.begin[rows]
+        links = [
+            jump(_at(windows.nodes, motions[rows[j]], begin[j + 1] - begin[j]), motions[rows[j + 1], :, 0])
+            for j in range(rows.size - 1)
+        ]
+        path = _cheapest(misfit[rows], links)
+        jumps.append(np.sqrt([link[a, b] for link, a, b in zip(links, path, path[1:], strict=False)]))
+        places[rows] = kept * rows + path
+        values.append(_read(motions[rows, path], begin, windows.nodes, t, period))
+    chosen = Solutions(found.coefficients, found.states[:, places], found.deviation[:, places])
+    return Chained(values, jumps, chosen)
+
+
+def _jumps(ends: np.ndarray, begins: np.ndarray, unit: np.ndarray, period: np.ndarray) -> np.ndarray:
+    """(n_ends, n_begins) squared distances between states."""
+    step = begins[None] - ends[:, None]
+    step[..., : period.size] -= _turns(step[..., : period.size], period)
+    return (step**2 / unit**2).mean(axis=-1)
+
+
+def _turns(step: np.ndarray, period: np.ndarray) -> np.ndarray:
+    """The part of a step that is of no concern: whole periods; all of it where the period is zero."""
+    whole = np.where(np.isfinite(period) & (period > 0.0), period, 1.0)
+    turns = np.where(np.isfinite(period), whole * np.round(step / whole), 0.0)
+    return np.where(period > 0.0, turns, step)
+
+
+def _cheapest(misfit: np.ndarray, links: list[np.ndarray]) -> list[int]:
+    """The path of least cost; ``misfit`` is (n_windows, n_solutions)."""
+    total, origins = misfit[0], []
+    for own, link in zip(misfit[1:], links, strict=True):
+        through = total[:, None] + np.log1p(np.nan_to_num(link, nan=np.inf) / _SMALL**2)
+        origins.append(through.argmin(axis=0))
+        total = own + through.min(axis=0)
+    path = [int(total.argmin())]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
+    return path[::-1]
+
+
+def _at(nodes: np.ndarray, motions: np.ndarray, time: float) -> np.ndarray:
+    """(n_solutions, n) of (n_solutions, n_nodes, n) at a time between nodes."""
+    k = int(np.clip(np.searchsorted(nodes, time) - 1, 0, nodes.size - 2))
+    u = (time - nodes[k]) / (nodes[k + 1] - nodes[k])
+    return (1.0 - u) * motions[:, k] + u * motions[:, k + 1]
+
+
+def _read(
+    chosen: np.ndarray, begin: np.ndarray, nodes: np.ndarray, times: np.ndarray, period: np.ndarray
+) -> np.ndarray:
+    """Hidden coordinates at the samples, from the window that began last, without jumps by whole periods."""
+    out = np.empty((times.size, period.size))
+    place = np.clip(np.searchsorted(begin, times, side="right") - 1, 0, begin.size - 1)
+    shift = np.zeros(period.size)
+    for j, motion in enumerate(chosen):
+        if j:
+            end = _at(nodes, chosen[None, j - 1], begin[j] - begin[j - 1])[0, : period.size] + shift
+            shift = _turns(end - motion[0, : period.size], period)
+        own = place == j
+        for i in range(period.size):
+            out[own, i] = np.interp(times[own] - begin[j], nodes, motion[:, i]) + shift[i]
+    return out

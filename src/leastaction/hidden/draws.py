@@ -1,0 +1,146 @@
+"""Coefficients and hidden states to begin with, where nothing is known of them.
+
+A coefficient is drawn about the size at which its term balances the known terms and forces, with either
+sign. Of many terms most begin near zero. Hidden angles begin anywhere on the circle. The sizes of hidden
+lengths and rates are taken from measured coordinates of the same kind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.estimation.problem import Problem
+from leastaction.hidden.settings import HIDDEN
+from leastaction.hidden.windows import Windows
+from leastaction.mechanics import Points
+
+__all__ = ["Scales", "draw_begins", "draw_coefficients", "scales_of", "term_sizes"]
+
+_POINTS = 64  # states at which terms are compared
+_TRIED = 4000  # draws, of which those with a positive mass matrix stay
+_POSITIVE = 1e-3  # smallest eigenvalue of a scaled mass matrix
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """Sizes of a motion.
+
+    Attributes
+    ----------
+    q, qdot, qddot : (n_dof,) arrays
+    angular : (n_dof,) bool array
+        Coordinates that are angles: hidden ones begin anywhere on the circle.
+    cyclic : (n_dof,) bool array
+        Coordinates of which only the rate occurs: their zero is of no concern.
+    """
+
+    q: np.ndarray
+    qdot: np.ndarray
+    qddot: np.ndarray
+    angular: np.ndarray
+    cyclic: np.ndarray
+
+    @property
+    def unit(self) -> np.ndarray:
+        """(2 n_dof,) of coordinates, then of rates."""
+        return np.concatenate([self.q, self.qdot])
+
+
+def scales_of(problem: Problem, windows: Windows, period: float) -> Scales:
+    """Sizes of measured coordinates from the data; hidden ones are taken to be like these."""
+    names, measured = problem.coordinates, list(windows.measured)
+    angular = np.array([name in problem.candidates.turning for name in names])
+    q, qdot = windows.q.reshape(-1, len(names)), windows.qdot.reshape(-1, len(names))
+    size, rate = np.ones(len(names)), np.ones(len(names))
+    size[measured], rate[measured] = (
+        q[:, measured].std(axis=0),
+        np.sqrt((qdot[:, measured] ** 2).mean(axis=0)),
+    )
+    frequency = 2.0 * np.pi / period
+    for i in windows.hidden:
+        alike = [k for k in measured if angular[k] == angular[i]]
+        size[i] = size[alike].mean() if alike else 1.0
+        rate[i] = rate[alike].mean() if alike else frequency * size[i]
+    used = {symbol.name for term in problem.terms for symbol in term.expr.free_symbols}
+    cyclic = np.array([name not in used for name in names])
+    return Scales(size, rate, frequency * rate, angular, cyclic)
+
+
+def term_sizes(problem: Problem, windows: Windows, scales: Scales, rng: np.random.Generator) -> np.ndarray:
+    """(n_candidates,) coefficients at which each term balances known terms and forces."""
+    points = _states(windows, scales, rng)
+    strong = problem.candidates.strong(points)
+    size = np.sqrt((strong**2).mean(axis=(1, 2)))
+    known = np.nan_to_num(problem.known) @ strong.reshape(len(strong), -1)
+    total = np.sqrt((known**2).mean())
+    if windows.forces is not None:
+        total = max(total, float(np.sqrt((windows.forces**2).mean())))
+    usable = np.isfinite(size) & (size > 0.0)
+    return np.divide(total, size, out=np.ones(size.size), where=usable)
+
+
+def draw_coefficients(
+    problem: Problem,
+    members: list[int],
+    sizes: np.ndarray,
+    windows: Windows,
+    scales: Scales,
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """(n_sets, n_members) coefficients whose mass matrix is positive definite at drawn states.
+
+    Where there are many terms, most begin near zero.
+    """
+    shape = (_TRIED, len(members))
+    drawn = sizes * np.exp(HIDDEN.spread * rng.standard_normal(shape)) * rng.choice([-1.0, 1.0], shape)
+    passive = rng.random(shape) >= HIDDEN.active / len(members)
+    drawn *= np.where(passive, HIDDEN.near_zero, 1.0)
+    if windows.forces is not None:  # what drives a motion may be a small part of the forces in it
+        drawn *= np.exp(rng.uniform(0.0, np.log(HIDDEN.over_forces), (_TRIED, 1)))
+    points = _states(windows, scales, rng)
+    known = problem.candidates.mass_matrix(points, np.nan_to_num(problem.known))
+    moving, masses = problem.candidates.subset(members).masses(points)
+    unit = np.sqrt(np.outer(scales.qdot, scales.qdot))
+    mass = known + np.einsum("sk,pkij->spij", drawn[:, moving], masses)
+    lowest = np.linalg.eigvalsh(mass * unit)
+    good = np.all(lowest[..., 0] > _POSITIVE * lowest[..., -1], axis=1)
+    order = np.argsort(~good, kind="stable")
+    return drawn[order[: HIDDEN.stages[0][2]]]
+
+
+def draw_begins(scales: Scales, hidden: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """(n_starts, 2 n_hidden) hidden coordinates and rates, on a grid or, where it is too large, drawn.
+
+    The grid of an angle begins anywhere.
+    """
+    axes: list[np.ndarray] = []
+    for i in hidden:
+        if scales.cyclic[i]:
+            axes.append(np.zeros(1))
+        elif scales.angular[i]:
+            axes.append(np.pi * (2.0 * (np.arange(HIDDEN.angles) + rng.random()) / HIDDEN.angles - 1.0))
+        else:
+            axes.append(scales.q[i] * np.linspace(-2.0, 2.0, HIDDEN.lengths))
+    axes += [scales.qdot[i] * np.linspace(-2.0, 2.0, HIDDEN.rates) for i in hidden]
+    if np.prod([axis.size for axis in axes]) <= HIDDEN.most_starts:
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    return np.stack([rng.choice(axis, HIDDEN.most_starts) for axis in axes], axis=-1)
+
+
+def _states(windows: Windows, scales: Scales, rng: np.random.Generator) -> Points:
+    """States along the measured motion, with hidden coordinates drawn."""
+    n = scales.q.size
+    q, qdot = windows.q.reshape(-1, n), windows.qdot.reshape(-1, n)
+    rows = rng.choice(len(q), _POINTS)
+    hidden = list(windows.hidden)
+    q, qdot, qddot = q[rows].copy(), qdot[rows].copy(), scales.qddot * rng.standard_normal((_POINTS, n))
+    for i in hidden:
+        q[:, i] = (
+            rng.uniform(-np.pi, np.pi, _POINTS)
+            if scales.angular[i]
+            else (scales.q[i] * rng.standard_normal(_POINTS))
+        )
+        qdot[:, i] = scales.qdot[i] * rng.standard_normal(_POINTS)
+    return Points(q, qdot, qddot, windows.begin[rng.integers(len(windows), size=_POINTS)])

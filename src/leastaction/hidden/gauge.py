@@ -1,0 +1,179 @@
+"""What the choice of a hidden coordinate leaves open.
+
+A change q_h → Q(q) of a hidden coordinate h leaves the measured motion as it is. If the candidates can
+express the new law, the data cannot distinguish the two. Continuous changes δq_h = g(q) are tested by
+their generators
+
+    δφ = (∂φ/∂q_h) g + (∂φ/∂q̇_h) ġ,      g = 1, q_h, or a measured coordinate:
+
+the equations of Σ_k λ_k δφ_k must then be a sum of those of the free terms. Of discrete ones, the
+reflection q_h → −q_h and half a turn q_h → q_h + π are tested term by term.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import sympy as sp
+
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.problem import Problem
+from leastaction.library import Term
+from leastaction.mechanics import Points
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["Reflection", "canonical", "open_changes", "reflections"]
+
+_STATES = 200  # along the motion, at which equations are compared
+_MATTERS = 0.2  # of the largest coefficient alike
+_EXACT = 1e-7  # relative: what rounding leaves of equations that are a sum of others
+
+OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
+SIGN, HALF_TURN = "sign", "half a turn"
+
+
+@dataclass(frozen=True, eq=False)
+class Reflection:
+    """A discrete change of a hidden coordinate that gives a law of the same terms.
+
+    Attributes
+    ----------
+    coordinate : int
+    kind : {"sign", "half a turn"}
+    signs : (n_candidates,) array
+        By which each coefficient changes: 1, -1, or NaN for a candidate that leaves the library.
+    """
+
+    coordinate: int
+    kind: str
+    signs: np.ndarray
+
+    def moved(self, values: np.ndarray) -> np.ndarray:
+        """The hidden coordinate after the change."""
+        return -values if self.kind == SIGN else values + np.pi
+
+
+def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
+    """Discrete changes under which the terms of a structure, and known ones, stay terms of it."""
+    held = [*members, *np.flatnonzero(np.nan_to_num(problem.known)).tolist()]
+    out: list[Reflection] = []
+    for i in problem.hidden:
+        for kind in (SIGN, HALF_TURN):
+            if kind == HALF_TURN and problem.coordinates[i] not in problem.candidates.turning:
+                continue
+            if kind == SIGN and _pushed(problem, i):
+                continue
+            signs = np.array([_sign(term, problem.coordinates[i], kind) for term in problem.terms])
+            known = np.flatnonzero(problem.is_known & (problem.known != 0.0))
+            if np.isfinite(signs[held]).all() and np.all(signs[known] == 1.0):
+                out.append(Reflection(i, kind, signs))
+    return out
+
+
+def canonical(problem: Problem, members: Sequence[int], coefficients: np.ndarray) -> list[Reflection]:
+    """Changes that make the first coefficient positive which they would change and which matters."""
+    out: list[Reflection] = []
+    for change in reflections(problem, members):
+        moved = [k for k in sorted(members) if change.signs[k] == -1.0 and coefficients[k] != 0.0]
+        kinetic = [k for k in moved if _is_kinetic(problem, k)] or moved
+        if not kinetic:
+            continue
+        largest = max(abs(coefficients[k]) for k in kinetic)
+        first = next(k for k in kinetic if abs(coefficients[k]) > _MATTERS * largest)
+        if coefficients[first] < 0.0:
+            out.append(change)
+            coefficients = coefficients * np.where(change.signs == -1.0, -1.0, 1.0)
+    return out
+
+
+def _is_kinetic(problem: Problem, k: int) -> bool:
+    """Whether a term of L holds a velocity."""
+    names = {symbol.name for symbol in problem.terms[k].expr.free_symbols}
+    return problem.terms[k].kind == "lagrangian" and any(name.endswith("_dot") for name in names)
+
+
+def open_changes(fit: Fit) -> dict[str, tuple[str, ...]]:
+    """Hidden coordinate → kinds of continuous changes that its candidates leave open; empty: none."""
+    problem = fit.problem
+    names = problem.coordinates
+    out: dict[str, tuple[str, ...]] = {}
+    points = _states_about(fit)
+    for i in problem.hidden:
+        q = sp.Symbol(names[i], real=True)
+        generators: list[tuple[str, sp.Expr]] = [(OFFSET, sp.S.One)]
+        if not _pushed(problem, i):
+            generators.append((SCALE, q))
+            others = [names[k] for k in range(len(names)) if k != i]
+            generators += [(f"{MIXING} with {other}", sp.Symbol(other, real=True)) for other in others]
+        found = tuple(kind for kind, g in generators if _is_open(fit, names[i], g, points))
+        if found:
+            out[names[i]] = found
+    return out
+
+
+def _pushed(problem: Problem, coordinate: int) -> bool:
+    """Whether a known force acts on a coordinate."""
+    data = problem.trajectories
+    return any(t.forces is not None and bool(np.any(t.forces[:, coordinate])) for t in data)
+
+
+def _sign(term: Term, name: str, kind: str) -> float:
+    """By which a term is multiplied under a discrete change; NaN where it becomes another term."""
+    q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
+    if not term.expr.free_symbols & {q, rate}:
+        return 1.0
+    swap = {q: -q, rate: -rate} if kind == SIGN else {q: q + sp.pi}
+    changed = term.expr.xreplace(swap)
+    for sign in (1, -1):
+        if sp.expand(sp.expand_trig(changed - sign * term.expr)) == 0:
+            return float(sign)
+    return np.nan
+
+
+def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points) -> bool:
+    """Whether a continuous change gives another law of the same free terms; of a symmetry it is the same."""
+    problem = fit.problem
+    names, members = problem.coordinates, list(fit.structure)
+    held = [*members, *np.flatnonzero(problem.is_known).tolist()]
+    change, symmetric = _variation(name, generator, names), True
+    for kind in ("lagrangian", "dissipation"):
+        own = [k for k in held if problem.terms[k].kind == kind]
+        varied = sp.Add(*(sp.Float(float(fit.coefficients[k])) * change(problem.terms[k].expr) for k in own))
+        free = [problem.terms[k] for k in members if problem.terms[k].kind == kind]
+        if varied == 0:
+            continue
+        columns = EulerLagrange([Term("change", varied, kind), *free], names, problem.prescribed)
+        strong = columns.strong(points).reshape(1 + len(free), -1)
+        size = np.abs(fit.coefficients[own]) @ np.abs(problem.candidates.strong(points, own)).reshape(
+            len(own), -1
+        )
+        whole = np.sqrt(np.mean(size**2))
+        symmetric &= bool(np.sqrt(np.mean(strong[0] ** 2)) <= _EXACT * whole)
+        if not free:
+            left = strong[0]
+        else:
+            unit = np.sqrt((strong[1:] ** 2).mean(axis=1)) + 1e-300
+            matrix = (strong[1:] / unit[:, None]).T
+            left = strong[0] - matrix @ np.linalg.lstsq(matrix, strong[0], rcond=1e-10)[0]
+        if np.sqrt(np.mean(left**2)) > _EXACT * whole:
+            return False
+    return not symmetric
+
+
+def _variation(name: str, generator: sp.Expr, names: Sequence[str]) -> Callable[[sp.Expr], sp.Expr]:
+    """φ → (∂φ/∂q_h) g + (∂φ/∂q̇_h) ġ."""
+    q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
+    pairs = [(sp.Symbol(n, real=True), sp.Symbol(f"{n}_dot", real=True)) for n in names]
+    along = sp.Add(*(sp.diff(generator, x) * v for x, v in pairs))
+    return lambda expr: sp.diff(expr, q) * generator + sp.diff(expr, rate) * along
+
+
+def _states_about(fit: Fit) -> Points:
+    """States about the motion, all their parts independent of each other."""
+    rng = np.random.default_rng(0)
+    n = fit.problem.trajectories.n_dof
+    along = np.array(fit.points(_STATES).columns).reshape(3, n, -1)
+    parts = [rng.permuted(block, axis=1).T for block in along]
+    return Points(parts[0], parts[1], parts[2], np.zeros(along.shape[2]))

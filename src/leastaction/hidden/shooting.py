@@ -1,0 +1,327 @@
+"""Motions of a law in many windows at once, and their fit to what was measured.
+
+A motion obeys the law and starts in each window from an unknown state (q, q̇) of all coordinates.
+Levenberg–Marquardt minimises its deviations from the smoothed motion in the measured coordinates. The
+unknowns are the initial states alone, or also the coefficients λ, which all windows share:
+
+    Σ_w log(1 + χ_w²(x_w, λ) / s),       χ_w² = mean ((q(t; x_w, λ) − q_measured(t)) / scale)²,
+
+with s four times the median of χ_w². The logarithm bounds the influence of windows whose motion is on a
+wrong branch of the hidden coordinate. The states are eliminated window by window (variable projection;
+Golub & Pereyra 2003, Inverse Problems 19:R1). Many sets of coefficients are treated side by side: one
+batch of RK4 runs a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import sympy as sp
+
+from leastaction.estimation.problem import Problem
+from leastaction.hidden.windows import Windows
+from leastaction.mechanics.equations import Mechanics
+from leastaction.simulation.integrate import rk4
+
+__all__ = ["Shooter", "Solutions", "law_of"]
+
+_DIFFERENCE = 1e-5  # of a unit
+_LOST = 1e6  # what diverges counts as this
+_FIRST_DAMPING = 1e-2  # relative to the diagonal
+_MOST_NUMBERS = 2**24  # in the motions of one batch: bounds memory
+_MOST_CHANGE = 0.5  # of a coefficient, in one step
+_TINY = 1e-300  # added to what may vanish
+_LEAST_VARIANCE = 1e-2  # of deviations, in their scale: less is rounding
+_INDEPENDENT = 8.0  # values in a window, whose deviations are correlated
+
+
+@dataclass(frozen=True, eq=False)
+class Solutions:
+    """Sets of coefficients, each with the initial states that fit best.
+
+    Attributes
+    ----------
+    coefficients : (n_sets, n_members) array
+    states : (n_sets, n_windows, 2 n_dof) array
+    deviation : (n_sets, n_windows) array
+        χ_w².
+    """
+
+    coefficients: np.ndarray
+    states: np.ndarray
+    deviation: np.ndarray
+
+    @property
+    def cost(self) -> np.ndarray:
+        """(n_sets,) Σ_w log(1 + χ_w²), by which sets are ranked."""
+        if not self.deviation.shape[1]:
+            return np.zeros(len(self.coefficients))
+        return np.log1p(self.deviation).mean(axis=1)
+
+    def of_windows(self, n_windows: int) -> Solutions:
+        """The best solution of each window, where there are several."""
+        n_sets = len(self.coefficients)
+        deviation = self.deviation.reshape(n_sets, n_windows, -1)
+        first = deviation.argmin(axis=-1)[..., None]
+        states = self.states.reshape(*deviation.shape, -1)
+        states = np.take_along_axis(states, first[..., None], axis=2)[:, :, 0]
+        return Solutions(self.coefficients, states, np.take_along_axis(deviation, first, axis=2)[..., 0])
+
+    def best(self, count: int) -> Solutions:
+        """The sets of the lowest cost."""
+        first = np.argsort(self.cost, kind="stable")[:count]
+        return Solutions(self.coefficients[first], self.states[first], self.deviation[first])
+
+
+class Shooter:
+    """Motions of the laws of a structure in given windows.
+
+    Parameters
+    ----------
+    mechanics : Mechanics
+        With the free coefficients as parameters; see `law_of`.
+    windows : Windows
+    unit : (2 n_dof,) array
+        Sizes of coordinates and rates.
+    """
+
+    def __init__(self, mechanics: Mechanics, windows: Windows, unit: np.ndarray) -> None:
+        self.mechanics, self.windows, self.unit = mechanics, windows, unit
+        self.n_dof = mechanics.n_dof
+
+    def on(self, windows: Windows) -> Shooter:
+        """The same laws in other windows."""
+        return Shooter(self.mechanics, windows, self.unit)
+
+    def motions(self, states: np.ndarray, coefficients: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """(n_nodes, ..., n_runs, 2 n_dof) states, from (..., n_runs, 2 n_dof) initial ones.
+
+        ``coefficients`` has the shape (n_members, ..., n_runs), ``owner`` is the window of each run.
+        """
+        n, forces = self.n_dof, self.windows.forces
+        if forces is not None:
+            forces = forces[:, owner].reshape(len(forces), *(1,) * (states.ndim - 2), owner.size, n)
+        q, qdot = rk4(
+            partial(self.mechanics.acceleration, parameters=coefficients),
+            states[..., :n],
+            states[..., n:],
+            self.windows.nodes,
+            substeps=1,
+            forces=None if forces is None else (lambda times: forces),
+            clock=self.windows.begin[owner] if self.mechanics.timed else None,
+        )
+        return np.concatenate([q, qdot], axis=-1)
+
+    def deviations(self, states: np.ndarray, coefficients: np.ndarray, owner: np.ndarray) -> np.ndarray:
+        """(..., n_runs, n_values) deviations of the motions in the measured coordinates, over their scale."""
+        measured = list(self.windows.measured)
+        q = self.motions(states, coefficients, owner)[..., measured]
+        target = self.windows.q[owner][..., measured].transpose(1, 0, 2)
+        target = target.reshape(len(target), *(1,) * (states.ndim - 2), *target.shape[1:])
+        with np.errstate(all="ignore"):
+            error = (q - target) / self.windows.scale[measured]
+        error = np.clip(np.where(np.isfinite(error), error, _LOST), -_LOST, _LOST)
+        error = np.moveaxis(error, 0, -2)
+        return error.reshape(*error.shape[:-2], -1)
+
+    def screen(self, coefficients: np.ndarray, begins: np.ndarray, kept: int, rounds: int) -> Solutions:
+        """The best of many begins of every window, each with its own fit.
+
+        Parameters
+        ----------
+        coefficients : (n_sets, n_members) array
+        begins : (n_sets, n_starts, 2 n_hidden) array
+            Hidden coordinates and rates at the begin.
+        kept : int
+            Begins of each window that are fitted.
+        rounds : int
+            Steps of the fit.
+
+        Returns
+        -------
+        Solutions
+            With ``kept`` · n_windows windows: the kept ones of the first window, then of the second, …; fewer
+            where there are fewer begins.
+        """
+        n_sets, n_starts = begins.shape[:2]
+        kept = min(kept, n_starts)
+        n_windows = len(self.windows)
+        states = np.empty((n_sets, n_windows, n_starts, 2 * self.n_dof))
+        states[..., : self.n_dof] = self.windows.q[:, 0][None, :, None]
+        states[..., self.n_dof :] = self.windows.qdot[:, 0][None, :, None]
+        states[..., self._hidden] = begins[:, None]
+        found = np.empty((n_sets, n_windows, n_starts))
+        at_once = max(1, _MOST_NUMBERS // (self.windows.nodes.size * 2 * self.n_dof * n_windows * n_starts))
+        owner = np.repeat(np.arange(n_windows), n_starts)
+        for a in range(0, n_sets, at_once):
+            part = slice(a, a + at_once)
+            count = len(coefficients[part])
+            given = np.repeat(coefficients[part], n_windows * n_starts, axis=0).T
+            error = self.deviations(states[part].reshape(-1, 2 * self.n_dof), given, np.tile(owner, count))
+            found[part] = (error**2).mean(axis=-1).reshape(count, n_windows, n_starts)
+        first = np.argsort(found, axis=-1, kind="stable")[..., :kept]
+        states = np.take_along_axis(states, first[..., None], axis=2).reshape(n_sets, -1, 2 * self.n_dof)
+        return self.fit_states(coefficients, states, np.repeat(np.arange(n_windows), kept), rounds)
+
+    @property
+    def _hidden(self) -> list[int]:
+        """Places of hidden coordinates and rates in a state."""
+        return [*self.windows.hidden, *(self.n_dof + i for i in self.windows.hidden)]
+
+    def fit_states(
+        self, coefficients: np.ndarray, states: np.ndarray, owner: np.ndarray, rounds: int
+    ) -> Solutions:
+        """Fit the initial states, the coefficients held; ``owner`` is the window of each state of a set."""
+        n_sets, n_runs, size = states.shape
+        given = np.repeat(coefficients, n_runs, axis=0).T
+        owner, flat = np.tile(owner, n_sets), states.reshape(-1, size)
+        steps = _DIFFERENCE * np.diag(self.unit)
+
+        def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            variants = np.concatenate([at[None], at[None] + steps[:, None, :]])
+            error = self.deviations(variants, given[:, None, :], owner)
+            slopes = np.moveaxis((error[1:] - error[:1]) / _DIFFERENCE, 0, -1)
+            return error[0], slopes, (error[0] ** 2).mean(axis=-1)
+
+        damping = np.full(len(flat), _FIRST_DAMPING)
+        error, slopes, cost = linearised(flat)
+        for _ in range(rounds):
+            matrix, diagonal = _normal(slopes)
+            matrix = matrix + _ridge(damping, diagonal)
+            move = -np.linalg.solve(matrix, np.einsum("rmi,rm->ri", slopes, error)[..., None])[..., 0]
+            trial = flat + move * self.unit
+            new = linearised(trial)
+            better = new[2] < cost
+            flat = np.where(better[:, None], trial, flat)
+            error = np.where(better[:, None], new[0], error)
+            slopes = np.where(better[:, None, None], new[1], slopes)
+            cost = np.where(better, new[2], cost)
+            damping = np.where(better, 0.1 * damping, 10.0 * damping)
+        return Solutions(coefficients, flat.reshape(states.shape), cost.reshape(n_sets, n_runs))
+
+    def fit(self, start: Solutions, sizes: np.ndarray, rounds: int) -> Solutions:
+        """Fit coefficients and initial states of every set together.
+
+        Coefficients that hardly matter are drawn to zero: they have a normal prior of standard deviation
+        ``sizes``, beside deviations whose variance is the median of χ².
+
+        Parameters
+        ----------
+        start : Solutions
+            One state for each window.
+        sizes : (n_members,) array
+            Of the coefficients.
+        rounds : int
+            Steps.
+        """
+        states, coefficients = start.states, start.coefficients
+        damping = np.full(len(coefficients), _FIRST_DAMPING)
+        error, slopes = self._linearised(states, coefficients, sizes)
+        found, count = (error**2).mean(axis=-1), error.shape[-1]
+        for _ in range(rounds):
+            typical = np.maximum(np.median(found, axis=1), _TINY)
+            prior = np.maximum(typical, _LEAST_VARIANCE) * count / _INDEPENDENT
+            cost = _cost(found, coefficients / sizes, typical, prior, count)
+            weight = 1.0 / (1.0 + found / (4.0 * typical[:, None]))
+            move, shift = self._step(error, slopes, weight, damping, prior, coefficients / sizes)
+            limit = _MOST_CHANGE * np.maximum(np.abs(coefficients / sizes), _MOST_CHANGE)
+            share = np.minimum(1.0, limit / np.maximum(np.abs(shift), _TINY)).min(axis=1)
+            there = (
+                states + share[:, None, None] * move * self.unit,
+                coefficients + share[:, None] * shift * sizes,
+            )
+            new_error, new_slopes = self._linearised(*there, sizes)
+            new_found = (new_error**2).mean(axis=-1)
+            better = _cost(new_found, there[1] / sizes, typical, prior, count) < cost
+            states = np.where(better[:, None, None], there[0], states)
+            coefficients = np.where(better[:, None], there[1], coefficients)
+            error = np.where(better[:, None, None], new_error, error)
+            slopes = np.where(better[:, None, None, None], new_slopes, slopes)
+            found = np.where(better[:, None], new_found, found)
+            damping = np.where(better, np.maximum(0.2 * damping, 1e-8), 8.0 * damping)
+        return Solutions(coefficients, states, found)
+
+    def _linearised(
+        self, states: np.ndarray, coefficients: np.ndarray, sizes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Deviations (n_sets, n_windows, n_values), and slopes in the state and the coefficients."""
+        n_sets, n_windows, size = states.shape
+        n_members = coefficients.shape[1]
+        flat = np.repeat(states.reshape(1, -1, size), 1 + size + n_members, axis=0)
+        given = np.repeat(coefficients, n_windows, axis=0).T[:, None]
+        given = np.repeat(given, 1 + size + n_members, axis=1)
+        for i in range(size):
+            flat[1 + i, :, i] += _DIFFERENCE * self.unit[i]
+        for k in range(n_members):
+            given[k, 1 + size + k] += _DIFFERENCE * sizes[k]
+        error = self.deviations(flat, given, np.tile(np.arange(n_windows), n_sets))
+        slopes = np.moveaxis((error[1:] - error[:1]) / _DIFFERENCE, 0, -1)
+        return error[0].reshape(n_sets, n_windows, -1), slopes.reshape(
+            n_sets, n_windows, -1, size + n_members
+        )
+
+    def _step(
+        self,
+        error: np.ndarray,
+        slopes: np.ndarray,
+        weight: np.ndarray,
+        damping: np.ndarray,
+        prior: np.ndarray,
+        here: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Steps of states (n_sets, n_windows, 2 n_dof) and coefficients (n_sets, n_members), in units.
+
+        ``prior`` is the precision of the coefficients, ``here`` their values, in units, too.
+        """
+        size = 2 * self.n_dof
+        own, shared = slopes[..., :size], slopes[..., size:]
+        matrix, diagonal = _normal(own)
+        matrix = matrix + _ridge(np.broadcast_to(damping[:, None], diagonal.shape[:-1]), diagonal, 1e-9)
+        border = np.swapaxes(own, -1, -2) @ shared
+        gradient = np.einsum("swmi,swm->swi", own, error)
+        held = np.linalg.solve(matrix, gradient[..., None])[..., 0]
+        follow = np.linalg.solve(matrix, border)
+        corner = np.einsum("sw,swij->sij", weight, _normal(shared)[0])
+        corner = corner + prior[:, None, None] * np.eye(here.shape[1])
+        right = np.einsum("sw,swmi,swm->si", weight, shared, error) + prior[:, None] * here
+        schur = corner - np.einsum("sw,swij,swik->sjk", weight, border, follow)
+        right = right - np.einsum("sw,swij,swi->sj", weight, border, held)
+        schur = schur + _ridge(damping, np.einsum("sii->si", corner), 1e-9)
+        shift = -np.linalg.solve(schur, right[..., None])[..., 0]
+        return -held - np.einsum("swij,sj->swi", follow, shift), shift
+
+
+def _cost(
+    found: np.ndarray, coefficients: np.ndarray, typical: np.ndarray, prior: np.ndarray, count: int
+) -> np.ndarray:
+    """(n_sets,) what a fit lowers: deviations of ``count`` values a window, and the prior."""
+    scale = 4.0 * typical
+    bounded = np.log1p(found / scale[:, None]).sum(axis=1)
+    return count * scale * bounded + prior * (coefficients**2).sum(axis=1)
+
+
+def law_of(problem: Problem, members: Sequence[int]) -> Mechanics:
+    """The equations of some candidates with free coefficients, and of the known ones."""
+    symbols = [sp.Dummy(real=True) for _ in members]
+    values: list[sp.Expr] = [sp.Float(float(value)) for value in np.nan_to_num(problem.known)]
+    for k, symbol in zip(members, symbols, strict=True):
+        values[k] = symbol
+    candidates = problem.candidates
+    return Mechanics.of_terms(
+        candidates.terms, values, candidates.coordinates, symbols, candidates.prescribed
+    )
+
+
+def _normal(slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀJ over the values, and its diagonal."""
+    matrix = np.swapaxes(slopes, -1, -2) @ slopes
+    return matrix, np.einsum("...ii->...i", matrix)
+
+
+def _ridge(damping: np.ndarray, diagonal: np.ndarray, least: float = 1e-12) -> np.ndarray:
+    """Diagonal matrices that damp a step."""
+    values = damping[..., None] * diagonal + least * diagonal.max(axis=-1, keepdims=True) + _TINY
+    return values[..., None] * np.eye(diagonal.shape[-1])

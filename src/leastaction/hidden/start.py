@@ -1,0 +1,191 @@
+"""Where a fit with hidden coordinates begins, without any help.
+
+1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states; then
+   coefficients and states are fitted together.
+2. The best sets go on to more and longer windows, in which fewer of them can follow the measured motion.
+3. The check: two sets end at the same law, or the best stands out. Otherwise more are drawn.
+4. The best law is fitted in windows that cover every trajectory, and their motions are chained to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from leastaction.curve.smoothing import Smooth
+from leastaction.estimation.problem import Problem
+from leastaction.estimation.structure import Structure
+from leastaction.hidden.chain import Chained, chain
+from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
+from leastaction.hidden.gauge import canonical
+from leastaction.hidden.settings import HIDDEN
+from leastaction.hidden.shooting import Shooter, Solutions, law_of
+from leastaction.hidden.windows import Windows, cut_windows
+
+__all__ = ["HiddenStart", "find_start", "follow_again"]
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenStart:
+    """Coefficients and motion to begin with.
+
+    Attributes
+    ----------
+    coefficients : (n_candidates,) array
+        Of all candidates; known ones in place.
+    motions : list of (n_times, n_hidden) arrays
+        Hidden coordinates at the samples of each trajectory.
+    confirmed : bool
+        Whether two independent draws led to the same law, or one law stands out.
+    """
+
+    coefficients: np.ndarray
+    motions: list[np.ndarray]
+    confirmed: bool
+
+
+def find_start(
+    problem: Problem, structure: Structure, smooth: Smooth, period: float, seed: int = 0
+) -> HiddenStart:
+    """Search for coefficients of a structure and for the motion of the hidden coordinates.
+
+    Parameters
+    ----------
+    problem : Problem
+    structure : Structure
+        Its members have unknown coefficients; dissipation begins at zero.
+    smooth : Smooth
+        The smooth curve through the samples; what it holds of hidden coordinates is not used.
+    period : float
+        Of the measured motion, in seconds.
+    seed : int
+    """
+    hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
+    pool, confirmed = hunt.drawn(), False
+    for attempt in range(HIDDEN.batches):
+        found = hunt.fitted(pool, *HIDDEN.last)
+        confirmed = _agree(problem, hunt.members, found, hunt.sizes)
+        if confirmed or attempt == HIDDEN.batches - 1:
+            break
+        pool = _joined(found, hunt.drawn())
+    return _started(hunt, found.best(1).coefficients, confirmed)
+
+
+def follow_again(
+    problem: Problem, structure: Structure, smooth: Smooth, period: float, coefficients: np.ndarray
+) -> HiddenStart:
+    """Chain the motions of a law anew, where some trials of its fit may be on a wrong branch.
+
+    Parameters
+    ----------
+    problem, structure, smooth, period
+        As for `find_start`.
+    coefficients : (n_candidates,) array
+        Of the law.
+    """
+    hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(1))
+    return _started(hunt, coefficients[None, hunt.members], confirmed=True)
+
+
+def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
+    """The motion of one law, (1, n_members) coefficients, with signs and zeros as we choose them."""
+    problem, nothing = hunt.problem, np.zeros((1, 0))
+    values, chained = hunt.everywhere(Solutions(given, nothing, nothing))
+    coefficients, motions = problem.completed(values), chained.values
+    for change in canonical(problem, hunt.members, coefficients):
+        coefficients = coefficients * np.where(change.signs == -1.0, -1.0, 1.0)
+        column = problem.hidden.index(change.coordinate)
+        for motion in motions:
+            motion[:, column] = change.moved(motion[:, column])
+    return HiddenStart(coefficients, motions, confirmed)
+
+
+class _Hunt:
+    """A search for one structure: its law, sizes of everything, and windows of any length."""
+
+    def __init__(
+        self, problem: Problem, members: list[int], smooth: Smooth, period: float, rng: np.random.Generator
+    ) -> None:
+        self.problem, self.smooth, self.period, self.rng = problem, smooth, period, rng
+        self.all_members = members
+        self.members = [k for k in members if problem.terms[k].kind == "lagrangian"]
+        self.mechanics = law_of(problem, self.members)
+        self.first = self.windows(*HIDDEN.stages[0][:2])
+        self.scales = scales_of(problem, self.first, period)
+        self.sizes = term_sizes(problem, self.first, self.scales, rng)
+
+    def windows(self, factor: float, most: int | None) -> Windows:
+        """Windows of some times the first length."""
+        seconds = factor * HIDDEN.first_window * self.period
+        most = None if most is None else int(most * max(1.0, len(self.members) / HIDDEN.terms_of_windows))
+        return cut_windows(self.problem, self.smooth, seconds, HIDDEN.step * self.period, most)
+
+    def drawn(self) -> Solutions:
+        """The best of many draws, after all stages but the last."""
+        sizes = self.sizes[self.members]
+        given = draw_coefficients(self.problem, self.members, sizes, self.first, self.scales, self.rng)
+        nothing = np.zeros((len(given), 0))
+        found = Solutions(given, nothing, nothing)
+        for stage in HIDDEN.stages:
+            found = self.fitted(found, *stage)
+        return found
+
+    def fitted(self, given: Solutions, factor: float, most: int, sets: int, rounds: int) -> Solutions:
+        """The best sets, begun anew and fitted in other windows."""
+        shooter = Shooter(self.mechanics, self.windows(factor, most), self.scales.unit)
+        coefficients = given.best(sets).coefficients
+        begins = np.stack([self._begins()] * len(coefficients))
+        screened = shooter.screen(coefficients, begins, HIDDEN.kept, HIDDEN.state_rounds)
+        return shooter.fit(screened.of_windows(len(shooter.windows)), self.sizes[self.members], rounds)
+
+    def everywhere(self, given: Solutions) -> tuple[np.ndarray, Chained]:
+        """(n_candidates,) coefficients of one set, and its motion along every trajectory.
+
+        Motions are chained, fitted with all coefficients, those of the dissipation, too, and chained again.
+        """
+        members = self.all_members
+        shooter = Shooter(law_of(self.problem, members), self.windows(HIDDEN.last[0], None), self.scales.unit)
+        values = np.zeros(len(self.problem.candidates))
+        values[self.members] = given.coefficients[0]
+        given = Solutions(values[None, members], given.states, given.deviation)
+        times = [t.t for t in self.problem.trajectories]
+        for final in (False, True):
+            screened = shooter.screen(
+                given.coefficients, self._begins()[None], HIDDEN.branches, 2 * HIDDEN.state_rounds
+            )
+            chained = chain(shooter, screened, self.scales, times)
+            if not final:
+                given = shooter.fit(chained.chosen, self.sizes[members], HIDDEN.last[3])
+        values[members] = given.coefficients[0]
+        return values, chained
+
+    def _begins(self) -> np.ndarray:
+        return draw_begins(self.scales, self.problem.hidden, self.rng)
+
+
+def _joined(one: Solutions, other: Solutions) -> Solutions:
+    """The coefficients of both, ranked by their own costs."""
+    coefficients = np.concatenate([one.coefficients, other.coefficients])
+    cost = np.concatenate([one.cost, other.cost])
+    return Solutions(coefficients, np.zeros((len(cost), 0)), np.expm1(cost)[:, None])
+
+
+def _agree(problem: Problem, members: Sequence[int], found: Solutions, sizes: np.ndarray) -> bool:
+    """Whether the two best sets are the same law, but for the choice of a sign or zero, or one stands out."""
+    if len(found.coefficients) < 2:
+        return False
+    first, second = found.best(2).cost
+    if HIDDEN.stands_out * first < second:
+        return True
+    laws: list[np.ndarray] = []
+    for coefficients in found.best(2).coefficients:
+        values = np.zeros(len(problem.candidates))
+        values[list(members)] = coefficients
+        for change in canonical(problem, members, values):
+            values = values * np.where(change.signs == -1.0, -1.0, 1.0)
+        laws.append(values)
+    size = np.maximum(np.abs(laws[0]), np.abs(laws[1]))
+    own = [k for k in members if size[k] > 0.0]
+    return bool(np.all(np.abs(laws[0] - laws[1])[own] <= HIDDEN.same * np.maximum(size, sizes)[own]))

@@ -1,0 +1,98 @@
+"""Begin where some coordinates have no samples: their motion by shooting, then the joint fit.
+
+Cost: some thousand short motions for each set of coefficients that is tried, 5 to 20 s.
+Without it there is no curve to begin with.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from leastaction.curve.knots import lay_knots
+from leastaction.curve.smoothing import Smooth, smooth
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
+from leastaction.findings import find
+from leastaction.hidden.continuation import drawn_together
+from leastaction.hidden.start import HiddenStart, find_start, follow_again
+from leastaction.selection.likelihood_refinement import refine
+from leastaction.selection.search_state import Search, equations_hold
+
+__all__ = ["run"]
+
+_Fitted = tuple[Fit, Smooth]
+"""A fit, and the smooth curve through samples and motion that it began with."""
+
+_ATTEMPTS = 2  # searches for a law, at most
+_FINER = 3.0  # knots than the measured motion asks for, at most
+
+
+def run(search: Search) -> Search:
+    """The best structure on the first grid, from that of all candidates at a start that is searched for.
+
+    If its equations do not hold, some trials may be on a wrong branch of the hidden coordinate. The motion is
+    then searched for once more, with the law that was found; after that the law, too, from other draws. The
+    likeliest fit stays.
+    """
+    problem, period = search.problem, search.scales.period
+    structure = Structure(problem.free)
+    best, confirmed = None, False
+    for attempt in range(_ATTEMPTS):
+        found = find_start(problem, structure, search.curve, period, search.seed + attempt)
+        confirmed = confirmed or found.confirmed
+        best = _likelier(best, _fitted(search, structure, found, best))
+        if equations_hold(best[0]):
+            break
+        again = follow_again(problem, structure, search.curve, period, best[0].coefficients)
+        best = _likelier(best, _fitted(search, structure, again, best))
+        if equations_hold(best[0]):
+            break
+    assert best is not None
+    fit, curve = refine(best[0], search.report), best[1]
+    scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
+    names = [problem.coordinates[i] for i in problem.hidden]
+    notes = () if confirmed else (find("hidden-start-unconfirmed", names),)
+    findings = (*search.findings, *notes)
+    return replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
+
+
+def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:
+    """The fit of higher evidence; both are on one grid."""
+    if one is None or not one[0].usable:
+        return other
+    return other if other[0].usable and other[0].evidence > one[0].evidence else one
+
+
+def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _Fitted | None) -> _Fitted:
+    """The joint fit from a start, on the grid of the one before: evidence compares on one grid only."""
+    problem = search.problem
+    completed = _completed(problem.trajectories, problem.hidden, found)
+    if before is not None:
+        grid = before[0].grid
+    else:  # a hidden coordinate may be faster than what is measured
+        wanted, least = lay_knots(completed, problem.degree).per_second, search.scales.per_second
+        grid = Grid.lay(search.searched, min(max(wanted, least), _FINER * least))
+    curve = _smoothed(grid, completed)
+    start = grid.start(structure, curve.control_points, found.coefficients, curve.noise_std)
+    return grid.fit(structure, drawn_together(grid, structure, start)), curve
+
+
+def _completed(data: Trajectories, hidden: tuple[int, ...], found: HiddenStart) -> Trajectories:
+    """The data, with the motion that was found in the place of hidden coordinates."""
+    items: list[Trajectory] = []
+    for trajectory, motion in zip(data, found.motions, strict=True):
+        q = trajectory.q.copy()
+        q[:, list(hidden)] = motion
+        items.append(trajectory.changed(q=q))
+    return Trajectories(items)
+
+
+def _smoothed(grid: Grid, completed: Trajectories) -> Smooth:
+    """The smooth curve through samples and motion; the latter has no noise that could be known."""
+    times, values = [t.t for t in completed], [t.q for t in completed]
+    curve = smooth(grid.spline, times, values, rates=completed.rates)
+    noise = curve.noise_std.copy()
+    noise[list(grid.problem.hidden)] = 1.0
+    return replace(curve, noise_std=noise)

@@ -1,0 +1,383 @@
+"""Coordinates without a sensor: start values, the joint fit, its band, and what is open."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from importlib.resources import as_file, files
+
+import numpy as np
+import pytest
+
+import leastaction as la
+from leastaction import systems
+from leastaction.curve.smoothing import smooth
+from leastaction.data.columns import arranged, joined
+from leastaction.data.trajectories import Trajectories
+from leastaction.errors import InputError
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.structure import Structure
+from leastaction.hidden import band
+from leastaction.hidden.band import curve_errors
+from leastaction.hidden.chain import chain
+from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
+from leastaction.hidden.gauge import canonical, open_changes, reflections
+from leastaction.hidden.shooting import Shooter, law_of
+from leastaction.hidden.windows import cut_windows
+
+PENDULUM = systems.get("chaotic_pendulum")
+HIDDEN = 1  # theta2
+NOISE = 0.002
+
+
+def without(data: Trajectories, hidden: int) -> Trajectories:
+    """Recordings that lack one coordinate."""
+    names = [name for i, name in enumerate(data.coordinates) if i != hidden]
+    return arranged(data, names)
+
+
+def set_up(system=PENDULUM, known=None, hidden: int = HIDDEN, noise: float = NOISE, **ranges):
+    """Truth, and the problem without one coordinate; the form of the law is given."""
+    truth = systems.simulate_truth(
+        system, **({"trials": 2, "duration": 6.0, "rate": 50.0, "seed": 3} | ranges)
+    )
+    sigma = systems.noise_std(system, truth, noise)
+    data = systems.measure(system, truth, sigma, seed=1)
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    known = system.known if known is None else known
+    request = Request(library, known, hidden=[system.coordinates[hidden]])
+    return truth, build_problem(without(data, hidden), request)
+
+
+def true_coefficients(problem, system=PENDULUM) -> np.ndarray:
+    return np.array([system.lagrangian[term.text] for term in problem.terms])
+
+
+def true_start(truth, setup, knots: float):
+    """The joint fit from the true motion of the hidden coordinate and the true law."""
+    problem = setup.problem
+    grid = Grid.lay(problem, knots)
+    values = []
+    for run, motion in zip(problem.trajectories, truth, strict=True):
+        q = run.q.copy()
+        q[:, problem.hidden] = motion.q[:, problem.hidden]
+        values.append(q)
+    curve = smooth(grid.spline, [t.t for t in problem.trajectories], values)
+    noise = np.where(np.arange(2) == HIDDEN, 1.0, curve.noise_std)
+    structure = Structure(problem.free)
+    return grid, structure, grid.start(structure, curve.control_points, true_coefficients(problem), noise)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    """Truth, set-up, and the joint fit from the truth."""
+    truth, setup = set_up()
+    grid, structure, start = true_start(truth, setup, 25.0)
+    return truth, setup, grid.fit(structure, start)
+
+
+# ---------------------------------------------------------------- data
+def test_a_column_without_samples_stands_for_a_hidden_coordinate() -> None:
+    data = systems.generate("double_pendulum", noise=0.0, trials=2, duration=0.5)
+    wide = arranged(without(data, 0), data.coordinates)
+    assert wide.coordinates == data.coordinates
+    for run, before in zip(wide, data, strict=True):
+        assert np.isnan(run.q[:, 0]).all()
+        assert np.array_equal(run.q[:, 1], before.q[:, 1])
+        assert not run.forces[:, 0].any()
+        assert np.array_equal(run.forces[:, 1], before.forces[:, 1])
+
+
+def test_what_is_left_out_of_some_coordinates_is_left_out_of_all_data() -> None:
+    data = systems.generate("double_pendulum", noise=0.0, trials=2, duration=0.5)
+    part = without(data, 0)
+    masks = [np.arange(run.n_times)[:, None] == 7 for run in part]
+    back = joined(part.without(masks), data)
+    for run, before in zip(back, data, strict=True):
+        assert np.isnan(run.q[7, 1])
+        assert np.isnan(run.q).sum() == 1
+        assert np.array_equal(run.forces, before.forces)  # forces on a hidden coordinate are known, too
+
+
+def test_known_forces_on_a_hidden_coordinate_reach_its_equation() -> None:
+    system = systems.get("double_pendulum")
+    data = systems.generate(system, noise=0.0, trials=1, duration=2.0)
+    hidden = [run.changed(q=np.where(np.arange(2) == 1, np.nan, run.q)) for run in data]
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    problem = build_problem(hidden, Request(library, hidden=["theta2"])).problem
+    assert np.array_equal(problem.trajectories[0].forces, data[0].forces)
+    assert problem.hidden == (1,)
+
+
+# ---------------------------------------------------------------- misuse
+@pytest.mark.parametrize(
+    ("hidden", "terms", "message"),
+    [
+        (["theta2", "theta3"], None, "occurs in no candidate"),
+        (["theta1"], None, "has 101 samples"),
+        (["theta1 dot"], None, "theta1 dot"),
+        ([], None, "theta2"),
+    ],
+)
+def test_misuse_is_refused(hidden, terms, message) -> None:
+    data = without(systems.generate(PENDULUM, noise=0.0, trials=1, duration=2.0, rate=50.0), 1)
+    with pytest.raises(InputError, match=message):
+        la.discover(data, terms or list(PENDULUM.lagrangian), known=PENDULUM.known, hidden=hidden)
+
+
+def test_all_coordinates_hidden_is_refused() -> None:
+    run = la.Trajectory([0.0, 1.0], [[np.nan], [np.nan]], coordinates=["x"])
+    with pytest.raises(InputError, match="nothing is measured"):
+        la.discover(run, ["x_dot**2", "x**2"], known={"x_dot**2": 0.5}, hidden=["x"])
+
+
+def test_groups_and_slow_forces_are_refused() -> None:
+    data = without(systems.generate(PENDULUM, noise=0.0, trials=2, duration=2.0, rate=50.0), 1)
+    terms = list(PENDULUM.lagrangian)
+    with pytest.raises(InputError, match="hidden"):
+        la.discover(data, terms, known=PENDULUM.known, hidden=["theta2"], groups=["a", "b"])
+    with pytest.raises(InputError, match="hidden"):
+        la.discover(data, terms, known=PENDULUM.known, hidden=["theta2"], method="adam")
+
+
+# ---------------------------------------------------------------- shooting
+@pytest.fixture(scope="module")
+def shooting():
+    """Short windows of the pendulum, and the true states at their begins."""
+    truth, setup = set_up(noise=0.0)
+    problem, period = setup.problem, setup.scales.period
+    windows = cut_windows(problem, setup.scales.smooth, 0.8 * period, 0.02 * period, 10)
+    shooter = Shooter(
+        law_of(problem, problem.free.tolist()), windows, scales_of(problem, windows, period).unit
+    )
+    states = []
+    for k, begin in zip(windows.trial, windows.begin, strict=True):
+        motion = truth[k]
+        states.append([np.interp(begin, motion.t, x[:, i]) for x in (motion.q, motion.qdot) for i in (0, 1)])
+    return problem, shooter, np.array(states), true_coefficients(problem)[problem.free]
+
+
+def test_true_motions_stay_with_the_measured_ones(shooting) -> None:
+    _, shooter, states, true = shooting
+    given = np.repeat(true[:, None], len(states), axis=1)
+    deviation = shooter.deviations(states, given, np.arange(len(states)))
+    assert np.sqrt(np.mean(deviation**2)) < 1.0  # in 0.2 % of the spread
+
+
+def test_coefficients_and_hidden_states_are_recovered_from_far(shooting) -> None:
+    _, shooter, states, true = shooting
+    rng = np.random.default_rng(5)
+    away = states + rng.normal(0.0, 0.1, states.shape) * shooter.unit
+    start = shooter.fit_states((true * 1.2)[None], away[None], np.arange(len(states)), 4)
+    found = shooter.fit(start, np.abs(true), 25)
+    assert np.allclose(found.coefficients[0], true, rtol=0.02)
+    assert np.abs(found.states[0] - states)[:, 1].max() < 0.02
+
+
+def test_a_law_is_told_from_another_by_its_cost(shooting) -> None:
+    problem, shooter, _, true = shooting
+    rng = np.random.default_rng(0)
+    scales = scales_of(problem, shooter.windows, 1.5)
+    laws = np.stack([true, true * [1.0, 2.0, 0.5, 1.0]])
+    begins = np.stack([draw_begins(scales, problem.hidden, rng)] * 2)
+    right, wrong = shooter.screen(laws, begins, 3, 4).of_windows(len(shooter.windows)).cost
+    assert right < 0.5 * wrong
+
+
+def test_drawn_laws_have_positive_masses(shooting) -> None:
+    problem, shooter, _, _ = shooting
+    rng, members = np.random.default_rng(1), problem.free.tolist()
+    scales = scales_of(problem, shooter.windows, 1.5)
+    sizes = term_sizes(problem, shooter.windows, scales, rng)
+    drawn = draw_coefficients(problem, members, sizes[members], shooter.windows, scales, rng)
+    a, b, c = drawn[:, 0], drawn[:, 1], drawn[:, 2]
+    assert np.mean((a > 0.0) & (b > 0.0) & (4.0 * a * b > c**2)) > 0.98
+    assert (drawn[:, 3] > 0.0).any()
+    assert (drawn[:, 3] < 0.0).any()
+
+
+def test_a_chain_follows_one_branch(shooting) -> None:
+    problem, few, _, true = shooting
+    windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.03, None)
+    shooter = few.on(windows)
+    scales = scales_of(problem, windows, 1.5)
+    begins = draw_begins(scales, problem.hidden, np.random.default_rng(0))[None]
+    found = shooter.screen(true[None], begins, 4, 6)
+    times = [t.t for t in problem.trajectories]
+    chained = chain(shooter, found, scales, times)
+    truth, _ = set_up(noise=0.0)
+    for values, motion in zip(chained.values, truth, strict=True):
+        error = values[:, 0] - motion.q[:, 1]
+        error -= 2.0 * np.pi * np.round(np.median(error) / (2.0 * np.pi))
+        assert np.median(np.abs(error)) < 0.05
+    assert np.median(np.concatenate(chained.jumps)) < 0.05
+
+
+def smooth_of(problem):
+    """The smooth curve of a problem, its hidden coordinate a placeholder."""
+    return set_up(noise=0.0)[1].scales.smooth
+
+
+# ---------------------------------------------------------------- joint fit
+def test_the_joint_fit_recovers_law_and_motion(pendulum) -> None:
+    truth, setup, fit = pendulum
+    true = true_coefficients(setup.problem)[list(fit.structure)]
+    assert fit.converged
+    assert np.allclose(fit.estimates, true, rtol=0.01)
+    z = (fit.estimates - true) / fit.standard_errors
+    assert np.abs(z).max() < 4.0
+    assert np.isnan(fit.position_std[HIDDEN])
+    assert fit.position_std[0] > 0.0
+    for curve, motion in zip(fit.curves(), truth, strict=True):
+        assert np.abs(curve - motion.q)[:, HIDDEN].max() < 0.02
+
+
+def test_the_band_is_that_of_the_full_inverse(pendulum) -> None:
+    *_, fit = pendulum
+    spline, times = fit.grid.spline, [t.t for t in fit.problem.trajectories]
+    found = curve_errors(fit, [HIDDEN, 0], times)
+    for k in range(len(times)):
+        normal = band._normal_of(fit, k)
+        n_ctrl, n, width = normal.rows.shape
+        dense = np.zeros((n_ctrl * n, n_ctrl * n + width))
+        for p in range(n_ctrl):
+            for i in range(n):
+                dense[p * n + i, p * n : p * n + width] = normal.rows[p, i]
+        upper = np.triu(dense[:, : n_ctrl * n])
+        inverse = np.linalg.inv(upper + upper.T - np.diag(np.diag(upper)))
+        follow = inverse @ normal.border[:, 1:]
+        covariance = inverse + follow @ fit.covariance @ follow.T
+        for column, i in enumerate((HIDDEN, 0)):
+            basis = spline.spaces[k].basis(times[k]).toarray()
+            own = covariance[i::n, i::n]
+            assert np.allclose(
+                found[k][:, column] ** 2, np.einsum("tp,pr,tr->t", basis, own, basis), rtol=1e-5
+            )
+
+
+def test_the_band_covers_the_true_motion(pendulum) -> None:
+    truth, _, fit = pendulum
+    errors = curve_errors(fit, [HIDDEN], [t.t for t in fit.problem.trajectories])
+    z = [
+        (curve[:, HIDDEN] - motion.q[:, HIDDEN]) / e[:, 0]
+        for curve, motion, e in zip(fit.curves(), truth, errors, strict=True)
+    ]
+    assert 0.2 < np.sqrt(np.mean(np.concatenate(z) ** 2)) < 2.5
+
+
+def test_a_sensor_makes_the_band_narrower(pendulum) -> None:
+    _, _, fit = pendulum
+    seen, hidden = (
+        np.concatenate(curve_errors(fit, [i], [t.t for t in fit.problem.trajectories])) for i in (0, 1)
+    )
+    assert np.median(seen) < np.median(hidden)
+
+
+# ---------------------------------------------------------------- what is open
+def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None:
+    _, setup, fit = pendulum
+    (change,) = reflections(setup.problem, list(fit.structure))
+    assert change.kind == "half a turn"
+    # coupling and weight of the hidden arm change sign, kinetic energies do not
+    assert change.signs[list(fit.structure)].tolist() == [1.0, 1.0, -1.0, -1.0]
+    flipped = fit.coefficients * change.signs
+    assert canonical(setup.problem, list(fit.structure), flipped) != []
+    assert canonical(setup.problem, list(fit.structure), fit.coefficients) == []
+    assert open_changes(fit) == {}
+
+
+@pytest.mark.parametrize(
+    ("known", "terms", "expected"),
+    [
+        ({"x_dot**2": 0.5}, ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y"], ("scale",)),
+        ({"x_dot**2": 0.5, "y_dot**2": 0.5}, ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y"], None),
+        (
+            {"x_dot**2": 0.5, "y_dot**2": 0.5},
+            ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y", "x", "y"],
+            ("offset",),
+        ),
+    ],
+)
+def test_what_known_terms_leave_open_is_named(known, terms, expected) -> None:
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 10.0, 401)
+    a, b = np.cos(t), np.cos(1.8 * t + 0.3)
+    run = la.Trajectory(t, a + b + 1e-4 * rng.standard_normal(t.size), coordinates=["x"])
+    problem = build_problem(run, Request(la.Library(terms, ["x", "y"]), known, hidden=["y"])).problem
+    grid = Grid.lay(problem, 8.0)
+    given = {"x_dot**2": 0.5, "y_dot**2": 0.5, "x**2": -1.0, "y**2": -1.0, "x*y": 0.7, "x": 0.0, "y": 0.3}
+    values = np.array([given[term.text] for term in problem.terms])
+    structure = Structure(problem.free)
+    motion = smooth(grid.spline, [t], [np.column_stack([a + b, a - b])])
+    fit = grid.fit(structure, grid.start(structure, motion.control_points, values, np.array([1e-4, 1.0])))
+    found = open_changes(replace(fit, coefficients=values))
+    assert found == ({} if expected is None else {"y": expected})
+
+
+# ---------------------------------------------------------------- all of it
+@pytest.mark.thorough
+@pytest.mark.parametrize("hidden", [0, 1])
+def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
+    truth = systems.simulate_truth(PENDULUM, trials=3, duration=10.0, rate=100.0, seed=2)
+    data = systems.measure(PENDULUM, truth, systems.noise_std(PENDULUM, truth, 0.01), seed=2)
+    name = PENDULUM.coordinates[hidden]
+    model = la.discover(
+        without(data, hidden),
+        la.Library(list(PENDULUM.lagrangian), PENDULUM.coordinates, angles=PENDULUM.angles),
+        known=PENDULUM.known,
+        hidden=[name],
+    )
+    assert model.fit.status == "ok", model.fit.warnings
+    for term in model.terms:
+        if not term.known:
+            assert abs(term.coefficient - PENDULUM.lagrangian[term.expression]) < 4.0 * term.standard_error
+    for motion, exact in zip(model.diagnostics.hidden_motion[name], truth, strict=True):
+        error = motion.q - exact.q[:, hidden]
+        error -= 2.0 * np.pi * np.round(np.median(error) / (2.0 * np.pi))
+        assert np.sqrt(np.mean((error / motion.standard_error) ** 2)) < 2.5
+    codes = {finding.code for finding in model.fit.findings}
+    assert "hidden-coordinate" in codes
+    assert "hidden-gauge" not in codes
+
+
+@pytest.mark.thorough
+def test_the_cyclic_angle_of_a_spherical_pendulum_needs_no_zero() -> None:
+    system = systems.get("spherical_pendulum")
+    data = systems.generate(system, noise=0.01, trials=3, duration=10.0, seed=1)
+    items = [run.changed(q=np.where(np.arange(2) == 1, np.nan, run.q)) for run in data]
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    model = la.discover(items, library, hidden=["phi"])
+    assert model.fit.status == "ok", model.fit.warnings
+    for term in model.terms:
+        assert term.coefficient == pytest.approx(system.lagrangian[term.expression], rel=0.02)
+
+
+@pytest.mark.slow
+def test_the_structure_of_a_measured_pendulum_is_found_without_its_second_encoder() -> None:
+    with as_file(files("leastaction") / "datasets" / "double_pendulum.csv.gz") as path:
+        data = la.read_csv(path, coordinates=["theta1"])
+    terms = [
+        "theta1_dot**2",
+        "theta2_dot**2",
+        "theta1_dot*theta2_dot",
+        "theta1_dot*theta2_dot*cos(theta1-theta2)",
+        "theta1_dot*theta2_dot*sin(theta1-theta2)",
+        "theta2_dot**2*cos(theta1-theta2)",
+        "cos(theta1)",
+        "cos(theta2)",
+        "sin(theta1)",
+        "sin(theta2)",
+        "cos(theta1-theta2)",
+    ]
+    library = la.Library(terms, ["theta1", "theta2"], angles=["theta1", "theta2"])
+    friction = ["theta1_dot**2/2", "theta2_dot**2/2", "abs(theta1_dot)"]
+    model = la.discover(data, library, {"theta1_dot**2": 1.0}, friction, hidden=["theta2"])
+    published = {
+        "theta2_dot**2": 0.55684,
+        "theta1_dot*theta2_dot*cos(theta1-theta2)": 0.98270,
+        "cos(theta1)": -117.922,
+        "cos(theta2)": -55.806,
+    }
+    found = {term.expression: term.coefficient for term in model.terms if not term.known}
+    assert found.keys() == published.keys()
+    assert all(abs(found[text] / value - 1.0) < 0.01 for text, value in published.items())
