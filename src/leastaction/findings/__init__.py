@@ -12,8 +12,10 @@ from leastaction.findings.finding import (
     inexact,
     status_of,
 )
-from leastaction.findings.messages import CODES, Audience, find, sentence
+from leastaction.findings.messages import CODES
+from leastaction.findings.sentences import find, sentence
 from leastaction.findings.templates import REASONS, because, statements
+from leastaction.findings.wording import Audience
 
 __all__ = [
     "CODES",

@@ -6,15 +6,13 @@ A text is a template over ``subject`` and the figures, or a function of both whe
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
 from leastaction.findings import templates
-from leastaction.findings.finding import Finding
-from leastaction.findings.templates import Audience, Message, Text, fill
+from leastaction.findings.wording import Message, fill
 
-__all__ = ["CODES", "Audience", "Message", "find", "sentence"]
+__all__ = ["CODES"]
 
 
 def _hardly_determined(f: dict[str, Any]) -> str:
@@ -359,50 +357,3 @@ CODES: dict[str, Message] = {
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),
 }
-
-
-def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Finding:
-    """Return a finding with its message and remedy.
-
-    Parameters
-    ----------
-    code : str
-        A key of `CODES`.
-    subject : str or iterable of str
-        The coordinates or terms concerned.
-    **values
-        The figures that its texts need, and any others worth keeping.
-
-    Examples
-    --------
-    >>> print(find("motion-in-noise", "x", motion=0.011, noise=0.05))
-    the motion of x (0.011) barely exceeds its noise (0.05): record larger motions
-    """
-    row = CODES[code]
-    about = (subject,) if isinstance(subject, str) else tuple(subject)
-    fields = {"subject": about, **values}
-    return Finding(code, row.severity, about, values, fill(row.message, fields), fill(row.remedy, fields))
-
-
-def sentence(finding: Finding, audience: Audience = "python") -> str:
-    """Return a finding as text, with the remedy worded for the command line or the app.
-
-    Examples
-    --------
-    >>> print(sentence(find("undeclared-angle", "theta", jumps=3), "command line"))
-    theta jumps by about 2π 3 times; the jumps were removed: if it is an angle, declare it with --angles ...
-    """
-    remedy = _other_remedies(audience).get(finding.code)
-    if not remedy:
-        return str(finding)
-    try:
-        return f"{finding.message}: {fill(remedy, {**finding.values, 'subject': finding.subject})}"
-    except (KeyError, TypeError, ValueError):  # figures of another version, from a file
-        return str(finding)
-
-
-def _other_remedies(audience: Audience) -> dict[str, Text]:
-    if audience == "python":
-        return {}
-    rows = CODES.items()
-    return {code: row.on_command_line if audience == "command line" else row.on_page for code, row in rows}

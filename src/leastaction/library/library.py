@@ -14,7 +14,7 @@ from leastaction.library.families import check_angles, check_count, mechanical_t
 from leastaction.library.friction import with_families
 from leastaction.library.geometry import FromGeometry
 from leastaction.library.grammar import description_lengths, grown_terms
-from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within, summary_of
+from leastaction.library.lookup import ShownLibrary, listing_of, place_among_all, place_within
 from leastaction.library.parser import normalise
 from leastaction.library.reduction import find_redundant
 from leastaction.library.shapes import check_numbers, shape_names, term_somewhere
@@ -390,13 +390,3 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
         check_numbers((*self._terms, *self._dissipation), values)
         terms, dissipation = ([t.at(values) for t in part] for part in (self._terms, self._dissipation))
         return self.replace(terms=terms, dissipation=dissipation)
-
-    def summary(self) -> str:
-        """One line with the number of terms of each kind.
-
-        Examples
-        --------
-        >>> Library(["x_dot**2", "x"], ["x"]).summary()
-        '2 terms in x: 1 with velocities, 1 without'
-        """
-        return summary_of(self)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from leastaction.library.library import Library
 
-__all__ = ["ShownLibrary", "listing_of", "place_among_all", "place_of", "place_within", "summary_of"]
+__all__ = ["ShownLibrary", "listing_of", "place_among_all", "place_of", "place_within"]
 
 _SHOWN = 6
 _REASONS = {"null": "without effect", "duplicate": "repeated", "dependent": "equal to others in effect"}
@@ -52,6 +52,25 @@ class ShownLibrary(Shown):
         terms, lengths = self._listed()
         columns: dict[str, Any] = {"expression": [t.text for t in terms], "kind": [t.kind for t in terms]}
         return data_frame({**columns, "length": [float("nan") if x is None else x for x in lengths]})
+
+    def summary(self) -> str:
+        """One line with the number of terms of each kind.
+
+        Examples
+        --------
+        >>> from leastaction import Library
+        >>> Library(["x_dot**2", "x"], ["x"]).summary()
+        '2 terms in x: 1 with velocities, 1 without'
+        """
+        library = cast("Library", self)
+        velocities = {sympy.Symbol(name, real=True) for name in library.velocities}
+        moving = sum(not velocities.isdisjoint(term.expr.free_symbols) for term in library.terms)
+        angles = f" (angles: {', '.join(library.angles)})" if library.angles else ""
+        text = f"{len(library)} terms in {', '.join(library.coordinates)}{angles}: "
+        text += f"{moving} with velocities, {len(library) - moving} without"
+        if library.dissipation:
+            text += f"; {len(library.dissipation)} of dissipation"
+        return text + (f"; {len(library.dropped)} left out" if library.dropped else "")
 
     def _listed(self) -> tuple[list[Term], list[float | None]]:
         """Candidates of both kinds, and their lengths."""
@@ -131,15 +150,3 @@ def listing_of(library: Library) -> str:
     if len(library) > len(shown):
         parts.append(f"{len(library)} terms")
     return f"Library({', '.join(parts)})"
-
-
-def summary_of(library: Library) -> str:
-    """Return one line with the number of terms of each kind."""
-    velocities = {sympy.Symbol(name, real=True) for name in library.velocities}
-    moving = sum(not velocities.isdisjoint(term.expr.free_symbols) for term in library.terms)
-    angles = f" (angles: {', '.join(library.angles)})" if library.angles else ""
-    text = f"{len(library)} terms in {', '.join(library.coordinates)}{angles}: "
-    text += f"{moving} with velocities, {len(library) - moving} without"
-    if library.dissipation:
-        text += f"; {len(library.dissipation)} of dissipation"
-    return text + (f"; {len(library.dropped)} left out" if library.dropped else "")
