@@ -197,7 +197,6 @@ def discover(
     chosen, offsets, given, links = _numbers(settings, force_offset, known, lengths)
     share, options = relevance_share(relevance), data()
     fitted, held_out, groups = _recordings(options, hold_out, group)
-    ranges = shape_ranges(shapes)
     candidates = with_terms(_library(library, size, gyroscopic, options, dissipation), terms)
     _check_given(given, fitted, candidates)
     import leastaction
@@ -215,7 +214,7 @@ def discover(
             seed=seed,
             options=chosen,
             relevance=share,
-            shapes=ranges,
+            shapes=shape_ranges(shapes),
             groups={name: groups[name] for name in fitted.names} if groups else None,
             progress=progress,
             workers=workers,

@@ -100,18 +100,15 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += rival_warnings(effects, alternatives)
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
-    found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit)
-    found += _perhaps_angles(fit)
+    found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
-    if fit.problem.hidden:
-        found += about_hidden(search)
+    found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
     if to_its_end and inexact(found):
         found += _form(search, exact=not doubtful(found))
-    grouped = fit.problem.candidates.grouped
-    if to_its_end and not grouped and not doubtful(f for f in found if f.code not in _OPEN):
-        found += free_scales(fit)
+    if to_its_end and not doubtful(f for f in found if f.code not in _OPEN):
+        found += [] if fit.problem.candidates.grouped else free_scales(fit)
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
     return Verdict(tuple(found), float(np.mean(chi2[counts > 0])), rms)
