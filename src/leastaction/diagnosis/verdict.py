@@ -19,12 +19,11 @@ from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.time_dependence import time_dependence
-from leastaction.diagnosis.wider_search import MOST_SAMPLES, search_afresh
+from leastaction.diagnosis.wider_search import MOST_SAMPLES, perhaps_angles, search_afresh, undeclared_angles
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
-from leastaction.identifiers import ANGLE_NAMES
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.families import looks_imitated
@@ -128,7 +127,8 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     if off and again and not any(cause.holds for cause in known):
         # what needs no further term comes first
         found = exchanged_forces(search) or search_afresh(search)
-        found = found or lacking_family(search) or time_dependence(search)
+        found = found or undeclared_angles(search, named=True) or lacking_family(search)
+        found = found or undeclared_angles(search, named=False) or time_dependence(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
@@ -232,10 +232,7 @@ def _perhaps_degrees(fit: Fit, period: float) -> list[Finding]:
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:
-    """Coordinates with the name of an angle of which no candidate holds a sine or cosine."""
-    columns = fit.problem.candidates
-    plain = [name for name in columns.coordinates if name not in columns.turning]
-    named = [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
+    named = perhaps_angles(fit.problem.candidates)
     return [find("perhaps-angle", named)] if named else []
 
 

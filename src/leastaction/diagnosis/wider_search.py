@@ -20,12 +20,14 @@ from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
+from leastaction.identifiers import ANGLE_NAMES
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.families import searched_with
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, weak_start
 
-__all__ = ["MOST_SAMPLES", "begun_anew", "search_afresh"]
+__all__ = ["MOST_SAMPLES", "begun_anew", "perhaps_angles", "search_afresh", "undeclared_angles"]
 
 MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
@@ -41,14 +43,26 @@ def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit |
 
 
 def search_afresh(search: Search) -> list[Finding]:
-    """Say which common terms, and which friction, lead to equations that hold; nothing if none do.
+    """Say which common terms, and which friction, lead to equations that hold; nothing if none do."""
+    return _searched(search, search.found.problem.candidates.turning)
 
-    If none do, coordinates that nobody called angles are taken for angles.
+
+def undeclared_angles(search: Search, named: bool) -> list[Finding]:
+    """The same if coordinates that nobody called angles are taken for angles.
+
+    With ``named`` those that have the name of an angle; without, all of them, if none has such a name.
     """
     columns = search.found.problem.candidates
-    turning = [*columns.turning]
-    out = _searched(search, turning)
-    return out if out or len(turning) == len(columns.coordinates) else _searched(search, columns.coordinates)
+    others = perhaps_angles(columns) if named else columns.coordinates
+    if not others or (not named and perhaps_angles(columns)) or {*others} <= {*columns.turning}:
+        return []
+    return _searched(search, [name for name in columns.coordinates if name in {*others, *columns.turning}])
+
+
+def perhaps_angles(columns: EulerLagrange) -> list[str]:
+    """Coordinates with the name of an angle of which no candidate holds a sine or cosine."""
+    plain = [name for name in columns.coordinates if name not in columns.turning]
+    return [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
 
 
 def _searched(search: Search, turning: Sequence[str]) -> list[Finding]:
