@@ -53,26 +53,28 @@ errors = []
 for motion, run in zip(motions, withheld, strict=True):
     error = motion.q - run.q[:, 0]
     errors.append(np.median(np.abs(error - 2 * np.pi * np.round(error / (2 * np.pi)))))
-print(
-    f"median error {1e3 * np.median(errors):.1f} mrad, largest of a recording {1e3 * np.max(errors):.1f} mrad"
-)
+median, largest = 1e3 * np.median(errors), 1e3 * np.max(errors)
+print(f"median error {median:.1f} mrad, largest of a recording {largest:.1f} mrad")
 
 figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
 motion, run = motions[0], withheld[0]
 turns = 2 * np.pi * np.round((motion.q[0] - run.q[0, 0]) / (2 * np.pi))
 axes[0].plot(run.t, data[0].q[:, 0], ".", ms=2, color="0.6", label="first link, measured")
-axes[0].plot(run.t, run.q[:, 0], ".", ms=2, color="tab:orange", label="second link, withheld")
+axes[0].plot(run.t, run.q[:, 0], color="tab:orange", lw=5, alpha=0.5, label="second link, withheld")
 axes[0].plot(motion.t, motion.q - turns, color="tab:blue", label="second link, estimated")
 axes[0].set_ylabel("angle (rad)")
-axes[0].legend(loc="upper right")
+axes[0].legend(loc="lower left")
 reach = 1.96 * motion.standard_error
 axes[1].plot(motion.t, 1e3 * (motion.q - turns - run.q[:, 0]), color="tab:blue", label="error")
 axes[1].fill_between(motion.t, -1e3 * reach, 1e3 * reach, color="tab:blue", alpha=0.2, label="95 % band")
 axes[1].set(xlabel="t (s)", ylabel="error (mrad)")
-axes[1].legend(loc="upper right")
+axes[1].legend(loc="upper center")
 plt.show()
 
 # %%
+# The error leaves the band for some tenths of a second. The band allows for noise, coefficients, and an
+# equation error without memory. Friction that this model lacks, as dry friction would be, has one.
+#
 # **What to learn.** A coordinate without a sensor is named in ``hidden``; its name occurs in the candidates.
 # Offer few candidates, and read what the findings say: which choice of its zero or sign was made, and whether
 # the candidates leave more open.
