@@ -8,10 +8,11 @@ numerically.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from leastaction.library.mjcf import read_mjcf
 from leastaction.library.tree import GRAVITY, KinematicTree
+from leastaction.library.urdf import read_urdf
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -22,61 +23,8 @@ __all__ = ["FromGeometry"]
 class FromGeometry:
     """Constructors of `Library` that return a `KinematicTree`, for ``leastaction.arms.identify``."""
 
-    @staticmethod
-    def from_urdf(
-        path: str | Path,
-        *,
-        joints: list[str] | None = None,
-        gravity: ArrayLike = GRAVITY,
-        base_rpy: ArrayLike = (0.0, 0.0, 0.0),
-    ) -> KinematicTree:
-        """Read the kinematic tree of a URDF; see ``leastaction.arms.read_urdf``.
-
-        Parameters
-        ----------
-        path : str or Path
-        joints : list of str, optional
-            Joints that move; by default all that can.
-        gravity, base_rpy : array_like, shape (3,)
-            In the world, in m/s²; roll, pitch and yaw of the base in the world, in rad.
-
-        Raises
-        ------
-        InputError
-            If the file is no URDF, or has joints that are not supported.
-        """
-        from leastaction.library.urdf import read_urdf
-
-        return read_urdf(path, joints=joints, gravity=gravity, base_rpy=base_rpy)
-
-    @staticmethod
-    def from_mjcf(
-        path: str | Path,
-        *,
-        joints: list[str] | None = None,
-        gravity: ArrayLike | None = None,
-        base_rpy: ArrayLike = (0.0, 0.0, 0.0),
-    ) -> KinematicTree:
-        """Read the kinematic tree of a MuJoCo model; see ``leastaction.arms.read_mjcf``.
-
-        Parameters
-        ----------
-        path : str or Path
-        joints : list of str, optional
-            Joints that move; by default all.
-        gravity : array_like, shape (3,), optional
-            In the world, in m/s²; by default what the file says.
-        base_rpy : array_like, shape (3,)
-            Roll, pitch and yaw of the base in the world, in rad.
-
-        Raises
-        ------
-        InputError
-            If the file is no MJCF, or holds what is not supported.
-        """
-        from leastaction.library.mjcf import read_mjcf
-
-        return read_mjcf(path, joints=joints, gravity=gravity, base_rpy=base_rpy)
+    from_urdf = staticmethod(read_urdf)
+    from_mjcf = staticmethod(read_mjcf)
 
     @staticmethod
     def from_joints(
