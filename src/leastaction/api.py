@@ -252,17 +252,16 @@ def _refuse_together(
     slow: Mapping[int, float], grouping: Grouping | None, descent: bool, hidden: Sequence[str]
 ) -> None:
     """Refuse arguments that no method takes together."""
-    if hidden and (slow or descent or grouping is not None):
-        what = (
-            "method 'adam'"
-            if descent
-            else "groups"
-            if grouping is not None
-            else "a force_offset that changes"
-        )
-        raise InputError(f"hidden coordinates cannot be estimated with {what}; leave one of the two out")
-    if grouping is not None and (slow or descent):
-        what = "method 'adam'" if descent else "a force_offset that changes"
+    others = {
+        "method 'adam'": descent,
+        "groups": grouping is not None,
+        "a force_offset that changes": bool(slow),
+    }
+    given = [what for what, there in others.items() if there]
+    if hidden and given:
+        raise InputError(f"hidden coordinates cannot be estimated with {given[0]}; leave one of the two out")
+    if grouping is not None and len(given) > 1:
+        what = next(other for other in given if other != "groups")
         raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
     if descent and slow:
         raise InputError(

@@ -127,8 +127,11 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     if off and again and not any(cause.holds for cause in known):
         # what needs no further term comes first
         found = exchanged_forces(search) or search_afresh(search)
-        found = found or undeclared_angles(search, named=True) or lacking_family(search)
-        found = found or undeclared_angles(search, named=False) or time_dependence(search)
+        # first those with the name of an angle; without any, whichever it may be comes after the families
+        named = perhaps_angles(fit.problem.candidates)
+        found = found or undeclared_angles(search, named) or lacking_family(search)
+        found = found or undeclared_angles(search, () if named else fit.problem.coordinates)
+        found = found or time_dependence(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.

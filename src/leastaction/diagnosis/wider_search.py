@@ -47,16 +47,11 @@ def search_afresh(search: Search) -> list[Finding]:
     return _searched(search, search.found.problem.candidates.turning)
 
 
-def undeclared_angles(search: Search, named: bool) -> list[Finding]:
-    """The same if coordinates that nobody called angles are taken for angles.
-
-    With ``named`` those that have the name of an angle; without, all of them, if none has such a name.
-    """
+def undeclared_angles(search: Search, names: Sequence[str]) -> list[Finding]:
+    """The same if some coordinates that nobody called angles are taken for angles."""
     columns = search.found.problem.candidates
-    others = perhaps_angles(columns) if named else columns.coordinates
-    if not others or (not named and perhaps_angles(columns)) or {*others} <= {*columns.turning}:
-        return []
-    return _searched(search, [name for name in columns.coordinates if name in {*others, *columns.turning}])
+    turning = [name for name in columns.coordinates if name in {*names, *columns.turning}]
+    return _searched(search, turning) if len(turning) > len(columns.turning) else []
 
 
 def perhaps_angles(columns: EulerLagrange) -> list[str]:
