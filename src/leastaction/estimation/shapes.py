@@ -26,6 +26,7 @@ __all__ = ["fit_shapes", "with_tangents"]
 
 _MOST_STEPS = 25  # of the parameters, each a fit
 _HALVINGS = 6  # of a step, before it counts as none
+_SHORTEST, _LONGEST = 0.1, 3.0  # share of a step
 _DIGITS = 1e-9  # relative: what noise-free data are fitted to
 _ROUNDS = 25  # of the weights, in each fit
 
@@ -59,15 +60,31 @@ def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
     names = fit.problem.shapes_of(fit.structure)
     if not names or not fit.usable:
         return fit
+    share, before = 1.0, np.zeros(len(names))
     for left in reversed(range(most_steps)):
         trial = _tried(fit, names)
         if trial is None:
             return fit
-        moved = None if trial.settled or not left else _advance(fit, trial, names)
-        if moved is None:
+        if trial.settled or not left:
             return trial.now  # with errors, and whether it settled
-        fit = moved
+        share = _secant(share, before, trial.relative)
+        moved, share = _advance(fit, trial, names, share)
+        if moved is None:
+            return trial.now
+        fit, before = moved, trial.relative
     return fit
+
+
+def _secant(share: float, before: np.ndarray, now: np.ndarray) -> float:
+    """The share of a step to take, so that the one after it vanishes.
+
+    A ``share`` of the step ``before`` changed the steps, in standard errors, to ``now``.  Where the weights
+    follow the parameters, steps turn back or hardly get shorter.
+    """
+    along = float(before @ (before - now))
+    if along <= 0.0:
+        return 1.0
+    return float(np.clip(share * (before @ before) / along, _SHORTEST, _LONGEST))
 
 
 def _tried(fit: Fit, names: tuple[str, ...]) -> _Trial | None:
@@ -83,10 +100,11 @@ def _tried(fit: Fit, names: tuple[str, ...]) -> _Trial | None:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
-    """A fit with tangents: steps δ, and the fit without them."""
+    """A fit with tangents, at the same weights: steps δ, these in standard errors, the fit without them."""
 
     now: Fit
     steps: np.ndarray
+    relative: np.ndarray
     start: Start
 
     @classmethod
@@ -96,7 +114,7 @@ class _Trial:
         count = len(fit.problem.candidates)
         padded = np.append(fit.coefficients, np.zeros(len(free)))
         start = Start(fit.control_points, padded, fit.weights)
-        wide = fit.grid.posed(problem).fit(structure, start, _ROUNDS)
+        wide = fit.grid.posed(problem).fit(structure, start, 0)
         if not wide.usable or not np.isfinite(wide.evidence):
             return None
         n = len(fit.structure)
@@ -112,7 +130,8 @@ class _Trial:
         )
         estimate = ShapeEstimate(names, values, covariance, settled)
         now = replace(fit, covariance=covariance[:n, :n], shapes=estimate)
-        return cls(now, steps, Start(wide.control_points, wide.coefficients[:count], wide.weights))
+        relative = np.divide(steps, errors, out=np.zeros_like(steps), where=errors > 0.0)
+        return cls(now, steps, relative, Start(wide.control_points, wide.coefficients[:count], wide.weights))
 
     @property
     def settled(self) -> bool:
@@ -120,13 +139,12 @@ class _Trial:
         return self.now.shapes is not None and self.now.shapes.settled
 
 
-def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...]) -> Fit | None:
-    """The first fit along the step, halved where needed, that is at least as likely."""
-    share = 1.0
+def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...], share: float) -> tuple[Fit | None, float]:
+    """The first fit along a share of the step, halved where needed, that is as likely; and the share."""
     for _ in range(_HALVINGS):
         moved = fit.problem.stepped(dict(zip(names, (share * trial.steps).tolist(), strict=True)))
         other = fit.grid.posed(moved).fit(fit.structure, trial.start, _ROUNDS)
         if other.usable and other.evidence >= fit.evidence - 1.2 * ESTIMATION.evidence_settled:
-            return other
+            return other, share
         share *= 0.5
-    return None
+    return None, share

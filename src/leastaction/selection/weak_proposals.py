@@ -20,6 +20,7 @@ from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakForm, WeakGram
 from leastaction.selection.weak_search import (
+    ScaledGram,
     Support,
     beam_search,
     grow_bases,
@@ -109,8 +110,8 @@ def _best_support(
     n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
     price = term_penalty(int(n_rows), free.size)
     first = None
-    error, ranked = _EQUATION_ERRORS[0], list[Support]()
-    for error in _EQUATION_ERRORS:  # the smallest that lets some structure explain the rows
+    error, ranked = _EQUATION_ERRORS[-1], list[Support]()
+    for error in _promising(gram):  # the smallest that lets some structure explain the rows
         ranked = _ranked(gram, error, price, n_rows, bases, problem.surcharges[free])
         if ranked[0].ratio < SELECTION.rows_explained:
             break
@@ -123,6 +124,17 @@ def _best_support(
         first = first or answer
     assert first is not None
     return first
+
+
+def _promising(gram: WeakGram) -> list[float]:
+    """Equation errors, rising, but for those at which not even all candidates explain the rows."""
+    everything = tuple(range(gram.residual.shape[0] - 1))
+
+    def explained(error: float) -> bool:
+        return ScaledGram(gram, error).ratio(everything) < SELECTION.rows_explained
+
+    *smaller, largest = _EQUATION_ERRORS
+    return [*filter(explained, smaller), largest]
 
 
 def _ranked(
