@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import euler_lagrange, interpolate, uniform_grid
+from helpers import (
+    MORE,
+    SMALL,
+    VALUES,
+    WEIGHTS,
+    Cluster,
+    assert_same,
+    close,
+    euler_lagrange,
+    interpolate,
+    problem,
+    uniform_grid,
+)
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation import banded, candidates, joint, observations, volume
@@ -22,7 +34,6 @@ from leastaction.estimation.gauss_newton import condense, fit_joint, score_candi
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
-from set_ups import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 
 
 # --------------------- trials as blocks: the same sums, whoever computes them, and whoever is lost on the way

@@ -17,7 +17,20 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
-from helpers import euler_lagrange, uniform_grid
+from helpers import (
+    MORE,
+    SMALL,
+    TERMS,
+    VALUES,
+    WEIGHTS,
+    Cluster,
+    assert_same,
+    close,
+    euler_lagrange,
+    motion,
+    problem,
+    uniform_grid,
+)
 from leastaction import systems
 from leastaction.diagnosis.friction import _Late
 from leastaction.estimation import observations, streamed
@@ -33,7 +46,6 @@ from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.streamed import StreamedObservations
-from set_ups import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 
 
 @pytest.fixture(scope="module")
