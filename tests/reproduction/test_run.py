@@ -46,9 +46,8 @@ from reproduction._plots import label, solved, write_png, write_svg
 from reproduction._results import store_of
 from reproduction.problem import Answer, Case, pose
 from reproduction.run import build_cases, main, settings
-from runner.course import open_cases
 from runner.machine import ROOT
-from runner.store import to_line
+from runner.store import open_cases, to_line
 
 # A stand-in for reproduction.methods: it notes when a run begins and ends. "gated" waits for a file from the
 # second trial on, so that a test decides what is under way when it kills something.
