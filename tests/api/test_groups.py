@@ -261,7 +261,7 @@ def test_a_model_without_groups_has_no_law_of_one(model):
 
 
 def test_trials_in_blocks_say_the_same(model, payload, monkeypatch):
-    monkeypatch.setattr("leastaction.estimation.observations._NUMBERS", SMALL)
+    monkeypatch.setattr("leastaction.estimation.recipes._NUMBERS", SMALL)
     other = found(payload, ["empty", "empty", "loaded", "loaded"])
     for name, (value, error) in differences(model).items():
         assert differences(other)[name][0] == pytest.approx(value, abs=1e-3 * error)
