@@ -49,7 +49,7 @@ from studies.case import Case
 from studies.solve import pose, score
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
-from set_ups import _machine, _pendulum
+from helpers import _machine, _pendulum
 
 _SEED = 700
 

@@ -26,7 +26,7 @@ import click
 import numpy as np
 
 import leastaction as la
-from benchmarks import ablations, prescribed
+from benchmarks import ablations, intervals
 from leastaction import systems
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import lay_knots
@@ -237,9 +237,9 @@ def _prescribed_judged() -> str:
     """Structures and errors of machines one coordinate of which is moved by what nobody measured."""
     found = [
         row
-        for one in prescribed.MACHINES.values()
+        for one in intervals.MACHINES.values()
         for noise in (0.01, 0.05)
-        for row in prescribed.fits(one, noise, 1)
+        for row in intervals.machine_fits(one, noise, 1)
     ]
     z = [z for row in found for z in row[2]]
     exact, ok = (sum(row[k] for row in found) for k in (0, 1))

@@ -34,7 +34,6 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "generated_pages",
-    "program_output",
     "versions",
 ]
 exclude_patterns = ["_build", "_ext", "gallery/*.ipynb", "gallery/*.md5"]

@@ -26,9 +26,8 @@ from leastaction import systems
 from reproduction._execute import Options, end_with_parent, execute, launched
 from reproduction._results import store_of
 from reproduction.problem import Case
-from runner.course import carry_out, say
 from runner.machine import ROOT
-from runner.store import to_line
+from runner.store import carry_out, say, to_line
 
 RESULTS = ROOT / "reproduction" / "results"
 # Table 2: A complete data, B with missing samples, C without the regularisation that only Adam's loss has

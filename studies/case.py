@@ -25,7 +25,7 @@ class Case:
     noise : float
         Level, times the standard deviation of each coordinate.
     setup : str
-        What is done to the data or the question ("plain": nothing): see ``noises.py`` and ``faults.py``.
+        What is done to the data or the question ("plain": nothing): see ``solve.py`` and ``faults.py``.
     library : {"compact", "large", "auto", "symbolic"}
     trial : int
         New initial conditions, forcing and noise each.

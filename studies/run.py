@@ -20,16 +20,15 @@ import click
 from rich.console import Console
 
 from leastaction import systems
-from runner.course import carry_out
 from runner.machine import ROOT, commit, machine, versions
-from runner.store import Store
+from runner.store import Store, carry_out
 from studies._pool import Options, solved
 from studies._tables import number
 from studies.case import Case
 from studies.faults import SETUPS
 from studies.laws import LAWS
-from studies.noises import FORCE_KINDS, KINDS
 from studies.shapes import SHAPED
+from studies.solve import FORCE_KINDS, KINDS
 
 
 # ------------- which cases make up a study; the first trial of everything comes before the second of anything

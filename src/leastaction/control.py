@@ -1,7 +1,4 @@
-"""A model as a system of the python-control package.
-
-Needs ``pip install 'leastaction[control]'``.
-"""
+"""A model as a system of the python-control package; needs ``pip install 'leastaction[control]'``."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from leastaction.errors import InputError
+from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
 from leastaction.model.checks import checked_start
 from leastaction.model.model import LagrangianModel
@@ -38,8 +35,7 @@ def state_space(
     Returns
     -------
     control.NonlinearIOSystem
-        Inputs ``<coordinate>_force``; states and outputs ``<coordinate>`` ... and
-        ``<coordinate>_dot`` ....
+        Inputs ``<coordinate>_force``; states and outputs ``<coordinate>`` ... and ``<coordinate>_dot`` ....
 
     Raises
     ------
@@ -56,8 +52,7 @@ def state_space(
     >>> system.dynamics(0.0, [1.0, 0.0], [3.0]).tolist()
     [0.0, -1.0]
     """
-    control = _control()
-    columns = _actuated(model, actuated)
+    control, columns = _prepared(model, actuated)
     n, mechanics = model.n_dof, model.mechanics
 
     def rates(t, x, u, params):
@@ -93,7 +88,7 @@ def linearize(
     actuated, name
         As for `state_space`.
     t : float, optional
-        Time in seconds, for a law that depends on time. The linear system is that of this instant.
+        Instant in seconds, for a law that depends on time.
 
     Returns
     -------
@@ -103,8 +98,8 @@ def linearize(
     Raises
     ------
     InputError
-        As for `state_space`; if the shapes are wrong; if the equations cannot be linearised there, because
-        the mass matrix is singular or a function is not defined.
+        As for `state_space`; if shapes are wrong; if the mass matrix is singular there or a function is not
+        defined.
 
     Examples
     --------
@@ -113,12 +108,10 @@ def linearize(
     >>> linearize(pendulum, [np.pi]).A.round(9).tolist()
     [[0.0, 1.0], [9.81, 0.0]]
     """
-    control = _control()
-    columns = _actuated(model, actuated)
+    control, columns = _prepared(model, actuated)
     n = model.n_dof
-    zero = np.zeros(n)
-    given = (("q", q), ("qdot", qdot), ("forces", forces))
-    state = [checked_start(model.coordinates, zero if x is None else x, label) for label, x in given]
+    given = {"q": q, "qdot": qdot, "forces": forces}
+    state = [checked_start(model.coordinates, np.zeros(n) if x is None else x, k) for k, x in given.items()]
     mass = model.mass_matrix(state[0], state[1], t)
     qddot = model.acceleration(*state, t=t)
     slopes = model.mechanics.slopes(state[0], state[1], qddot, t)
@@ -127,26 +120,18 @@ def linearize(
             f"the equations cannot be linearised at q = {quoted(state[0].tolist())}: the mass matrix is "
             "singular or a function is not defined there; choose another state"
         )
-    lower = np.linalg.solve(mass, slopes)
-    a = np.block([[np.zeros((n, n)), np.eye(n)], [lower[:, :n], lower[:, n:]]])
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [np.linalg.solve(mass, slopes)]])
     b = np.concatenate([np.zeros((n, n)), np.linalg.inv(mass)])[:, columns]
-    return control.StateSpace(
-        a, b, np.eye(2 * n), np.zeros((2 * n, len(columns))), name=name, **_labels(model, columns)
-    )
+    c, d = np.eye(2 * n), np.zeros((2 * n, len(columns)))
+    return control.StateSpace(a, b, c, d, name=name, **_labels(model, columns))
 
 
-def _control():
+def _prepared(model: LagrangianModel, actuated: Sequence[str] | None):
+    """The package, and the places of the coordinates with an input; arguments are checked."""
     try:
         import control
     except ImportError:
-        raise InputError(
-            "this needs python-control; install it with: pip install 'leastaction[control]'"
-        ) from None
-    return control
-
-
-def _actuated(model: LagrangianModel, actuated: Sequence[str] | None) -> list[int]:
-    """Check the arguments, and return the places of the coordinates with an input."""
+        raise MissingPackageError("leastaction.control", "python-control", "control") from None
     if not isinstance(model, LagrangianModel):
         raise InputError(f"model is of type {type(model).__name__}; expected a LagrangianModel")
     names = model.coordinates if actuated is None else (actuated,) if isinstance(actuated, str) else actuated
@@ -154,7 +139,7 @@ def _actuated(model: LagrangianModel, actuated: Sequence[str] | None) -> list[in
         if name not in model.coordinates:
             known = ", ".join(model.coordinates)
             raise InputError(f"actuated: {quoted(name)} is not a coordinate of the model; it has {known}")
-    return [model.coordinates.index(name) for name in dict.fromkeys(names)]
+    return control, [model.coordinates.index(name) for name in dict.fromkeys(names)]
 
 
 def _labels(model: LagrangianModel, columns: list[int]) -> dict[str, list[str]]:

@@ -11,78 +11,18 @@ A quasi-Newton method minimises its logarithm; see :mod:`leastaction.arms.planni
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from leastaction.arms.base import BaseParameters
-from leastaction.arms.planning import Bounds, Limits, Plan, Series, positive
-from leastaction.data.trajectories import Trajectory
+from leastaction.arms.planning import Bounds, Excitation, Limits, Plan, Series, positive
 from leastaction.errors import DataError, InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.threads import single_threaded
 
 __all__ = ["Excitation", "Limits", "excite"]
 
-_UNSEEN = 0.5  # of its prior, above which the error of a parameter shows that the motion does not tell it
 _PERIOD = 10.0  # s, of the series at most
 _WEIGHTS = (30.0, 300.0, 3000.0)  # of penalties, one after the other
-
-
-@dataclass(frozen=True, eq=False)
-class Excitation:
-    """A motion for an experiment, and what it will show.
-
-    Attributes
-    ----------
-    tree : KinematicTree
-    t : (n_times,) array
-        In s.
-    q, qdot, qddot : (n_times, n_dof) arrays
-    base : BaseParameters
-        Combinations of parameters that torques depend on.
-    errors, priors : (n_base,) arrays
-        Standard error that each is expected to have after the experiment, and size that it may have before.
-    condition, log_volume : tuple of two floats
-        Before and after the optimisation: condition number of the information, each parameter in units of its
-        prior, and logarithm of the volume of the region of uncertainty. Before: the motion of the start, as
-        large as the limits allow, or as it is where its middle lies in a box.
-    """
-
-    tree: KinematicTree
-    t: np.ndarray
-    q: np.ndarray
-    qdot: np.ndarray
-    qddot: np.ndarray
-    base: BaseParameters
-    errors: np.ndarray
-    priors: np.ndarray
-    condition: tuple[float, float]
-    log_volume: tuple[float, float]
-
-    @property
-    def unseen(self) -> tuple[str, ...]:
-        """Base parameters that this motion does not show: their errors stay above half of their priors."""
-        rows = np.flatnonzero(self.errors > _UNSEEN * self.priors).tolist()
-        return tuple(self.base.text(row) for row in rows)
-
-    @cached_property
-    def trajectory(self) -> Trajectory:
-        """The motion; ``la.write_csv`` writes it."""
-        return Trajectory(self.t, self.q, coordinates=self.tree.coordinates, velocities=self.qdot)
-
-    def __str__(self) -> str:
-        (before, after), (wide, narrow) = self.condition, self.log_volume
-        lines = [
-            f"{self.t[-1] - self.t[0]:.4g} s, {len(self.tree)} joints; condition {before:.3g} -> "
-            f"{after:.3g}, log volume {wide:.1f} -> {narrow:.1f}",
-            f"{len(self.errors) - len(self.unseen)} of {len(self.errors)} base parameters are shown",
-        ]
-        for text in self.unseen:
-            lines.append(f"not shown: {text}; allow faster or wider motion of the joints that carry it")
-        return "\n".join(lines)
 
 
 @single_threaded()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import DUFFING_LIBRARY, KINETIC, duffing, euler_lagrange, findings_of, record
+from helpers import DUFFING_LIBRARY, KINETIC, SMALL, duffing, euler_lagrange, findings_of, record
 from leastaction import systems
 from leastaction.curve.bspline import uniform_grid
 from leastaction.errors import DataError, InputError
@@ -19,7 +19,6 @@ from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from leastaction.refit import provisional, refit
 from leastaction.report.series import Energy, Series
-from set_ups import SMALL
 
 PAYLOAD = {"theta_dot**2": 1.0, "cos(theta)": 19.62}
 HEAVY = {"theta_dot**2 in loaded": 0.5, "cos(theta) in loaded": 9.81}
@@ -262,7 +261,7 @@ def test_a_model_without_groups_has_no_law_of_one(model):
 
 
 def test_trials_in_blocks_say_the_same(model, payload, monkeypatch):
-    monkeypatch.setattr("leastaction.estimation.observations._NUMBERS", SMALL)
+    monkeypatch.setattr("leastaction.estimation.recipes._NUMBERS", SMALL)
     other = found(payload, ["empty", "empty", "loaded", "loaded"])
     for name, (value, error) in differences(model).items():
         assert differences(other)[name][0] == pytest.approx(value, abs=1e-3 * error)

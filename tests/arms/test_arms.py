@@ -1,4 +1,4 @@
-"""Arms: base parameters, identification from simulated logs, files, and what is refused."""
+"""Arms: base parameters, identification from simulated logs, files; exciting motions; payloads."""
 
 from __future__ import annotations
 
@@ -13,15 +13,79 @@ import pytest
 from click.testing import CliRunner
 
 import leastaction as la
-from arm_helpers import PI, SEVEN, WRIST, bodies, motion, recorded, truth
-from leastaction import arms
+from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import prepared
+from leastaction.arms.planning import Bounds, Limits, Plan, Series
 from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
+from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
+from leastaction.mechanics.rigid_bodies import Motion
 
+PI = np.pi
+WRIST = arms.KinematicTree.from_dh(
+    [{"d": 0.3}, {"alpha": -PI / 2, "a": 0.05}, {"a": 0.25, "alpha": PI / 2}], modified=True
+)
+SEVEN = arms.KinematicTree.from_dh(
+    [
+        {"d": 0.34},
+        {"alpha": -PI / 2},
+        {"alpha": PI / 2, "d": 0.4},
+        {"alpha": PI / 2},
+        {"alpha": -PI / 2, "d": 0.4},
+        {"alpha": -PI / 2},
+        {"alpha": PI / 2, "d": 0.126},
+    ],
+    modified=True,
+)
+
+
+def bodies(n: int, rng: np.random.Generator) -> np.ndarray:
+    """(n, 10) inertial parameters of ellipsoids, lighter towards the hand."""
+    out = []
+    for k in range(n):
+        mass, centre = 4.0 * 0.72**k * rng.uniform(0.8, 1.2), rng.normal(0.0, 0.05, 3)
+        turn, size = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.uniform(0.04, 0.1, 3)
+        second = mass * (turn @ np.diag(size**2) @ turn.T + np.outer(centre, centre))
+        inertia = np.trace(second) * np.eye(3) - second
+        out.append([mass, *(mass * centre), *inertia[np.triu_indices(3)]])
+    return np.array(out)
+
+
+def motion(n: int, duration: float, rate: float, rng: np.random.Generator) -> list[np.ndarray]:
+    """Times and a sum of sines with its derivatives."""
+    t = np.arange(0.0, duration, 1.0 / rate)
+    out = np.zeros((3, t.size, n))
+    for j in range(n):
+        for k in range(1, 9):
+            (a, b), w = rng.normal(0.0, 0.5 / np.sqrt(k) / (1.0 + 0.15 * k), 2), 2.0 * PI * 0.15 * k
+            wave, slope = a * np.sin(w * t) + b * np.cos(w * t), w * (a * np.cos(w * t) - b * np.sin(w * t))
+            out[:, :, j] += wave, slope, -(w**2) * wave
+    return [t, *out]
+
+
+def recorded(
+    model: arms.ArmModel,
+    rng: np.random.Generator,
+    duration: float = 10.0,
+    rate: float = 250.0,
+    noise: float = 0.02,
+) -> la.Trajectory:
+    """A log of the model: encoder steps, noisy torques."""
+    t, *states = motion(len(model.tree), duration, rate, rng)
+    torques = model.torques(*states, successive=True)
+    torques += noise * torques.std(axis=0) * rng.normal(size=torques.shape)
+    step = 2.0 * PI / 2**18
+    return la.Trajectory(t, np.rint(states[0] / step) * step, torques, model.coordinates)
+
+
+def truth(tree: arms.KinematicTree, rng: np.random.Generator, **joints: list[float]) -> arms.ArmModel:
+    return arms.ArmModel.of_tree(tree.with_inertias(bodies(len(tree), rng)), joints, distance=2e-3)
+
+
+# --------------------- arms: base parameters, identification from simulated logs, files, and what is refused
 URDF = """<?xml version="1.0"?>
 <robot name="two">
   <link name="base"><inertial><mass value="9"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>
@@ -395,3 +459,245 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
         failed = runner.invoke(program, [*given, *wrong])
         assert failed.exit_code == 2
         assert words in failed.output
+
+
+# ------------------------ exciting motions: gradients, limits, and what they are worth for an identification
+WIDE = Limits(angle=[[-2.0] * 3, [2.0] * 3], speed=2.0, acceleration=10.0)
+
+
+def plan_of(tree: arms.KinematicTree, limits: Limits) -> Plan:
+    return Plan.of(tree, Bounds.of(limits, tree), Series(5.0, 4), np.full(len(tree), 0.1), 500.0)
+
+
+def test_the_gradient_is_a_finite_difference(rng):
+    tree = truth(WRIST, rng).tree
+    boxes = ([[0.0, -0.3, 0.0], [0.3, 0.3, 0.4]],)
+    inside, tool = [[-0.1] * 3, [0.2] * 3], (0.0, 0.1, 0.1)
+    limits = Limits([[-1.0] * 3, [1.0] * 3], 1.0, 2.0, 3.0, inside, boxes, tool)
+    plan = plan_of(tree, limits)
+    x = rng.normal(0.0, 0.4, (3, plan.series.size))
+    _, gradient = plan._value(x, 30.0)
+    for _ in range(5):
+        way = rng.normal(size=x.shape)
+        ends = [plan._value(x + step * way, 30.0)[0] for step in (1e-5, -1e-5)]
+        assert gradient @ way.ravel() == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3)
+
+
+def test_a_series_starts_and_ends_at_rest(rng):
+    series = Series(5.0, 4)
+    x = rng.normal(size=(3, series.size))
+    for nu in (1, 2):
+        np.testing.assert_allclose(series.states(x, np.array([0.0, 5.0, 10.0]))[nu], 0.0, atol=1e-9)
+    t, step = np.linspace(0.0, 5.0, 7), 1e-6
+    ends = [series.states(x, t + sign * step) for sign in (1.0, -1.0)]
+    np.testing.assert_allclose((ends[0] - ends[1])[:2] / (2.0 * step), series.states(x, t)[1:], atol=1e-5)
+
+
+@pytest.mark.thorough
+def test_the_motion_shrinks_the_volume_and_keeps_every_limit(rng):
+    tree = truth(WRIST, rng).tree
+    inside, block = np.array([[-0.6] * 3, [0.6] * 3]), np.array([[0.1, -0.1, 0.0], [0.5, 0.1, 0.6]])
+    tool = np.array([0.0, 0.0, 0.15])
+    limits = Limits(WIDE.angle, 2.0, 8.0, 6.0, inside, [block], tool)
+    plan = experiment.excite(tree, limits, 6.0, rate=200.0)
+    assert plan.log_volume[1] < plan.log_volume[0] - 5.0
+    assert plan.condition[1] < plan.condition[0]
+    assert np.abs(plan.q).max() <= 2.0
+    assert np.abs(plan.qdot).max() <= 2.0
+    assert np.abs(plan.qddot).max() <= 8.0
+    assert np.abs(plan.qdot[[0, -1]]).max() < 1e-9
+    rigid = arms.ArmModel.of_tree(tree)
+    assert np.abs(rigid.torques(plan.q, plan.qdot, plan.qddot)).max() <= 6.0 * 1.001
+    motion = Motion.at(tree, plan.q, plan.qdot, plan.qddot)
+    hand = motion.origins[-1] + motion.rotations[-1] @ tool
+    assert (hand >= inside[0] - 1e-3).all()
+    assert (hand <= inside[1] + 1e-3).all()
+    for point in (hand, *motion.origins):
+        assert not ((point > block[0] + 1e-3) & (point < block[1] - 1e-3)).all(axis=1).any()
+    again = experiment.excite(tree, limits, 6.0, rate=200.0)
+    np.testing.assert_array_equal(again.q, plan.q)
+
+
+def test_what_a_motion_cannot_show_is_named():
+    """Without gravity and at a crawl, first moments and inertias hide in the noise."""
+    plan = experiment.excite(WRIST, Limits([[-0.1] * 3, [0.1] * 3], 0.02), 5.0, noise=1.0, harmonics=3)
+    assert any("Izz" in name for name in plan.unseen)
+    assert "not shown" in str(plan)
+    assert plan.trajectory.coordinates == WRIST.coordinates
+    fast = experiment.excite(WRIST, WIDE, 5.0, noise=0.01, harmonics=3)
+    assert fast.unseen == ()
+
+
+@pytest.mark.thorough
+def test_identification_gains_what_the_plan_promises():
+    """Standard errors of an identification follow those expected, white noise as planned."""
+    rng = np.random.default_rng(1)
+    true = truth(WRIST, rng, viscous=[0.5, 0.3, 0.1], dry=[0.4, 0.3, 0.2])
+    plan = experiment.excite(WRIST, WIDE, 10.0, noise=0.05, rate=200.0)
+    torques = true.torques(plan.q, plan.qdot, plan.qddot, successive=True)
+    log = la.Trajectory(plan.t, plan.q, torques + rng.normal(0.0, 0.05, torques.shape), WRIST.coordinates)
+    found = arms.identify(log, WRIST)
+    expected = {plan.base.text(row): error for row, error in enumerate(plan.errors)}
+    ratios = [
+        error / expected[row.parameter]
+        for row, error in zip(found.rows(), found.standard_errors, strict=True)
+        if row.parameter in expected
+    ]
+    assert 0.4 < np.median(ratios) < 2.5
+    other = arms.identify(recorded(true, rng, 10.0, 200.0, 0.03), WRIST)
+    assert len(other.coefficients) == len(found.coefficients)
+
+
+def test_limits_come_from_the_file(file):
+    text = """<mujoco><worldbody><body><joint range="-90 90" axis="0 1 0"/>
+      <inertial pos="0.2 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody></mujoco>"""
+    tree = la.Library.from_mjcf(file(text, "a.xml"))
+    with pytest.raises(la.InputError, match="no limits of speed"):
+        experiment.excite(tree)
+    plan = experiment.excite(tree, Limits.of_tree(tree, speed=1.5), 4.0)
+    assert np.abs(plan.q).max() <= np.pi / 2
+    assert np.abs(plan.qdot).max() <= 1.5
+    assert plan.log_volume[1] < plan.log_volume[0]
+    again = experiment.excite(tree, Limits.of_tree(tree, speed=1.5), 4.0)
+    np.testing.assert_array_equal(again.q, plan.q)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"angle": [[0.0] * 3, [0.0] * 3]}, "lowest"),
+        ({"angle": [0.0, 1.0, 2.0, 3.0]}, "shape"),
+        ({"speed": [1.0, -1.0, 1.0]}, "positive"),
+        ({"speed": np.inf}, "not finite"),
+        ({"torque": 3.0}, "inertias"),
+        ({"inside": [[5.0] * 3, [6.0] * 3]}, "no motion within the limits"),
+    ],
+)
+def test_bad_limits_are_refused_in_one_line(change, words):
+    given = {"angle": WIDE.angle, "speed": WIDE.speed, **change}
+    with pytest.raises((la.InputError, la.DataError)) as caught:
+        experiment.excite(WRIST, Limits(**given), 3.0)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# ------- payloads: known bodies are found within their errors, wherever they hang and however they are given
+FRICTION = {"viscous": [0.5, 0.3, 0.1], "dry": [0.4, 0.3, 0.2], "rotor": [0.2, 0.1, 0.05]}
+WARMER = {**FRICTION, "viscous": [0.45, 0.25, 0.09], "offset": [0.2, 0.0, -0.1]}
+MASS, CENTRE = 1.2, np.array([0.05, -0.02, 0.1])
+INERTIA = np.array([[0.004, 0.0005, 0.0], [0.0005, 0.006, -0.001], [0.0, -0.001, 0.005]])
+
+
+def parameters(mass: float = MASS, centre: np.ndarray = CENTRE, inertia: np.ndarray = INERTIA) -> np.ndarray:
+    """(10,) inertial parameters about the origin of the link."""
+    about = inertia + mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    return np.array([mass, *(mass * centre), *about[np.triu_indices(3)]])
+
+
+def values(mass: float = MASS, centre: np.ndarray = CENTRE, inertia: np.ndarray = INERTIA) -> np.ndarray:
+    return np.array([mass, *centre, *inertia[np.triu_indices(3)]])
+
+
+def pair(seed: int) -> tuple[arms.ArmModel, arms.ArmModel]:
+    """A wrist without and with a payload, with warmer bearings the second time, both identified."""
+    rng = np.random.default_rng(seed)
+    empty = truth(WRIST, rng, **FRICTION)
+    inertias = empty.tree.inertias.copy()
+    inertias[-1] += parameters()
+    heavy = arms.ArmModel.of_tree(WRIST.with_inertias(inertias), WARMER, distance=2e-3)
+    one, two = (arms.identify(recorded(model, rng, 8.0, 200.0), WRIST) for model in (empty, heavy))
+    return one, two
+
+
+@pytest.fixture(scope="module")
+def logs() -> tuple[arms.ArmModel, arms.ArmModel]:
+    return pair(3)
+
+
+def test_a_payload_is_found_within_its_errors(logs):
+    found = arms.payload(*logs)
+    assert found.mass == pytest.approx(MASS, abs=0.03)
+    assert np.abs((found.values - values()) / found.standard_errors).max() < 4.0
+    assert found.notes == ()
+    assert found.n_degrees > 0
+    lower, upper = found.intervals(0.9).T
+    np.testing.assert_allclose((upper - lower) / found.standard_errors, 2.0 * 1.6449, rtol=1e-3)
+    assert "kg" in str(found)
+    assert found.inertia == pytest.approx(INERTIA, abs=0.005)
+
+
+@pytest.mark.thorough
+def test_intervals_of_payloads_hold():
+    z = np.array(
+        [(f.values - values()) / f.standard_errors for f in (arms.payload(*pair(k)) for k in range(8))]
+    )
+    assert np.mean(np.abs(z) < 1.96) > 0.88
+    assert 0.5 < np.sqrt(np.mean(z**2)) < 1.3
+
+
+def test_the_frame_is_that_of_the_flange(logs):
+    origin, rpy = np.array([0.0, 0.1, 0.2]), (0.3, -0.4, 1.0)
+    plain, moved = arms.payload(*logs), arms.payload(*logs, origin=origin, rpy=rpy)
+    turned = rpy_matrix(rpy).T
+    np.testing.assert_allclose(moved.centre, turned @ (plain.centre - origin), atol=1e-12)
+    np.testing.assert_allclose(moved.inertia, turned @ plain.inertia @ turned.T, atol=1e-12)
+    assert moved.standard_errors[0] == pytest.approx(plain.standard_errors[0])
+
+
+def test_a_consistent_payload_can_exist(logs):
+    plain, body = arms.payload(*logs), arms.payload(*logs, consistent=True)
+    assert np.linalg.eigvalsh(body.inertia).min() > 0.0
+    assert "chi-squared rises" in body.notes[-1]
+    assert np.abs((body.values - plain.values) / plain.standard_errors).max() < 4.0
+
+
+def exact(tree: arms.KinematicTree, inertias: np.ndarray) -> arms.ArmModel:
+    """A model with small errors, without a log."""
+    model = arms.ArmModel.of_tree(tree.with_inertias(inertias))
+    size = len(model.coefficients)
+    return arms.ArmModel(tree, model.base, model.coefficients, 1e-8 * np.eye(size), inertias, model.facts)
+
+
+def test_any_link_may_carry(rng):
+    inertias = truth(SEVEN, rng).tree.inertias
+    for link in ("link5", "link7"):
+        loaded = inertias.copy()
+        loaded[SEVEN.links.index(link)] += parameters()
+        found = arms.payload(exact(SEVEN, inertias), exact(SEVEN, loaded), link=link)
+        np.testing.assert_allclose(found.values, values(), atol=1e-9)
+
+
+def test_what_torques_do_not_show_is_open():
+    """A pendulum about one axis feels one moment of inertia and two first moments of its load."""
+    swing = arms.KinematicTree.from_joints([{"axis": (0, 1, 0)}])
+    one = np.array([[1.0, 0.1, 0.0, 0.2, 0.1, 0.0, 0.0, 0.1, 0.0, 0.1]])
+    arm, loaded = exact(swing, one), exact(swing, one + parameters())
+    assert len(find_base(swing, arm.base.terms).members) == 3
+    found = arms.payload(arm, loaded)
+    shown = np.isfinite(found.parameters)
+    np.testing.assert_array_equal(np.flatnonzero(shown), [1, 3, 7])
+    np.testing.assert_allclose(found.parameters[shown], parameters()[shown], atol=1e-9)
+    assert "do not determine m, my" in found.notes[0]
+
+
+def test_an_arm_that_has_changed_elsewhere_is_no_payload(rng):
+    inertias = truth(SEVEN, rng).tree.inertias
+    changed = inertias.copy()
+    changed[2] += parameters()
+    found = arms.payload(exact(SEVEN, inertias), exact(SEVEN, changed))
+    assert "not that of one body" in found.notes[0]
+
+
+def test_bad_requests_are_refused_in_one_line(logs):
+    arm, loaded = logs
+    other = exact(SEVEN, np.ones((7, 10)))
+    for call, words in [
+        (lambda: arms.payload(arm, loaded, link="hand"), "link1, link2, link3"),
+        (lambda: arms.payload(arm, other), "different base parameters"),
+        (lambda: arms.payload(arms.ArmModel.of_tree(arm.bodies().tree, FRICTION), loaded), "has no errors"),
+        (lambda: arms.payload(*logs).intervals(2.0), "probability"),
+    ]:
+        with pytest.raises(la.InputError) as caught:
+            call()
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)

@@ -315,7 +315,7 @@ def test_hostile_names_of_coordinates(name):
         (("--dissipation", "evil(x)"), ("--dissipation", "evil")),
         (("--forces", "tau,tau"), ("--forces", "2 columns")),
         (("--forces", "y=tau"), ("--forces", "'y'")),
-        (("--forces", "x="), ("--forces", "incomplete")),
+        (("--forces", "x="), ("--forces", "is not of the form name=column")),
         (("--angles", "y"), ("--angles", "'y'")),
         (("--force-delay", "0.01"), ("--force-delay", "--forces")),
         (("--force-delay", "10 ms", "--forces", "tau"), ("--force-delay", "'10 ms'")),

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
-from helpers import PENDULUM_LIBRARY, changed, findings_of, pendulum, record
+from helpers import PENDULUM_LIBRARY, _pendulum, changed, findings_of, pendulum, record
 from leastaction import systems
 from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
@@ -23,7 +23,6 @@ from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
-from set_ups import _pendulum
 
 
 class Doubts:

@@ -9,20 +9,31 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import euler_lagrange, interpolate, uniform_grid
+from helpers import (
+    MORE,
+    SMALL,
+    VALUES,
+    WEIGHTS,
+    Cluster,
+    assert_same,
+    close,
+    euler_lagrange,
+    interpolate,
+    problem,
+    uniform_grid,
+)
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid
-from leastaction.estimation import banded, candidates, joint, observations, volume
+from leastaction.estimation import candidates, elimination, joint, recipes, volume
 from leastaction.estimation import joint as problem_module
-from leastaction.estimation.banded import BandedFactor, trace_product
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, employ
+from leastaction.estimation.elimination import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import condense, fit_joint, score_candidates
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
-from set_ups import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, problem
 
 
 # --------------------- trials as blocks: the same sums, whoever computes them, and whoever is lost on the way
@@ -30,7 +41,7 @@ from set_ups import MORE, SMALL, VALUES, WEIGHTS, Cluster, assert_same, close, p
 def small_blocks():
     """Blocks as small as a trial."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(observations, "_NUMBERS", SMALL)
+        patch.setattr(recipes, "_NUMBERS", SMALL)
         yield
 
 
@@ -47,7 +58,7 @@ def test_blocks_give_the_sums_of_the_whole(intervals, n_blocks, crew, monkeypatc
     monkeypatch.setattr(volume, "_CHUNK", 13)
     monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
     grid, data, physics, control = problem()
-    monkeypatch.setattr(observations, "_NUMBERS", intervals * SMALL // 20)
+    monkeypatch.setattr(recipes, "_NUMBERS", intervals * SMALL // 20)
     whole, parts = Observations(grid, *data), observe(grid, *data, crew)
     assert isinstance(parts, BlockedObservations)
     assert len(parts.blocks) == n_blocks
@@ -110,7 +121,7 @@ def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew, monkeypatc
     t, q = data[0][0], data[1][0]
     assert isinstance(observe(uniform_grid([2.0], 6.0, 5, 2), [t], [q], (), crew), Observations)
     assert isinstance(observe(grid, *data, crew), BlockedObservations)
-    monkeypatch.setattr(observations, "_NUMBERS", grid.n_intervals * SMALL // 20)
+    monkeypatch.setattr(recipes, "_NUMBERS", grid.n_intervals * SMALL // 20)
     assert isinstance(observe(grid, *data, crew), Observations)
 
 
@@ -172,7 +183,7 @@ def alone():
     """Trials, and the law that is found in one piece."""
     data = recordings()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(observations, "_NUMBERS", 2**40)
+        patch.setattr(recipes, "_NUMBERS", 2**40)
         return data, found(data)
 
 
@@ -304,7 +315,7 @@ def test_products_may_begin_at_any_control_point():
 @pytest.mark.parametrize("n", [1, 2, 4])
 @pytest.mark.parametrize("group", [1, 2, 256])
 def test_factor_equals_dense_algebra(n, group, monkeypatch):
-    monkeypatch.setattr(banded, "_GROUP", group)
+    monkeypatch.setattr(elimination, "_GROUP", group)
     grid = uniform_grid([1.0, 0.8, 3.3], 5.0, 3, 2)
     rows = some_rows(grid, n)
     matrix, factor = dense(rows), BandedFactor.of(rows)

@@ -17,10 +17,23 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
-from helpers import euler_lagrange, uniform_grid
+from helpers import (
+    MORE,
+    SMALL,
+    TERMS,
+    VALUES,
+    WEIGHTS,
+    Cluster,
+    assert_same,
+    close,
+    euler_lagrange,
+    motion,
+    problem,
+    uniform_grid,
+)
 from leastaction import systems
 from leastaction.diagnosis.friction import _Late
-from leastaction.estimation import observations, streamed
+from leastaction.estimation import recipes, streamed
 from leastaction.estimation.blocks import observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, ProcessCrew, employ
@@ -33,7 +46,6 @@ from leastaction.estimation.observations import Observations
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.streamed import StreamedObservations
-from set_ups import MORE, SMALL, TERMS, VALUES, WEIGHTS, Cluster, assert_same, close, motion, problem
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +59,7 @@ def processes():
 def crew(request, monkeypatch, processes):
     """Whoever computes; every recording is long, and a block holds one trial or two."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(observations, "_NUMBERS", SMALL)
+    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
     return None if request.param == "alone" else processes
 
 
@@ -333,20 +345,20 @@ def _is_running(pid: int) -> bool:
 def counted_looks(monkeypatch) -> list[int]:
     """First knot intervals of blocks, each time that one is laid on its splines."""
     looked: list[int] = []
-    observe_block = observations.Recipe.observe
+    observe_block = recipes.Recipe.observe
 
     def counted(recipe):
         looked.append(recipe.intervals.start)
         return observe_block(recipe)
 
-    monkeypatch.setattr(observations.Recipe, "observe", counted)
+    monkeypatch.setattr(recipes.Recipe, "observe", counted)
     return looked
 
 
 def test_a_cluster_keeps_its_blocks(monkeypatch):
     """They are laid on the splines once, and the numbers are those of a stream."""
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(observations, "_NUMBERS", SMALL)
+    monkeypatch.setattr(recipes, "_NUMBERS", SMALL)
     grid, data, physics, control = problem()
     alone = fit_joint(observe(grid, *data), physics, WEIGHTS, control, 1.05 * VALUES)
     looked = counted_looks(monkeypatch)
@@ -381,7 +393,7 @@ def peak_of(run) -> int:
 
 def test_memory_of_a_pass_does_not_grow_with_the_number_of_trials(monkeypatch):
     monkeypatch.setattr(streamed, "_LONG", 1)
-    monkeypatch.setattr(observations, "_NUMBERS", 2**14)
+    monkeypatch.setattr(recipes, "_NUMBERS", 2**14)
     weights = WEIGHTS.__class__(WEIGHTS.noise_std[:2], WEIGHTS.physics, WEIGHTS.slack)
     physics = Physics(euler_lagrange(MORE[:5], ["x", "y"]), np.ones(5, dtype=bool), None)
     peaks = []
@@ -425,7 +437,7 @@ def just_too_long():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(streamed, "_LONG", data.n_samples - 1)
         patch.setattr("leastaction.api.ENOUGH_SAMPLES", data.n_samples // 2)
-        patch.setattr(observations, "_NUMBERS", 2**11)
+        patch.setattr(recipes, "_NUMBERS", 2**11)
         yield data, la.discover(data, systems.compact_library("single_pendulum"))
 
 

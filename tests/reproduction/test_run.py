@@ -1,4 +1,4 @@
-"""The runner of reproduction/: one record for each case, whatever is killed; and the search for settings."""
+"""The runner and the figures of reproduction/: a record for each case, right pictures, files that repeat."""
 
 from __future__ import annotations
 
@@ -11,18 +11,43 @@ import time
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
+from PIL import Image
+from scipy.integrate import solve_ivp
 
-from reproduction import problem, search_adam
+from leastaction import systems
+from reproduction import (
+    _figure_ablation,
+    _figure_basins,
+    _figure_magnetic,
+    figures,
+    methods,
+    problem,
+    search_adam,
+)
 from reproduction._execute import Options, launch
+from reproduction._figure_basins import (
+    MAGNETS,
+    UNDECIDED,
+    Basins,
+    agreement,
+    centres,
+    damping,
+    field_of,
+    lagrangian_of,
+    map_basins,
+)
+from reproduction._plots import label, solved, write_png, write_svg
 from reproduction._results import store_of
-from reproduction.problem import Case
+from reproduction.problem import Answer, Case, pose
 from reproduction.run import build_cases, main, settings
-from runner.course import open_cases
 from runner.machine import ROOT
-from runner.store import to_line
+from runner.store import open_cases, to_line
 
 # A stand-in for reproduction.methods: it notes when a run begins and ends. "gated" waits for a file from the
 # second trial on, so that a test decides what is under way when it kills something.
@@ -305,3 +330,257 @@ def test_search_resumes_and_keeps_the_settings_of_other_cells(tmp_path, monkeypa
     assert set(found["single_pendulum"]) == {"0", "0.1"}
     chosen = found["single_pendulum"]["0.1"]["options"]
     assert (chosen["threshold"], chosen["knots_per_second"]) == (0.15, 20.0)
+
+
+# ---------- the figures of reproduction/: right basins, right forecasts, right errors, and files that repeat
+MAGNETIC = Case("magnetic_pendulum", 0.01, "ours")
+DAMPING = 0.2
+
+
+@pytest.fixture
+def posed(monkeypatch):
+    monkeypatch.setattr(problem, "DURATION", 1.0)
+    return pose(MAGNETIC)
+
+
+@pytest.fixture
+def field(posed):
+    return field_of(posed.system.lagrangian_expression, damping(posed, DAMPING), posed)
+
+
+def _states(n=50):
+    return np.random.default_rng(3).uniform(-2.0, 2.0, (4, n))
+
+
+def test_the_field_of_a_discovered_model_is_the_model_s_own_acceleration(monkeypatch):
+    monkeypatch.setattr(problem, "DURATION", 4.0)
+    posed, answer = pose(MAGNETIC), methods.load("ours").solve(pose(MAGNETIC))
+    field = field_of(lagrangian_of(posed, answer), damping(posed, 0.15), posed)
+    x, y, vx, vy = _states()
+    q, qdot = np.stack([x, y], axis=1), np.stack([vx, vy], axis=1)
+    expected = answer.acceleration(q, qdot, -0.15 * qdot)
+    np.testing.assert_allclose(np.stack(field.acceleration(x, y, vx, vy), axis=1), expected, rtol=1e-12)
+
+
+def test_terms_that_couple_the_velocities_reach_the_field(posed):
+    found = {**posed.true_coefficients, "x_dot*y_dot": 0.2, "x*y_dot": 0.3, "x_dot**2": 0.5}
+    system = replace(posed.system, lagrangian=found).with_dissipation({"x_dot**2": 0.1, "y_dot**2": 0.1})
+    lagrangian = lagrangian_of(posed, Answer({k: found[k] for k in found if k != "x_dot**2"}, None))
+    field = field_of(lagrangian, damping(posed, 0.2), posed)
+    x, y, vx, vy = _states()
+    q, qdot = np.stack([x, y], axis=1), np.stack([vx, vy], axis=1)
+    got = np.stack(field.acceleration(x, y, vx, vy), axis=1)
+    np.testing.assert_allclose(got, system.acceleration(q, qdot), rtol=1e-12)
+    np.testing.assert_allclose(field.energy(x, y, vx, vy), system.energy(q, qdot), rtol=1e-12)
+
+
+def test_a_method_without_a_lagrangian_has_no_basins(posed):
+    with pytest.raises(ValueError, match="gave no Lagrangian"):
+        lagrangian_of(posed, Answer(None, None))
+
+
+def test_motions_end_where_an_adaptive_integrator_finds_them(field):
+    found = map_basins(field, pixels=4)
+    side = centres(4, 2.0)
+    for row, column in ((0, 0), (0, 2), (1, 0), (2, 3), (3, 1)):
+        start = (side[column], side[row], 0.0, 0.0)
+        run = solve_ivp(
+            lambda _, s: [*s[2:], *field.acceleration(*s)], (0, 40), start, "DOP853", rtol=1e-8, atol=1e-8
+        )
+        distance = np.hypot(*(MAGNETS - run.y[:2, -1]).T)
+        assert distance.min() < 0.1
+        assert found.magnet[row, column] == distance.argmin()
+
+
+def test_steps_converge_with_the_fourth_power_of_their_length(field):
+    start = np.array([1.3, 0.9, 0.5, -0.5])
+    run = solve_ivp(
+        lambda _, s: [*s[2:], *field.acceleration(*s)], (0, 1), start, "DOP853", rtol=1e-12, atol=1e-13
+    )
+    errors = [
+        np.abs(_figure_basins._advance(field, start[:, None], h, round(1 / h))[:, 0] - run.y[:, -1]).max()
+        for h in (0.02, 0.01)
+    ]
+    assert errors[0] < 1e-5
+    assert errors[0] / errors[1] > 14
+
+
+def test_the_true_map_has_the_symmetry_of_the_magnets(field):
+    found = map_basins(field, pixels=40).magnet
+    mirrored = np.array([0, 2, 1])[found[::-1]]
+    assert np.mean(found == mirrored) > 0.99
+    assert set(np.unique(found)) == {0, 1, 2}
+
+
+def test_a_start_at_a_magnet_is_captured_at_once_and_far_starts_are_not(field):
+    found = map_basins(field, pixels=41)  # 41: a pixel's centre lies at the middle of the square
+    side = centres(41, 2.0)
+    for k, (x, y) in enumerate(MAGNETS):
+        here = np.argmin(np.abs(side - y)), np.argmin(np.abs(side - x))
+        assert found.magnet[here] == k
+        assert found.time[here] == 0.0
+    assert found.time[0, 0] > 1.0
+
+
+def test_the_size_of_the_working_set_does_not_matter(field, monkeypatch):
+    whole = map_basins(field, pixels=8)
+    monkeypatch.setattr(_figure_basins, "_AT_ONCE", 7)
+    pieces = map_basins(field, pixels=8)
+    np.testing.assert_array_equal(pieces.magnet, whole.magnet)
+    np.testing.assert_array_equal(pieces.time, whole.time)
+
+
+def test_without_damping_nothing_settles_from_afar(posed, monkeypatch):
+    monkeypatch.setattr(_figure_basins, "_LONGEST", 5.0)
+    field = field_of(posed.system.lagrangian_expression, damping(posed, 0.0), posed)
+    found = map_basins(field, pixels=4)
+    assert found.magnet[0, 0] == UNDECIDED
+    assert np.isinf(found.time[0, 0])
+
+
+def test_undecided_motions_agree_with_nothing():
+    def basin(*magnets):
+        return Basins(np.array(magnets).reshape(2, 2), np.zeros((2, 2)), 2.0, 0.01)
+
+    assert agreement(basin(0, 1, 2, -1), basin(0, 1, 1, -1)) == 0.5
+
+
+def test_following_a_motion():
+    t = np.linspace(0.0, 10.0, 101)
+    spring = _figure_magnetic.follow(lambda q, qdot, f: -q, np.array([1.0, 2.0]), np.zeros(2), t)
+    np.testing.assert_allclose(spring, np.outer(np.cos(t), [1.0, 2.0]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "reached"),
+    [
+        (None, 0.0),
+        (lambda q, qdot, f: np.nan * q, 0.0),
+        (lambda q, qdot, f: 4.0 * q, 2.3),
+    ],
+    ids=["no model", "not a number", "diverges past 100"],
+)
+def test_following_stops_where_a_model_fails(acceleration, reached):
+    t = np.linspace(0.0, 10.0, 101)
+    path = _figure_magnetic.follow(acceleration, np.ones(2), np.zeros(2), t)
+    last = t[np.isfinite(path).all(axis=1)][-1]
+    assert last == pytest.approx(reached, abs=0.11)
+
+
+@pytest.fixture
+def fakes(monkeypatch):
+    """Methods that know the truth: "ours" to a thousandth, "adam" to a twentieth; short data."""
+    solved.cache_clear()
+    load = methods.load
+
+    def answer(posed, error):
+        found = {k: c * (1 + error) for k, c in posed.true_coefficients.items() if k not in posed.known}
+        system = replace(posed.system, lagrangian={**found, **posed.known})
+        return Answer(found, system.acceleration)
+
+    def with_curve(posed):
+        wobble = 0.5 if posed.case.variant else 0.1
+        shifted = [(m.t, m.q + wobble * m.q.std(), m.qdot, (1 + wobble) * m.qddot) for m in posed.truth]
+        return answer(posed, 0.05), shifted
+
+    modules = {
+        "ours": SimpleNamespace(solve=lambda posed: answer(posed, 0.001)),
+        "adam": SimpleNamespace(solve=lambda posed: answer(posed, 0.05), solve_with_curve=with_curve),
+    }
+    monkeypatch.setattr(methods, "load", lambda name: modules.get(name) or load(name))
+    monkeypatch.setattr(problem, "DURATION", 4.0)
+    monkeypatch.setattr(_figure_ablation, "WINDOW", (1.0, 3.0))
+    monkeypatch.setattr(_figure_ablation, "STARTS", ((0.01, ""),))
+    monkeypatch.setattr(_figure_magnetic, "LONG", 6.0)
+    monkeypatch.setattr(_figure_basins, "OTHER_DAMPINGS", (0.2,))
+    monkeypatch.setattr(_figure_basins, "STEP", 0.05)
+    yield
+    solved.cache_clear()
+
+
+def test_the_ablation_reports_errors_over_the_spread_of_the_truth(fakes):
+    (study,) = _figure_ablation.compute([(0.01, "")])
+    q = np.concatenate([m.q for m in study.problem.truth])
+    shift = 0.1 * np.sqrt(np.mean([m.q.std() ** 2 for m in study.problem.truth])) / q[:, 1].std()
+    errors = study.fits["adam"].errors
+    assert errors[0] == pytest.approx(shift, rel=0.01)
+    assert errors[1] < 1e-12
+    assert errors[2] == pytest.approx(0.1, rel=0.01)
+    assert study.fits["no-regularisation"].errors[2] == pytest.approx(0.5, rel=0.01)
+    assert max(study.fits["ours"].errors) < 0.05
+
+
+def test_a_worse_model_forecasts_for_a_shorter_time(fakes):
+    forecast = _figure_magnetic.compute(duration=12.0)
+    assert 0.0 < forecast.horizons["adam"] < forecast.horizons["ours"] <= 12.0
+    assert "leastaction holds for" in _figure_magnetic.caption(forecast)
+
+
+def test_the_share_of_equal_pixels_is_what_the_maps_say(fakes):
+    study = _figure_basins.compute(24, others=())
+    for one, share in zip(study.maps, study.equal, strict=True):
+        assert share == np.mean(one.magnet == study.truth.magnet)
+    assert study.equal[-1] < study.equal[0] < 1.0
+    assert _figure_basins.numbers(study)["equal"][label("ours", 0.01)] == study.equal[0]
+    titles = [ax.get_title() for ax in _figure_basins.draw(study).axes]
+    assert f"{100 * study.equal[0]:.1f} % of pixels equal" in titles
+
+
+def test_png_files_have_a_pixel_for_every_start(fakes, tmp_path):
+    study = _figure_basins.compute(20, models=(("ours", 0.01),), others=())
+    write_png(_figure_basins.draw(study), tmp_path / "map.png", _figure_basins.dpi(20))
+    with Image.open(tmp_path / "map.png") as image:
+        assert image.mode == "P"
+        assert image.width > 2 * 400
+
+
+def test_main_writes_figures_numbers_and_captions(fakes, tmp_path, capsys):
+    assert figures.main(["--output", str(tmp_path), "--pixels", "10"]) == 0
+    files = sorted(p.name for p in tmp_path.iterdir())
+    assert files == ["ablation.svg", "basins.png", "figures.json", "magnetic.svg"]
+    records = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert list(records) == ["ablation", "magnetic", "basins"]
+    share = records["basins"]["numbers"]["equal"][label("adam", 0.1)]
+    assert f"{100 * share:.1f} %" in records["basins"]["caption"]
+    assert records["basins"]["title"] == "Basins of attraction"
+    assert "basins: " in capsys.readouterr().err
+
+
+def test_the_same_numbers_give_the_same_bytes(fakes, tmp_path):
+    forecast = _figure_magnetic.compute(duration=6.0)
+    study = _figure_basins.compute(8, models=(("ours", 0.01),), others=())
+    for folder in (tmp_path / "one", tmp_path / "two"):
+        folder.mkdir()
+        write_svg(_figure_magnetic.draw(forecast), folder / "a.svg")
+        write_png(_figure_basins.draw(study), folder / "b.png", 200)
+    for name in ("a.svg", "b.png"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert ElementTree.parse(tmp_path / "one" / "a.svg").getroot().tag.endswith("svg")
+
+
+def test_one_figure_alone_leaves_the_records_of_the_others(fakes, tmp_path):
+    (tmp_path / "figures.json").write_text('{"ablation": {"file": "a.svg", "caption": "old", "numbers": {}}}')
+    assert figures.main(["--only", "basins", "--pixels", "4", "--output", str(tmp_path)]) == 0
+    records = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))
+    assert list(records) == ["ablation", "basins"]
+    assert records["ablation"]["caption"] == "old"
+
+
+def test_numbers_that_json_cannot_hold_become_null(fakes, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        _figure_magnetic, "solved", lambda case: (None, Answer({}, None, status="found nothing"))
+    )
+    assert figures.main(["--only", "magnetic", "--output", str(tmp_path)]) == 0
+    models = json.loads((tmp_path / "figures.json").read_text(encoding="utf-8"))["magnetic"]["numbers"][
+        "models"
+    ]
+    assert models["ours"]["largest_error_first_5_s_m"] is None
+    assert models["ours"]["horizon_s"] == 0.0
+
+
+def test_systems_agree_on_where_the_magnets_are():
+    system = systems.get("magnetic_pendulum")
+    at_rest = np.zeros(2)
+    for magnet in MAGNETS:
+        pull = [np.linalg.norm(system.acceleration(s * magnet, at_rest)) for s in (0.97, 0.7)]
+        assert pull[0] < 0.2 * pull[1]

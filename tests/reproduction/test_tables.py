@@ -13,11 +13,10 @@ from click.testing import CliRunner
 import leastaction as la
 from leastaction import systems
 from reproduction import scoring
-from reproduction._findings import findings
 from reproduction._further_tables import is_right, speed, without_candidates
 from reproduction._results import Group, Results, store_of
 from reproduction._tables import ablation, experiments, group_tables, number
-from reproduction.collate import HERE, main, mixed_settings
+from reproduction.collate import HERE, findings, main, mixed_settings
 from reproduction.problem import Answer, Case, pose
 from reproduction.scoring import score
 

@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from runner.course import carry_out
 from runner.machine import ROOT
-from runner.store import RecordError, Store, to_line
+from runner.store import RecordError, Store, carry_out, to_line
 from studies.case import Case
 
 

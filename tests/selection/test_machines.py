@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import leastaction as la
+from helpers import _machine, _pendulum
 from leastaction.curve.knots import lay_knots
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.forces import curve_between, fast_forces_act
@@ -18,7 +19,6 @@ from leastaction.selection.free_run_terms import _Choice
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
 from leastaction.simulation.integrate import rk4
-from set_ups import _machine, _pendulum
 
 # ---------------------------------------------------------------------- forces between samples
 RATE = 100.0

@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg
 
 import leastaction as la
-from helpers import findings_of, record
+from helpers import SET_UPS, findings_of, fresh, record, searched
 from leastaction import systems
 from leastaction.cli.values import force_offsets
 from leastaction.estimation.build import Request, build_problem
@@ -27,7 +27,6 @@ from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakGram
 from leastaction.selection.weak_proposals import weak_grams
 from leastaction.selection.weak_search import noise_ratio, support_score
-from set_ups import SET_UPS, fresh, searched
 from studies import solve
 from studies.case import Case
 

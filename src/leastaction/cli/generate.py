@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FURTHER", "SYSTEMS", "generate"]
 
-# As leastaction.systems.names(), which would take a second to import for --help.
+# As systems.names() and further_names(), which would take a second to import for --help.
 SYSTEMS = (
     "single_pendulum",
     "double_pendulum",
@@ -28,7 +28,6 @@ SYSTEMS = (
     "spherical_spring_pendulum",
     "magnetic_pendulum",
 )
-# As leastaction.systems.further_names().
 FURTHER = (
     "triple_pendulum",
     "robot_arm",
@@ -111,12 +110,12 @@ def generate(
     spring_chain, toda_chain, henon_heiles, kepler_orbit and morse_molecule (free).
     """
     file = check_file(output)
-    values = {}
-    texts = {"--noise": noise, "--duration": duration, "--rate": rate, "--missing": missing}
+    values: dict[str, float] = {}
+    texts = {"noise": noise, "duration": duration, "rate": rate, "missing": missing}
     for option, text in texts.items():
-        with blame(option):
+        with blame(f"--{option}"):
             values[option] = number(text)
-    if abs(trials * values["--duration"] * values["--rate"]) > _MAX_SAMPLES:
+    if abs(trials * values["duration"] * values["rate"]) > _MAX_SAMPLES:
         raise InputError(
             f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less"
         )
@@ -125,19 +124,11 @@ def generate(
 
     source = systems.get(system)
     data = systems.generate(
-        source,
-        noise=values["--noise"],
-        noise_convention=noise_convention,
-        trials=trials,
-        duration=values["--duration"],
-        rate=values["--rate"],
-        seed=seed,
-        missing=values["--missing"],
-        irregular=irregular,
+        source, noise_convention=noise_convention, trials=trials, seed=seed, irregular=irregular, **values
     )
     write_csv(file, data)
-    trials_made = counted(len(data), "trial")
-    say(f"{trials_made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")
+    made = counted(len(data), "trial")
+    say(f"{made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")
     say(f"next: {_next_command(source, output)}")
 
 

@@ -81,15 +81,7 @@ def column_map(text: str) -> dict[str, str] | list[str]:
         return parts
     if not all(marked):
         raise InputError(f"{quoted(text)} mixes 'name=column' with names alone; write all in one way")
-    out: dict[str, str] = {}
-    for part in parts:
-        name, column = (side.strip() for side in part.split("=", 1))
-        if not name or not column:
-            raise InputError(f"{quoted(part)} is incomplete; write name=column")
-        if name in out:
-            raise InputError(f"{quoted(name)} is given twice")
-        out[name] = column
-    return out
+    return dict(pairs(parts, "name=column"))
 
 
 def pairs(texts: Iterable[str], form: str, *, last: bool = False) -> Iterator[tuple[str, str]]:
@@ -117,8 +109,7 @@ def assignments(text: str) -> dict[str, float]:
 
 def known_coefficients(texts: Iterable[str]) -> dict[str, float]:
     """Return ``"EXPR=VALUE"`` as expression -> value; the last ``=`` counts."""
-    given = pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)
-    return {expression: number(value) for expression, value in given}
+    return {a: number(b) for a, b in pairs(texts, "EXPR=VALUE, e.g. 'cos(theta)=9.81'", last=True)}
 
 
 def check_known(known: Iterable[str], library: Library) -> None:

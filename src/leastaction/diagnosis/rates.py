@@ -4,10 +4,9 @@ With a test function χ of compact support, ∫ χ dt = 1, a channel y = a q̇ +
 
     ∫ χ y dt = a (−∫ χ̇ q dt) + b,
 
-both sides straight from the samples, without a smoothed curve (q̈ and ∫ χ̈ q dt for an acceleration). Noise on
-either side flattens a regression: the line of the left side on the right one is too flat, the line of the
-right side on the left one too steep, and the truth lies between the two (Frisch 1934, Statistical Confluence
-Analysis). A channel is doubted only where both lines do.
+both sides straight from the samples (q̈ and ∫ χ̈ q dt for an acceleration). Noise flattens a regression: the
+line of the left side on the right one is too flat, that of the right side on the left one too steep, and the
+truth lies between (Frisch 1934, Statistical Confluence Analysis). A channel is doubted where both lines do.
 """
 
 from __future__ import annotations
@@ -30,8 +29,7 @@ _FEWEST = 12  # test functions, for a line with an error
 _HUBER = 1.5  # standard deviations, beyond which a residual counts less: the usual ones
 _ROUNDS = 20  # of its weights
 _NEAR = 0.03  # relative, of a factor to that of a unit: the wording, not whether a channel is doubted
-# of one in the coordinate's unit, by the derivative
-_UNITS = {
+_UNITS = {  # of one in the coordinate's unit, by the derivative
     1: {180.0 / np.pi: "deg/s", 30.0 / np.pi: "rpm", 0.5 / np.pi: "rev/s"},
     2: {180.0 / np.pi: "deg/s^2", 1.0 / 9.81: "g"},
 }
@@ -55,26 +53,19 @@ def doubts_about_rates(trajectories: Trajectories, smooth: Smooth) -> list[Findi
         if len(pairs) < _FEWEST:
             continue
         # what the pairs would be if there were no motion, and the channel nothing but white noise
-        y = np.concatenate(rate.values)
+        y, name = np.concatenate(rate.values), trajectories.coordinates[rate.coordinate]
         spread = [smooth.noise_std[rate.coordinate], np.nanstd(y)]
         clear = np.all(pairs.std(axis=0) > DIAGNOSIS.rate_clear * gains * spread)
-        constant = np.nanmax(y) == np.nanmin(y)
-        dead: tuple[str, dict[str, Any]] = ("rate-constant", {})
-        wrong = dead if constant else _about(rate.derivative, pairs, bool(clear), sure)
-        if wrong:
-            code, figures = wrong
-            name = trajectories.coordinates[rate.coordinate]
-            doubts.append(find(code, name, quantity=rate.quantity, **figures))
+        if np.nanmax(y) == np.nanmin(y):
+            doubts.append(find("rate-constant", name, quantity=rate.quantity))
+        elif wrong := _about(rate.derivative, pairs, bool(clear), sure):
+            doubts.append(find(wrong[0], name, quantity=rate.quantity, **wrong[1]))
     return doubts
 
 
 def _pairs(trajectories: Trajectories, rate: Rate, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """(n_test_functions, 2) array, the derivative from the positions and the channel, one test function each.
-
-    And, (2,), by how much white noise of the samples is reduced in them.
-    """
-    out: list[tuple[float, float]] = []
-    gains: list[tuple[float, float]] = []
+    """(n_test_functions, 2) derivatives from positions and channel; (2,) how much they reduce white noise."""
+    out, gains = list[tuple[float, float]](), list[tuple[float, float]]()
     sign = (-1) ** rate.derivative
     for item, values in zip(trajectories, rate.values, strict=True):
         positions = _Samples(item.t, item.q[:, rate.coordinate])
@@ -100,18 +91,12 @@ class _Samples:
         half = 0.5 * width
         a, b = np.searchsorted(self.times, [middle - half, middle + half])
         t = self.times[a:b]
-        if (
-            t.size < _FINEST
-            or np.diff(t, prepend=middle - half, append=middle + half).max() > width / _FINEST
-        ):
+        gaps = np.diff(t, prepend=middle - half, append=middle + half)
+        if t.size < _FINEST or gaps.max() > width / _FINEST:
             return np.nan, np.nan
         x = (t - middle) / half
-        # (1 − x²)⁴, whose integral is 256/315, and its derivatives
-        shape = (
-            (1.0 - x**2) ** 4,
-            -8.0 * x * (1.0 - x**2) ** 3,
-            (1.0 - x**2) ** 2 * (56.0 * x**2 - 8.0),
-        )[nu]
+        y = 1.0 - x**2  # χ ∝ y⁴, whose integral is 256/315, and its derivatives
+        shape = (y**4, -8.0 * x * y**3, y**2 * (56.0 * x**2 - 8.0))[nu]
         weights = shape * np.gradient(t) * 315.0 / 256.0 / half ** (nu + 1)
         return float(weights @ self.values[a:b]), float(np.sqrt(weights @ weights))
 

@@ -1,9 +1,9 @@
 """What decides about a verdict.
 
-Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
-ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 30
-set-ups that no rule was made for, right and wrong ones; causes on 8 wrong ones, rates on 32 channels.
-"No effect": no finding changes. The status of a result changes nowhere.
+Each value says its unit, its origin, and what happens at half and at twice the value (of a ratio: at half
+and twice its distance from one), as `benchmarks/thresholds.py` measures on 30 right and wrong set-ups that
+no rule was made for; causes on 8 wrong ones, rates on 32 channels. "No effect": no finding changes. The
+status of a result changes nowhere.
 """
 
 from __future__ import annotations
@@ -31,8 +31,7 @@ class DiagnosisSettings:
     of 4 to 8. Half, twice: no effect."""
 
     force_share: float = 0.3
-    """Share of the residual's sum of squares that forces of another scale have to explain. Half, twice: no
-    effect."""
+    """Share of the squared residuals that rescaled forces have to explain. Half, twice: no effect."""
 
     rate_factor: float = 0.05
     """Share by which the calibration of a sensor may be off. Half: 2 of 12 right channels are doubted; twice:
@@ -67,14 +66,13 @@ class DiagnosisSettings:
     two that lack a delay or a sign are usable."""
 
     noise_ratio: float = 1.15
-    """Residual of a fit over that of the smoothing: more is motion that the equations do not explain. Half,
-    twice: no effect."""
+    """Residual of a fit over that of the smoothing: more is unexplained motion. Half, twice: no effect."""
 
     indistinct: float = 0.3
-    """Relative standard error above which a coefficient is hardly determined, and that of the logarithm of a
-    scale above which it is open (3 to 20 for springs, 0.002 where a force fixes it; in small motions of seven
-    other systems eleven were above, with accelerations alike within 0.6 % where masses differed by 17 to
-    46 %). Half: 1 finding more, on a wrong law; twice: no effect."""
+    """Relative standard error above which a coefficient is hardly determined, or a scale is open (3 to 20 for
+    springs, 0.002 where a force fixes it; small motions of seven other systems had eleven above, with
+    accelerations alike within 0.6 % where masses differed by 17 to 46 %). Half: 1 finding more, on a wrong
+    law; twice: no effect."""
 
     form_matters: float = 0.01
     """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt.
@@ -91,12 +89,11 @@ class DiagnosisSettings:
     twenty. Derived. Half, twice: no effect."""
 
     bumps_alone: int = 8
-    """Bumps along a coordinate that smooth changes of L consist of. Half: no effect; twice: 2 of 9 right
-    results are doubtful, one wrong one is ok."""
+    """Bumps along a coordinate in smooth changes of L. Half: no effect; twice: 2 of 9 right results are
+    doubtful, one wrong one is ok."""
 
     bumps_each: int = 5
-    """The same along each of two coordinates, and of a mass. Half: 2 right results more are ok; twice: 2
-    fewer."""
+    """The same along each of two coordinates, and of a mass. Half: 2 more right ones ok; twice: 2 fewer."""
 
     bump_width: float = 1.2
     """Distances between bumps. Half: one wrong result is ok; twice: one right result more is ok."""

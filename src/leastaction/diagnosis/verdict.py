@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import sympy as sp
 
-from leastaction.diagnosis.competing import free_scales, rival_warnings
+from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.hidden import about_hidden
 from leastaction.diagnosis.missing_terms import lacking_terms
+from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form

@@ -25,7 +25,8 @@ from leastaction.data.trajectories import Rate
 from leastaction.estimation.crew import Alone, Crew, Task
 from leastaction.estimation.elimination import NormalEquations, Quadratic
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations, Recipe, counts_and_floors, cut
+from leastaction.estimation.observations import Observations, counts_and_floors
+from leastaction.estimation.recipes import InBlocks, Recipe, cut, observed
 from leastaction.estimation.streamed import StreamedObservations, is_long
 from leastaction.estimation.volume import Volume, add_volumes
 
@@ -51,26 +52,18 @@ def observe(
     return BlockedObservations(grid, recipes, counts, crew if crew.keeps else Alone())
 
 
-class BlockedObservations:
+class BlockedObservations(InBlocks):
     """Observations in blocks of successive trials; see `Observations`.
 
     Attributes
     ----------
     blocks : tuple of Task
         Of the `Observations` of each block.
-    points, intervals : tuple of slice
-        Control points and knot intervals of each block.
     """
 
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
-        values, rates = recipes[0].samples[1:]
-        self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]
-        self.floors = recipes[0].floors
-        self.noise_floor = self.floors[: self.n_dof]
-        self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
-        self.points = tuple(recipe.points for recipe in recipes)
-        self.intervals = tuple(recipe.intervals for recipe in recipes)
-        self.blocks = tuple(crew.task(_observe, recipe) for recipe in recipes)
+        super().__init__(grid, recipes, counts, crew)
+        self.blocks = tuple(crew.task(observed, recipe) for recipe in recipes)
 
     def linearise(
         self,
@@ -212,10 +205,6 @@ class BlockedFactor:
 
 
 # ---------------------------------------------------------------- what is computed with a block
-def _observe(recipe: Recipe) -> Observations:
-    return recipe.observe()
-
-
 def _linearise(
     seen: Observations, physics: Physics, points: np.ndarray, coefficients: np.ndarray
 ) -> Linearisation:

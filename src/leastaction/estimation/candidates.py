@@ -5,7 +5,7 @@ With H = LLᵀ from the fit and Y = L⁻¹[g_P, C], C the columns of all candida
     A − CᵀH⁻¹C = A − YᵀY,    g_λ − CᵀH⁻¹g_P = g_λ − Yᵀy_g
 
 adds up over the rows of Y.  L is banded, so the rows of one stretch of the motion follow from those of the
-last few control points before it: nothing of the size candidates × control points is ever held.
+last few control points before it: nothing of the size candidates × control points is held.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor
-from leastaction.estimation.elimination import CurveFactor
+from leastaction.estimation.elimination import BandedFactor, CurveFactor
 from leastaction.estimation.intervals import by_interval, points_at
 from leastaction.estimation.joint import Linearisation, Weights
 from leastaction.estimation.volume import Volume, volume_term
@@ -38,16 +37,14 @@ class CandidateBorder:
     candidates: EulerLagrange
 
     def __call__(self, step: np.ndarray) -> np.ndarray:
-        n = self.control_points.shape[1]
-        out = np.zeros((len(self.control_points), n))
+        out, grid = np.zeros_like(self.control_points), self.linearisation.observations.grid
         (moved,) = np.nonzero(step)
         if moved.size:
             moving = replace(self, candidates=self.candidates.subset(moved.tolist()))
             for chunk, jacobian, columns in moving.stretches():
-                grid = self.linearisation.observations.grid
                 values = columns[:, :, 1:] @ step[moved]
                 products = (jacobian.transpose(0, 2, 1) @ values[:, :, None])[:, :, 0]
-                grid.add_products(out, products.reshape(len(values), -1, n), chunk)
+                grid.add_products(out, products.reshape(len(values), -1, out.shape[1]), chunk)
         return out.ravel()
 
     def stretches(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:

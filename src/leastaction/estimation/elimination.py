@@ -4,6 +4,13 @@
     ( Cᵀ  A ) (Δλ) = − (g_λ)      →      (A − CᵀH⁻¹C) Δλ = −(g_λ − CᵀH⁻¹g_P)
 
 H is banded and belongs to the control points of the curve, A is small and belongs to the coefficients.
+Unknowns are numbered control point by control point, coordinate fastest: H = LLᵀ.  In blocks of at least the
+bandwidth L is block bidiagonal, and the blocks of Z = H⁻¹ on and beside the diagonal follow from it backwards
+(Takahashi, Fagan & Chin 1973),
+
+    Z_kk = L_kk⁻ᵀL_kk⁻¹ + G_kᵀ Z_{k+1,k+1} G_k,    Z_{k+1,k} = −Z_{k+1,k+1} G_k,    G_k = L_{k+1,k} L_kk⁻¹,
+
+which are all that traces such as tr(H⁻¹ ∂H/∂w) = ∂ log|H|/∂w need.
 """
 
 from __future__ import annotations
@@ -13,12 +20,156 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from scipy.linalg import lapack
 
-from leastaction.estimation.banded import BandedFactor
+__all__ = [
+    "BandedFactor",
+    "Condensed",
+    "CurveFactor",
+    "Eliminated",
+    "NormalEquations",
+    "Quadratic",
+    "trace_product",
+]
 
-__all__ = ["Condensed", "CurveFactor", "Eliminated", "NormalEquations", "Quadratic"]
+_GROUP = 256  # blocks whose inverses are held at once
 
 
+@dataclass(frozen=True, eq=False)
+class BandedFactor:
+    """Lower Cholesky factor: ``band[c, d]`` = L[c + d, c].
+
+    Examples
+    --------
+    >>> rows = np.zeros((4, 1, 2))  # a tridiagonal matrix: its diagonal, and the entries beside it
+    >>> rows[:, 0, 0], rows[:3, 0, 1] = 2.0, -1.0
+    >>> factor = BandedFactor.of(rows)
+    >>> factor.solve(np.array([1.0, 0.0, 0.0, 1.0]))
+    array([1., 1., 1., 1.])
+    >>> bool(np.isclose(factor.logdet, np.log(5.0)))
+    True
+    """
+
+    band: np.ndarray
+    n_dof: int
+
+    @classmethod
+    def of(cls, rows: np.ndarray, damping: float = 0.0) -> BandedFactor:
+        """Factorise (n_ctrl, n_dof, width) block rows, the diagonal raised by a share ``damping``.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            When the matrix is not positive definite.
+        """
+        n_ctrl, n, width = rows.shape
+        band = np.zeros((n_ctrl, n, width))
+        for i in range(n):
+            band[:, i, : width - i] = rows[:, i, i:]
+        band = band.reshape(n_ctrl * n, width)
+        # a rounding error more: exact equations leave tiny pivots
+        band[:, 0] *= (1.0 + 1e-14) * (1.0 + damping)
+        factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
+        if info:
+            raise np.linalg.LinAlgError(f"leading minor {info} is not positive definite")
+        return cls(factor.T, n)
+
+    @property
+    def logdet(self) -> float:
+        """log |H|"""
+        return 2.0 * float(np.log(self.band[:, 0]).sum())
+
+    def forward(self, right: np.ndarray, start: int = 0, before: np.ndarray | None = None) -> np.ndarray:
+        """L⁻¹B for the rows from ``start`` on.
+
+        Parameters
+        ----------
+        right : (n_rows, n_columns) array
+        before : (n_before, n_columns) array, optional
+            The result in the rows just before ``start``, at least as many as the bandwidth.
+        """
+        reach = min(self.band.shape[1] - 1, start)
+        if reach and before is not None:
+            right = np.array(right, order="F")
+            below = self._below(start, reach)[: len(right)]
+            right[: len(below)] -= below @ before[len(before) - reach :]
+        part = self.band[start : start + len(right)]
+        return self._triangular(part, right, "N")
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """H⁻¹b for one (size,) right-hand side."""
+        half = self._triangular(self.band, right[:, None], "N")
+        return self._triangular(self.band, half, "T")[:, 0]
+
+    def backward(self, right: np.ndarray) -> np.ndarray:
+        """L⁻ᵀB for (size, n_columns) right-hand sides."""
+        return self._triangular(self.band, right, "T")
+
+    @staticmethod
+    def _triangular(band: np.ndarray, right: np.ndarray, transposed: str) -> np.ndarray:
+        found, info = lapack.dtbtrs(band.T, right, uplo="L", trans=transposed)
+        if info:
+            raise np.linalg.LinAlgError(f"pivot {info} vanishes")
+        return found
+
+    def _below(self, start: int, reach: int) -> np.ndarray:
+        """(bandwidth, reach) rows of L from ``start`` on, in the columns before it."""
+        width = self.band.shape[1]
+        out = np.zeros((width - 1, reach))
+        for column in range(reach):
+            entries = self.band[start - reach + column, reach - column :]
+            out[: entries.size, column] = entries
+        return out
+
+    def inverse_rows(self) -> np.ndarray:
+        """(n_ctrl, n_dof, width) block rows of H⁻¹, as far as those of H reach."""
+        size, width = self.band.shape
+        n_ctrl, n, points = size // self.n_dof, self.n_dof, width // self.n_dof
+        count = -(-n_ctrl // points)
+        out = np.empty((count, points, n, width))
+        below = np.zeros((width, width))
+        for group in reversed(range(0, count, _GROUP)):
+            stop = min(group + _GROUP, count)
+            diagonal, beside = self._blocks(group, stop)
+            inverse = np.linalg.inv(diagonal)
+            onward = beside @ inverse
+            own = inverse.transpose(0, 2, 1) @ inverse
+            panels = np.empty((stop - group, width, 2 * width))
+            for k in reversed(range(stop - group)):
+                turned = below @ onward[k]
+                below = onward[k].T @ turned
+                below += own[k]
+                panels[k, :, :width] = below
+                panels[k, :, width:] = -turned.T
+            block, step, entry = panels.strides
+            # from the columns of each control point on
+            strides = (block, n * (step + entry), step, entry)
+            out[group:stop] = as_strided(panels, (stop - group, points, n, width), strides)
+        return out.reshape(count * points, n, width)[:n_ctrl]
+
+    def _blocks(self, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+        """(n_blocks, width, width) blocks of L on and below the diagonal; the last one is filled up."""
+        width = self.band.shape[1]
+        rows = np.zeros(((stop - start) * width, width))
+        own = self.band[start * width : stop * width]
+        rows[: len(own)] = own
+        rows[len(own) :, 0] = 1.0
+        columns = np.zeros((stop - start, width, 2 * width))
+        block, step, entry = columns.strides
+        skewed = as_strided(columns, (stop - start, width, width), (block, step + entry, entry))
+        skewed[...] = rows.reshape(stop - start, width, width)
+        columns = columns.transpose(0, 2, 1)
+        return columns[:, :width], columns[:, width:]
+
+
+def trace_product(inverse_rows: np.ndarray, coordinate: int, gram: np.ndarray) -> float:
+    """tr(H⁻¹D) for D that couples one coordinate with itself: ``gram`` in lower banded storage."""
+    part = inverse_rows[:, coordinate, coordinate :: inverse_rows.shape[1]].T * gram
+    return float(2.0 * part.sum() - part[0].sum())
+
+
+# -------------------------------------------------------------------- normal equations, without the curve
 class CurveFactor(Protocol):
     """What is needed of a factorisation of H, wherever it is held."""
 

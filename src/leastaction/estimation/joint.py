@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leastaction.estimation.banded import BandedFactor, trace_product
-from leastaction.estimation.elimination import NormalEquations
+from leastaction.estimation.elimination import BandedFactor, NormalEquations, trace_product
 from leastaction.estimation.intervals import by_interval, local_jacobian, points_at
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term

@@ -23,14 +23,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
-from leastaction.estimation.banded import BandedFactor
 from leastaction.estimation.candidates import CandidateBorder
 from leastaction.estimation.crew import Crew
-from leastaction.estimation.elimination import Condensed
+from leastaction.estimation.elimination import BandedFactor, Condensed
 from leastaction.estimation.files import Held, Shelf, opened
 from leastaction.estimation.gauss_newton import nearer
 from leastaction.estimation.joint import Costs, Linearisation, Physics, Weights, linearise
-from leastaction.estimation.observations import Observations, Recipe
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.recipes import InBlocks, Recipe, observed
 from leastaction.estimation.volume import Volume, add_volumes
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -75,25 +75,13 @@ class _Passed(NamedTuple):
     control_points: np.ndarray | None = None
 
 
-class StreamedObservations:
-    """Observations that are made anew, block by block, whenever they are needed; see `Observations`.
-
-    Attributes
-    ----------
-    points, intervals : tuple of slice
-        Control points and knot intervals of each block.
-    """
+class StreamedObservations(InBlocks):
+    """Observations that are made anew, block by block, whenever they are needed; see `Observations`."""
 
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
-        values, rates = recipes[0].samples[1:]
-        self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]
-        self.floors = recipes[0].floors
-        self.noise_floor = self.floors[: self.n_dof]
-        self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
-        self.points = tuple(recipe.points for recipe in recipes)
-        self.intervals = tuple(recipe.intervals for recipe in recipes)
+        super().__init__(grid, recipes, counts, crew)
         # on a cluster samples are sent, and laid on the splines, once: the memory is not this machine's
-        self._blocks = [crew.task(_observe, r) if crew.keeps else crew.held(r) for r in recipes]
+        self._blocks = [crew.task(observed, r) if crew.keeps else crew.held(r) for r in recipes]
         self._forces: tuple[np.ndarray | None, list[Any]] = None, []
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -313,10 +301,6 @@ def _in_turn(function: Callable[..., Any], count: int, *given: Any) -> list[Any]
     """Apply a function to ``count`` blocks; what each is given comes one after the other."""
     size = len(given) // count
     return [function(*given[k * size : (k + 1) * size]) for k in range(count)]
-
-
-def _observe(recipe: Recipe) -> Observations:
-    return recipe.observe()
 
 
 def _seen(block: _Block) -> Observations:

@@ -10,7 +10,7 @@ Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural C
     σ_c² = Σ (y_c − N_c P)² / (n_c − η_c),   η_c = ∂ log|H| / ∂ log σ_c⁻²,
 
 the latter for every channel c: positions, and velocities and accelerations where they are measured.
-The derivatives are traces, tr(H⁻¹ ∂H/∂ log w_i), taken exactly (:mod:`leastaction.estimation.banded`).
+The derivatives are traces, tr(H⁻¹ ∂H/∂ log w_i), taken exactly (:mod:`leastaction.estimation.elimination`).
 
 An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
 """

@@ -15,11 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.bspline import SplineSpace
-from leastaction.estimation.banded import BandedFactor
-from leastaction.estimation.elimination import NormalEquations
+from leastaction.estimation.elimination import BandedFactor, NormalEquations
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.joint import linearise
-from leastaction.estimation.observations import Recipe
+from leastaction.estimation.recipes import Recipe
 
 __all__ = ["curve_errors"]
 

@@ -28,7 +28,7 @@ a spring pulls as |q|.  Friction that grows with a measured torque is no functio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import sympy
@@ -37,47 +37,14 @@ from leastaction.library.term import Candidate, Term
 
 __all__ = ["FRICTION", "friction_terms", "has_direction", "with_families"]
 
-_Joint = tuple[str, str]  # rate, and how it is called
-_Family = Callable[[str, str], list[str]]
-
-
-def _of(rate: str) -> str:
-    """A rate where it is squared or multiplied."""
-    return f"({rate})" if "-" in rate else rate
-
-
-def _viscous(rate: str, name: str) -> list[str]:
-    return [f"{_of(rate)}**2/2"]
-
-
-def _dry(rate: str, name: str) -> list[str]:
-    return [f"abs({rate})"]
-
-
-def _usual(rate: str, name: str) -> list[str]:
-    return [*_viscous(rate, name), *_dry(rate, name)]
-
-
-def _stribeck(rate: str, name: str) -> list[str]:
-    scale = f"{{{name}_stribeck}}"
-    return [f"abs({rate})", f"-{scale}*exp(-abs({rate})/{scale})"]
-
-
-def _quadratic(rate: str, name: str) -> list[str]:
-    return [f"abs({rate})**3/3"]
-
-
-def _asymmetric(rate: str, name: str) -> list[str]:
-    return [*_usual(rate, name), f"{_of(rate)}*abs({rate})/2", rate]
-
-
-_OF_RATES: dict[str, _Family] = {
-    "auto": _usual,
-    "viscous": _viscous,
-    "dry": _dry,
-    "stribeck": _stribeck,
-    "quadratic": _quadratic,
-    "asymmetric": _asymmetric,
+# of a rate v, with brackets (v) where it is a difference; {s} is the name of Stribeck's scale, in braces
+_OF_RATES = {
+    "auto": ("{(v)}**2/2", "abs({v})"),
+    "viscous": ("{(v)}**2/2",),
+    "dry": ("abs({v})",),
+    "stribeck": ("abs({v})", "-{s}*exp(-abs({v})/{s})"),
+    "quadratic": ("abs({v})**3/3",),
+    "asymmetric": ("{(v)}**2/2", "abs({v})", "{(v)}*abs({v})/2", "{v}"),
 }
 FRICTION = (*_OF_RATES, "load")
 """Names of the families."""
@@ -106,9 +73,11 @@ def friction_terms(family: str, coordinates: Sequence[str], angles: Sequence[str
         return [text for name in coordinates for text in _load(name, name in angles)]
     lengths = [name for name in coordinates if name not in angles]
     pairs = [pair for kind in (angles, lengths) for pair in pairwise(kind)]
-    joints: list[_Joint] = [(f"{a}_dot", a) for a in coordinates]
-    joints += [(f"{a}_dot-{b}_dot", f"{a}_{b}") for a, b in pairs]
-    return [text for joint in joints for text in _OF_RATES[family](*joint)]
+    joints = [{"v": f"{a}_dot", "(v)": f"{a}_dot", "s": f"{{{a}_stribeck}}"} for a in coordinates]
+    for a, b in pairs:
+        rate = f"{a}_dot-{b}_dot"
+        joints.append({"v": rate, "(v)": f"({rate})", "s": f"{{{a}_{b}_stribeck}}"})
+    return [text.format_map(joint) for joint in joints for text in _OF_RATES[family]]
 
 
 def _load(name: str, turns: bool) -> list[str]:

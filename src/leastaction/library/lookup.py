@@ -81,11 +81,11 @@ class ShownLibrary(Shown):
     def _card(self) -> Card:
         library = cast("Library", self)
         terms, lengths = self._listed()
-        rows: list[tuple[str, ...]] = [("term", "kind")]
-        if any(length is not None for length in lengths):
-            rows = [("term", "kind", "length")]
+        rows: list[tuple[str, ...]] = [("term", "kind", "length")]
         for term, length in zip(terms, lengths, strict=True):
-            rows.append((term.text, term.kind, f"{length:.1f}" if length is not None else "")[: len(rows[0])])
+            rows.append((term.text, term.kind, "" if length is None else f"{length:.1f}"))
+        if all(length is None for length in lengths):
+            rows = [row[:2] for row in rows]
         title = f"Library of {', '.join(library.coordinates)}: {counted(len(library), 'term')}"
         title += f", {len(library.dissipation)} of dissipation" if library.dissipation else ""
         found = Counter(d.reason for d in library.dropped)
@@ -97,19 +97,15 @@ class ShownLibrary(Shown):
 def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) -> int:
     """Return the place of a term among others; equal functions match, however they are written.
 
-    Raises
-    ------
-    InputError
-        When no term is equal; the message lists near matches.
+    InputError if no term is equal; the message lists near matches.
     """
-    for k, term in enumerate(terms):
-        if term.expr == wanted.expr:
-            return k
-    if not wanted.shapes:
-        plain = [k for k, term in enumerate(terms) if not term.shapes]
-        same = same_functions(wanted.expr, [terms[k].expr for k in plain], coordinates)
-        if same:
-            return plain[same[0]]
+    written = [term.expr for term in terms]
+    if wanted.expr in written:
+        return written.index(wanted.expr)
+    plain = [] if wanted.shapes else [k for k, term in enumerate(terms) if not term.shapes]
+    same = same_functions(wanted.expr, [written[k] for k in plain], coordinates) if plain else ()
+    if same:
+        return plain[same[0]]
     texts = [term.text for term in terms]
     near = difflib.get_close_matches(wanted.text, texts, n=3, cutoff=0.4) or texts[:3]
     hint = f"; near matches: {', '.join(near)}" if near else ""
@@ -140,13 +136,13 @@ def place_among_all(library: Library, item: Candidate) -> int:
 
 def listing_of(library: Library) -> str:
     """Return the first terms, coordinates, angles and dissipation as a call that could be typed."""
-    shown = [term.text for term in library.terms[:_SHOWN]]
-    listing = ", ".join(map(repr, shown)) + (", ..." if len(library) > len(shown) else "")
+    more = len(library) > _SHOWN
+    listing = ", ".join(repr(term.text) for term in library.terms[:_SHOWN]) + (", ..." if more else "")
     parts = [f"[{listing}]", f"coordinates={list(library.coordinates)}"]
     if library.angles:
         parts.append(f"angles={list(library.angles)}")
     if library.dissipation:
         parts.append(f"dissipation={[term.text for term in library.dissipation]}")
-    if len(library) > len(shown):
+    if more:
         parts.append(f"{len(library)} terms")
     return f"Library({', '.join(parts)})"

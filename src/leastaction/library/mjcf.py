@@ -19,8 +19,19 @@ import numpy as np
 from leastaction.data.formats.atomic import write_bytes
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
-from leastaction.library.mjcf_text import Compiler, Defaults, joint_attributes, pose, read_inertial
-from leastaction.library.robot_xml import about_centre, identifier, moved, numbers, parse_robot, written
+from leastaction.library.robot_xml import (
+    Compiler,
+    Defaults,
+    about_centre,
+    identifier,
+    joint_attributes,
+    moved,
+    numbers,
+    parse_robot,
+    pose,
+    read_inertial,
+    written,
+)
 from leastaction.library.tree import Joint, KinematicTree, axis_rotation, rpy_matrix
 
 if TYPE_CHECKING:

@@ -28,10 +28,8 @@ class Search:
 
     Attributes
     ----------
-    problem : Problem
-        As asked, on all data.
-    searched : Problem
-        The same on the data that the structure is searched on: pieces of long recordings, otherwise all.
+    problem, searched : Problem
+        As asked: on all data, and on those of the search (pieces of long recordings, otherwise all).
     scales : Knots
         Time scales of the searched motion.
     grid : Grid
@@ -40,19 +38,15 @@ class Search:
         The smooth curve on that grid, or through the pieces of long recordings.
     bias : ForceBias
         Slow forces that were found beside the known ones.
-    fit : Fit or None
-        The best so far.
-    first : Fit or None
-        The best on the first grid.
+    fit, first : Fit or None
+        The best so far, and the best on the first grid.
     relevance : float
         Share of the equation error's variance that a term has to remove to stay.
     seed : int
     thorough : bool
         Search longer where the equations do not hold.
-    knots_settled : bool
-        Whether finer knots changed nothing any more.
-    vibrates : bool
-        Whether finer knots made a large equation error larger.
+    knots_settled, vibrates : bool
+        Whether finer knots changed nothing any more, or made a large equation error larger.
     feeding : tuple of int
         Candidates of dissipation that were left out because they would have fed energy in.
     stopped : bool
@@ -134,13 +128,7 @@ def begin_search(
 
 
 def restarted(search: Search, grid: Grid, curve: Smooth | None = None) -> Search:
-    """The search before it found anything, for the problem of another grid on all data.
-
-    Parameters
-    ----------
-    curve : Smooth, optional
-        The smooth curve on that grid; by default it is made.
-    """
+    """The search before it found anything, for the problem of another grid, with its smooth ``curve``."""
     curve, problem = curve or grid.smooth(), grid.problem
     return replace(search, problem=problem, searched=problem, grid=grid, curve=curve, fit=None, feeding=())
 

@@ -20,8 +20,7 @@ from leastaction.library import Term, shape_names, tangent
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakForm, WeakGram, weak_gram
-from leastaction.selection.weak_proposals import weak_form, weak_replicates
+from leastaction.selection.weak_form import WeakForm, WeakGram, weak_form, weak_gram, weak_replicates
 from leastaction.selection.weak_search import ScaledGram, choose, solve_support, support_score
 
 __all__ = ["Kind", "Profile", "ProfilePoint"]

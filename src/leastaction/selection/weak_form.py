@@ -23,12 +23,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.curve.smoothing import Smooth
+from leastaction.estimation.grid import Grid
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["WeakForm", "WeakGram", "weak_gram"]
+__all__ = ["WeakForm", "WeakGram", "weak_form", "weak_gram", "weak_replicates"]
 
 _BLOCK = 16384  # quadrature points handled at once
 _HOPS = 6  # test functions a width
+_REPLICATES = 8  # of the noise: their mean and covariance
 _GOLDEN = 0.6180339887498949  # its multiples, less their integers, are spread evenly
 
 
@@ -255,3 +258,25 @@ def _integrals(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:
     n_columns, n_dof, n_points = values.shape
     flat = matrix @ values.reshape(-1, n_points).T
     return np.asarray(flat).reshape(-1, n_columns, n_dof).transpose(0, 2, 1)
+
+
+def weak_form(
+    grid: Grid,
+    curve: Smooth,
+    candidates: EulerLagrange,
+    known: np.ndarray,
+    widths: Sequence[float],
+    uneven: bool = False,
+) -> WeakForm:
+    """The weak form of some candidates, with widths in periods of the fastest coordinate."""
+    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
+    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
+    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
+    forces = None if grid.forces is None else grid.forces.values
+    seconds = [factor * period for factor in widths]
+    return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates), uneven)
+
+
+def weak_replicates(grid: Grid, curve: Smooth, seed: int) -> list[np.ndarray]:
+    """Curves smoothed from the smooth curve measured again."""
+    return curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +11,12 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
-from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakForm, WeakGram
+from leastaction.selection.weak_form import WeakGram, weak_form, weak_replicates
 from leastaction.selection.weak_search import (
     ScaledGram,
     Support,
@@ -29,10 +27,9 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "propose_structures", "settled", "weak_form", "weak_grams", "weak_replicates"]
+__all__ = ["Proposal", "propose_structures", "settled", "weak_grams"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
-_REPLICATES = 8  # of the noise: their mean and covariance
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _TRIED = 60  # structures whose mass matrix is looked at
 
@@ -77,28 +74,6 @@ def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
     known = problem.completed(np.full(len(problem.candidates), np.nan))
     form = weak_form(grid, curve, problem.candidates, known, _WIDTHS)
     return form.grams(curve.control_points, weak_replicates(grid, curve, seed))
-
-
-def weak_form(
-    grid: Grid,
-    curve: Smooth,
-    candidates: EulerLagrange,
-    known: np.ndarray,
-    widths: Sequence[float],
-    uneven: bool = False,
-) -> WeakForm:
-    """The weak form of some candidates, with widths in periods of the fastest coordinate."""
-    _, qdot, qddot = grid.spline.at_quadrature(curve.control_points)
-    rates, accelerations = ((s**2).mean(axis=(0, 1)) for s in (qdot, qddot))
-    period = float(2.0 * np.pi * np.sqrt((rates / np.maximum(accelerations, 1e-300)).min()))
-    forces = None if grid.forces is None else grid.forces.values
-    seconds = [factor * period for factor in widths]
-    return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates), uneven)
-
-
-def weak_replicates(grid: Grid, curve: Smooth, seed: int) -> list[np.ndarray]:
-    """Curves smoothed from the smooth curve measured again."""
-    return curve.replicates(_REPLICATES, np.random.default_rng(seed), grid.observations.noise_floor)
 
 
 def _best_support(

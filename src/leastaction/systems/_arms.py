@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from leastaction.systems._draw import TwoSines, Uniform, Within
-from leastaction.systems._system import MechanicalSystem
+from leastaction.systems._system import MechanicalSystem, TwoSines, Uniform, Within
 
 _REFERENCE = "Goldstein, Poole & Safko, Classical Mechanics, 3rd edition, chapters 1 and 8"
 _NO_WHIRL = (-math.pi, math.pi)

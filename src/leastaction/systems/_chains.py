@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from leastaction.systems._draw import TwoSines, Uniform
-from leastaction.systems._system import MechanicalSystem
+from leastaction.systems._system import MechanicalSystem, TwoSines, Uniform
 
 _LINKS = ("x1", "(x2-x1)", "(x3-x2)", "(x4-x3)", "x4")
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from leastaction.systems._draw import Uniform, Within
-from leastaction.systems._system import MechanicalSystem
+from leastaction.systems._system import MechanicalSystem, Uniform, Within
 
 
 def henon_heiles(m: float = 1.0, k: float = 1.0, c: float = 1.0) -> MechanicalSystem:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from leastaction.errors import InputError
-from leastaction.systems import _arms, _chains, _pendulums, _potentials, _springs
+from leastaction.systems import _arms, _chains, _pendulums, _potentials
 from leastaction.systems._system import MechanicalSystem
 
 _MAKERS = {
@@ -13,8 +13,8 @@ _MAKERS = {
     "double_pendulum": _pendulums.double_pendulum,
     "spherical_pendulum": _pendulums.spherical_pendulum,
     "chaotic_pendulum": _pendulums.chaotic_pendulum,
-    "cart_spring_pendulum": _springs.cart_spring_pendulum,
-    "spherical_spring_pendulum": _springs.spherical_spring_pendulum,
+    "cart_spring_pendulum": _pendulums.cart_spring_pendulum,
+    "spherical_spring_pendulum": _pendulums.spherical_spring_pendulum,
     "magnetic_pendulum": _pendulums.magnetic_pendulum,
 }
 _FURTHER = {

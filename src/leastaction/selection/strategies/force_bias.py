@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from leastaction.estimation.force_splines import fit_with_forces
+from leastaction.estimation.force_bias import fit_with_forces
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.weights import Start
 from leastaction.selection.likelihood_refinement import penalty
