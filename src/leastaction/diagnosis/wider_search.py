@@ -26,6 +26,7 @@ from leastaction.selection.families import searched_with
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, weak_start
+from leastaction.selection.weak_proposals import explicable
 
 __all__ = ["MOST_SAMPLES", "begun_anew", "perhaps_angles", "search_afresh", "undeclared_angles"]
 
@@ -35,6 +36,8 @@ MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit | None:
     """What is found on a grid of all data, if its equations hold and every term is certain."""
     begun = restarted(replace(search, report=silent), grid, curve)
+    if not explicable(begun.grid, begun.curve, begun.seed):
+        return None
     found = searched_with(begun, weak_start, feeding_friction).found
     if not (found.converged and equations_hold(found)):
         return None

@@ -27,7 +27,7 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "propose_structures", "settled", "weak_grams"]
+__all__ = ["Proposal", "explicable", "propose_structures", "settled", "weak_grams"]
 
 _WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
@@ -68,6 +68,20 @@ def propose_structures(
     return sorted(found, key=lambda p: -p.evidence)
 
 
+def explicable(grid: Grid, curve: Smooth, seed: int = 0) -> bool:
+    """Whether all candidates together explain the rows of some width, to one per cent of their terms.
+
+    Where they do not, no structure of them has equations that hold.
+    """
+    error = SELECTION.holds**2
+    return any(_of_all(gram, error) < SELECTION.rows_explained for gram in weak_grams(grid, curve, seed))
+
+
+def _of_all(gram: WeakGram, error: float) -> float:
+    """The ratio ρ of all candidates, which no structure of them falls below."""
+    return ScaledGram(gram, error).ratio(tuple(range(gram.residual.shape[0] - 1)))
+
+
 def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
     """The weak form along a smooth curve for each width of test functions."""
     problem = grid.problem
@@ -103,13 +117,8 @@ def _best_support(
 
 def _promising(gram: WeakGram) -> list[float]:
     """Equation errors, rising, but for those at which not even all candidates explain the rows."""
-    everything = tuple(range(gram.residual.shape[0] - 1))
-
-    def explained(error: float) -> bool:
-        return ScaledGram(gram, error).ratio(everything) < SELECTION.rows_explained
-
     *smaller, largest = _EQUATION_ERRORS
-    return [*filter(explained, smaller), largest]
+    return [*(e for e in smaller if _of_all(gram, e) < SELECTION.rows_explained), largest]
 
 
 def _ranked(
