@@ -207,6 +207,18 @@ def test_the_start_does_not_matter():
         assert fit.problem.shape_values == {"a": pytest.approx(float(fit.shapes.values[0]))}
 
 
+def test_a_law_that_is_imitated_settles_too():
+    """Where the equation error is large its weight follows the number, and steps that free it turn back."""
+    texts, guess = ["x_dot**2", "abs(x)**{a}", "x**2"], [0.5, 0.1, 0.1]
+    fits = [fit_shapes(plain_fit(start, texts=texts, coefficients=guess)) for start in (0.5, 2.0)]
+    for fit in fits:
+        assert fit.shapes is not None
+        assert fit.shapes.settled
+    assert fits[0].evidence == pytest.approx(fits[1].evidence, abs=0.01)
+    apart = fits[0].shapes.values - fits[1].shapes.values
+    assert np.abs(apart) <= 0.05 * fits[0].shapes.standard_errors
+
+
 def test_exact_data_give_exact_numbers():
     fit = fit_shapes(plain_fit(0.7, noise=0.0))
     assert fit.shapes is not None

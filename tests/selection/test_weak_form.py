@@ -383,6 +383,15 @@ def test_wide_search_equals_brute_force(seed):
         assert len({s.members for s in level}) == len(level)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("error", [1e-4, 1e-2, 1.0])
+def test_no_support_explains_what_all_candidates_do_not(seed, error):
+    """What lets searches be left out: ρ of a support is at least that of the supports that hold it."""
+    gram, _ = weak_problem(seed, (0, 3, 5) if seed % 2 else (), noise=0.3)
+    everything = ScaledGram(gram, error).ratio(tuple(range(N)))
+    assert all(s.ratio >= everything * (1 - 1e-9) for level in levels_of(gram, error=error) for s in level)
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_default_width_finds_the_planted_support(seed):
     members = tuple(sorted(np.random.default_rng(seed).choice(20, 5, replace=False).tolist()))
