@@ -5,16 +5,16 @@ term must find.  So L is tried with a sum of bumps added,
 
     δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum, or both,
 
-with centres over the recorded motion.  All a_k are free: the quadratic model of the likelihood about the fit
-says by how much −2 log L falls, which for the true law is χ² with as many degrees of freedom, and what the
-best a_k, and those nearly as good, would make of the accelerations.
+with centres over the recorded motion.  All a_k are free.  The quadratic model of the likelihood about the fit
+says how far −2 log L falls (for the true law, χ² with as many degrees of freedom), and what the best a_k, and
+those nearly as good, would make of the accelerations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import chain, product
+from itertools import accumulate, chain, product
 
 import numpy as np
 
@@ -101,12 +101,9 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
         text = "".join(f"-(({names[i]}-{{c{i}}})/{{w{i}}})**2" for i in group)
         template = make_term(f"{factor}exp({text})", names_in_terms(names))
         width = {f"w{i}": w for i, w in zip(group, widths.tolist(), strict=True)}
-        places: list[list[float]] = [
-            np.linspace(float(low), float(high), number).tolist() for low, high in zip(*ends, strict=True)
-        ]
+        places = [np.linspace(float(a), float(b), number).tolist() for a, b in zip(*ends, strict=True)]
         for centre in product(*places):
-            near = np.all(np.abs(motion[:, group] - centre) < widths, axis=1)
-            if np.mean(near) > DIAGNOSIS.bump_visited:
+            if np.mean(np.all(np.abs(motion[:, group] - centre) < widths, axis=1)) > DIAGNOSIS.bump_visited:
                 yield template.at(width | {f"c{i}": c for i, c in zip(group, centre, strict=True)})
 
 
@@ -115,9 +112,7 @@ def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange
     names = fit.problem.shapes_of(fit.structure)  # they can move
     wide, _ = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
     own = [wide.terms[k] for k in (*fit.structure, *range(len(fit.problem.terms), len(wide.terms)))]
-    n, ends = len(own), [len(own)]
-    for terms in kinds.values():
-        ends.append(ends[-1] + len(terms))
+    n, ends = len(own), list(accumulate(map(len, kinds.values()), initial=len(own)))
     places = {kind: range(a, b) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
     if len(kinds) > 1:
         places[_BOTH] = range(n, ends[-1])
