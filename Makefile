@@ -78,7 +78,7 @@ docs-site: export DOCS_SITE := 1
 docs-site: docs
 	version=$$($(BIN)/python -c 'import importlib.metadata as m; print(m.version("leastaction"))'); \
 	  mkdir -p site && rm -rf site/$$version && cp -R docs/_build/html site/$$version
-	$(BIN)/python docs/_ext/versions.py site
+	$(BIN)/python docs/check_pages.py --versions site
 
 # The wheel is built from the source distribution, so that shows gaps in either; then the wheel runs the smaller demo.
 package: $(STAMPS)/package

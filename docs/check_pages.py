@@ -4,10 +4,15 @@ Links to click on may lead anywhere; scripts, styles, images, fonts, frames and 
 folder, or the pages do not open from disk without a network.
 
 ``check_pages.py --sentences PAGE.md ...`` prints sentences of more than 35 words.
+
+``check_pages.py --versions SITE`` writes the list of the versions in a folder, ``versions.js``, and
+``index.html``, which leads to the newest.  Each version has a folder of its own; its pages read the list when
+they are opened: older versions know newer ones.  It works from disk, too.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Iterator
@@ -183,13 +188,37 @@ def problems(folder: Path) -> Iterator[str]:
                 yield f"{path.relative_to(folder)}: has {size} bytes, more than {_LARGEST}"
 
 
+def by_age(name: str) -> tuple[list[int], bool, str]:
+    """Sort key: numbers by value; a release is newer than its own previews."""
+    release = re.match(r"\d+(?:\.\d+)*", name)
+    numbers = [int(part) for part in release[0].split(".")] if release else []
+    return numbers, bool(re.fullmatch(r"[\d.]+", name)), name
+
+
+def write_list(site: Path) -> list[str]:
+    """Write the list of the versions in a folder, newest first, and the page that leads to the newest."""
+    found = [page.parent.name for page in site.glob("*/index.html")]
+    names = sorted(found, key=by_age, reverse=True)
+    (site / "versions.js").write_text(f"window.documentedVersions = {json.dumps(names)};\n", encoding="utf-8")
+    newest = f'<meta http-equiv="refresh" content="0; url={names[0]}/index.html">' if names else ""
+    head = f'<html lang="en"><head><meta charset="utf-8"><title>leastaction</title>{newest}</head>'
+    links = "".join(f'<li><a href="{name}/index.html">{name}</a></li>' for name in names)
+    (site / "index.html").write_text(
+        f"<!doctype html>{head}<body><ul>{links}</ul></body></html>\n", encoding="utf-8"
+    )
+    return names
+
+
 def main(arguments: list[str]) -> int:
-    """Print the problems of the folder, or the long sentences of pages; return 1 if there is one."""
+    """Print problems of a folder or long sentences of pages, return 1 if there is one; or list versions."""
     if arguments[0] == "--sentences":
         texts = {name: Path(name).read_text(encoding="utf-8") for name in arguments[1:]}
         long = [f"{name}: {n} words: {s}" for name, text in texts.items() for n, s in long_sentences(text)]
         print("\n".join(long) if long else "no sentence of more than 35 words")
         return 1 if long else 0
+    if arguments[0] == "--versions":
+        print("versions:", *write_list(Path(arguments[1])))
+        return 0
     folder = Path(arguments[0])
     if not (folder / "index.html").exists():
         print(f"error: no pages in {folder}; build them with make docs", file=sys.stderr)

@@ -34,7 +34,6 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "generated_pages",
-    "versions",
 ]
 exclude_patterns = ["_build", "_ext", "gallery/*.ipynb", "gallery/*.md5"]
 suppress_warnings = ["config.cache"]  # the gallery's settings hold a class, which cannot be pickled

@@ -22,12 +22,15 @@ from studies._tables import (
     Records,
     Table,
     binomial,
+    causes_in,
     cells,
+    codes_in,
     failures,
     median,
     number,
     percent,
     results,
+    sentences_in,
     share,
     short,
     support_table,
@@ -36,7 +39,6 @@ from studies._tables import (
 from studies.case import Case
 from studies.faults import FAULTS
 from studies.run import PLANS, RESULTS
-from studies.said import causes_in, codes_in, sentences_in
 
 # ----------------------------------------------------------------------------------- the tables of each study
 

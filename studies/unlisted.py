@@ -14,10 +14,20 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
-from studies._tables import Records, Table, binomial, cells, median, number, percent, results, title_of
+from studies._tables import (
+    Records,
+    Table,
+    binomial,
+    cells,
+    codes_in,
+    median,
+    number,
+    percent,
+    results,
+    title_of,
+)
 from studies.case import Case, attempt
 from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, motions
-from studies.said import codes_in
 
 __all__ = ["OFF", "is_wrong", "pose", "solve", "tables"]
 

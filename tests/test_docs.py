@@ -267,11 +267,10 @@ def test_large_pages_are_seen(tmp_path: Path) -> None:
 
 
 def test_versions_are_listed_newest_first(tmp_path: Path) -> None:
-    versions = _load("_ext/versions")
     for name in ("0.9.0", "0.10.0", "0.10.0.dev1"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "index.html").touch()
-    assert versions.write_list(tmp_path) == ["0.10.0", "0.10.0.dev1", "0.9.0"]
+    assert CHECK.write_list(tmp_path) == ["0.10.0", "0.10.0.dev1", "0.9.0"]
     assert "url=0.10.0/index.html" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 

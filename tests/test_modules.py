@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from export_models import MODELS, states
-from helpers import finite_difference
+from helpers import MODELS, finite_difference, states
 from leastaction.delay import estimate, shift_forces
 from leastaction.errors import DataError, InputError
 from leastaction.model.model import LagrangianModel, ModelTerm

@@ -34,6 +34,24 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import ReferenceRole, SphinxDirective
 
+_MENU = """
+(() => {
+  const root = document.documentElement.dataset.content_root || "./";
+  const list = document.createElement("script");
+  list.src = root + "../versions.js";
+  list.onload = () => {
+    const menu = document.createElement("select");
+    menu.setAttribute("aria-label", "Version of the documentation");
+    menu.className = "form-select form-select-sm w-auto";
+    for (const version of window.documentedVersions) {
+      menu.add(new Option(version, version, false, version === "%s"));
+    }
+    menu.onchange = () => { location.href = root + "../" + menu.value + "/index.html"; };
+    document.querySelector(".navbar-header-items__end")?.prepend(menu);
+  };
+  document.head.append(list);
+})();
+"""
 _COLUMNS = "96"  # of the terminal that the program sees
 _WIDTH = 100  # of what the page shows
 
@@ -296,4 +314,6 @@ def setup(app: Sphinx) -> dict[str, object]:
     app.add_directive("reproduction-tables", ReproductionTables)
     app.add_directive("reproduction-figures", ReproductionFigures)
     app.connect("builder-inited", write_pages)
+    if os.environ.get("DOCS_SITE"):  # a menu, where the pages will lie beside those of other versions
+        app.add_js_file(None, body=_MENU % app.config.version)
     return {"version": "1", "parallel_read_safe": False, "parallel_write_safe": True}

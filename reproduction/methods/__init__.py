@@ -1,4 +1,4 @@
-"""The methods; each has TITLE, REFERENCE and ``solve(problem) -> Answer``. Both of xL-SINDy are one file."""
+"""The methods; each has TITLE, REFERENCE and ``solve(problem) -> Answer``. Variants may share a file."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ NAMES = (
     "operon",
     "udsr",
 )
+_HOMES = {"xlsindy_exact": "xlsindy", "xlsindy_positions": "xlsindy", "sindy_weak": "sindy"}
 
 
 def load(name: str) -> Any:
     """Import the file of a method; its packages are needed only then."""
     if name not in NAMES:
         raise ValueError(f"method {name!r} is unknown; choose one of {', '.join(NAMES)}")
-    if name.startswith("xlsindy_"):
-        return getattr(import_module("reproduction.methods.xlsindy"), name)
-    return import_module(f"reproduction.methods.{name}")
+    home = import_module(f"reproduction.methods.{_HOMES.get(name, name)}")
+    return getattr(home, name) if name in _HOMES else home

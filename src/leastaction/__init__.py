@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from leastaction.data.trajectories import Trajectories, Trajectory
     from leastaction.errors import DataError, InputError
     from leastaction.errors import StopSearch as StopSearch
-    from leastaction.estimation.adam_options import AdamOptions
+    from leastaction.estimation.adam import AdamOptions
     from leastaction.exporters.write import export
     from leastaction.io import from_frame, read, read_csv, read_mat, read_npz, read_parquet, stream, write_csv
     from leastaction.library import Library
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from leastaction.sklearn import SparseLagrangian as SparseLagrangian
 
 _HOMES = {
-    "AdamOptions": "estimation.adam_options",
+    "AdamOptions": "estimation.adam",
     "DataError": "errors",
     "InputError": "errors",
     "LagrangianModel": "model.model",

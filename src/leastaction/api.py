@@ -13,7 +13,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.diagnosis.rates import doubts_about_rates
 from leastaction.diagnosis.verdict import verify
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.adam_options import AdamOptions
+from leastaction.estimation.adam import AdamOptions
 from leastaction.estimation.build import ENOUGH_SAMPLES, Request, Setup, build_problem
 from leastaction.estimation.crew import employ
 from leastaction.estimation.fit import Fit

@@ -19,7 +19,7 @@ except ImportError:
 
 from leastaction.api import discover
 from leastaction.data.coerce import gather, one_each
-from leastaction.estimation.adam_options import AdamOptions
+from leastaction.estimation.adam import AdamOptions
 from leastaction.library import Library
 from leastaction.simulation.forecast import ForecastResult
 from leastaction.simulation.integrate import SimulationResult

@@ -20,9 +20,9 @@ from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.forecast_error import forecast_error
-from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
+from leastaction.selection.weak_search import kinetic_bases
 
 
 class Doubts:

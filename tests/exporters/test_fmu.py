@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from export_models import COMPILER, MODELS, states, timed
+from helpers import COMPILER, MODELS, states, timed
 from leastaction.errors import InputError
 from leastaction.exporters.fmu import compile_library, longest_step, platform_name, source_files
 from leastaction.model.model import LagrangianModel, ModelTerm

@@ -15,8 +15,7 @@ import sympy as sp
 from click.testing import CliRunner
 
 import leastaction as la
-from export_models import COMPILER, MODELS, states, timed
-from helpers import finite_difference
+from helpers import COMPILER, MODELS, finite_difference, states, timed
 from leastaction.cli import program
 from leastaction.errors import InputError
 from leastaction.exporters.chains import chain_of

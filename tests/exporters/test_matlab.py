@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from export_models import MODELS, states, timed
+from helpers import MODELS, states, timed
 from leastaction.errors import InputError
 from leastaction.exporters.write import export
 from leastaction.model.model import LagrangianModel, ModelTerm

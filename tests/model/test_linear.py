@@ -9,8 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 import leastaction as la
-from export_models import MODELS
-from helpers import record
+from helpers import MODELS, record
 from leastaction import LagrangianModel, systems
 from leastaction.errors import InputError
 from leastaction.findings import find

@@ -470,7 +470,7 @@ pytest.importorskip("cvxpy")
 pytest.importorskip("pyoperon")
 
 from reproduction.methods import _pysindy as shared  # noqa: E402
-from reproduction.methods import operon, sindy_pi, sindy_weak  # noqa: E402
+from reproduction.methods import operon, sindy, sindy_pi  # noqa: E402
 
 
 def problem_of(system: str, noise: float = 0.0, **options):
@@ -488,7 +488,7 @@ def acceleration_error(acceleration, problem) -> float:
 @pytest.mark.parametrize("name", ["sindy", "sindy_pi", "sindy_weak"])
 def test_pysindy_finds_the_driven_pendulum(name, monkeypatch):
     problem = problem_of("single_pendulum")
-    monkeypatch.setattr(sindy_weak, "HALF_WIDTHS", (0.1,))
+    monkeypatch.setattr(sindy, "HALF_WIDTHS", (0.1,))
     answer = load(name).solve(problem)
     assert acceleration_error(answer.acceleration, problem) < 1e-5
     assert answer.coefficients is None

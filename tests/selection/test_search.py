@@ -18,7 +18,6 @@ from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
 from leastaction.library import Library
-from leastaction.selection.kinetic_seeds import cheapest_combinations
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.likelihood_search import QuadraticModel, search_subsets, term_penalty
 from leastaction.selection.search_state import Search, begin_search
@@ -26,7 +25,7 @@ from leastaction.selection.strategies import shape_start, shortest_form
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakGram
 from leastaction.selection.weak_proposals import weak_grams
-from leastaction.selection.weak_search import noise_ratio, support_score
+from leastaction.selection.weak_search import cheapest_combinations, noise_ratio, support_score
 from studies import solve
 from studies.case import Case
 

@@ -24,13 +24,13 @@ from runner.machine import ROOT
 from runner.store import Store, open_cases
 from studies import collate, names, run, shapes, unlisted
 from studies._pool import Options, solved
+from studies._tables import causes_in, codes_in, findings_in, sentences_in
 from studies.case import Case
 from studies.collate import tables
 from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
 from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, left_by, motions
 from studies.names import is_exact
 from studies.run import PLANS, cases
-from studies.said import causes_in, codes_in, findings_in, sentences_in
 from studies.shapes import SHAPED
 from studies.solve import FORCE_KINDS, KINDS, measured, pose, solve
 from studies.unlisted import is_wrong

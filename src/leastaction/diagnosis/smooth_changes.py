@@ -5,16 +5,16 @@ term must find.  So L is tried with a sum of bumps added,
 
     δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum, or both,
 
-with centres over the recorded motion.  All a_k are free: the quadratic model of the likelihood about the fit
-says by how much −2 log L falls, which for the true law is χ² with as many degrees of freedom, and what the
-best a_k, and those nearly as good, would make of the accelerations.
+with centres over the recorded motion.  All a_k are free.  The quadratic model of the likelihood about the fit
+says how far −2 log L falls (for the true law, χ² with as many degrees of freedom), and what the best a_k, and
+those nearly as good, would make of the accelerations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import accumulate, chain, product
 
 import numpy as np
 
@@ -39,19 +39,15 @@ _BOTH = "potential and kinetic"
 
 @dataclass(frozen=True)
 class SmoothChange:
-    """What a smooth change of one kind would do.
+    """What a smooth change of one kind ("potential", "kinetic", "potential and kinetic") would do.
 
     Attributes
     ----------
     kind : str
-        "potential", "kinetic", or "potential and kinetic".
-    gain : float
-        By how much −2 log likelihood would fall.
-    freedom : int
-        Degrees of freedom of the change.
+    gain, freedom : float, int
+        By how much −2 log likelihood would fall, and degrees of freedom of the change.
     shift, spread : float
-        Root mean square of the change of q̈, and of its standard deviation, relative to that of q̈; of the
-        coordinate where they are greatest.
+        Rms change of q̈, and rms standard deviation of it, relative to q̈, where they are greatest.
     """
 
     kind: str
@@ -69,8 +65,7 @@ class SmoothChange:
 def doubts_about_the_form(fit: Fit, relevance: float, *, bound: bool = False) -> list[Finding]:
     """A change that explains the data better, or accelerations that the data leave open.
 
-    With ``bound`` changes of both energies of one coordinate count, too, and may leave its accelerations open
-    by 5 % with a confidence of 95 %.
+    With ``bound``, changes of both energies of one coordinate count; they may leave q̈ open by 5 %, 19 in 20.
     """
     changes = [change for change in smooth_changes(fit) if bound or change.kind != _BOTH]
     limits = {_BOTH: DIAGNOSIS.form_open / DIAGNOSIS.form_bound} if bound else {}
@@ -89,9 +84,9 @@ def smooth_changes(fit: Fit) -> list[SmoothChange]:
     """Changes of the potential and, of one coordinate, of the kinetic energy and of both."""
     if not (fit.converged and np.isfinite(fit.evidence)):
         return []
-    kinds = {"potential": list(_bumps(fit, DIAGNOSIS.bumps_alone, ""))}
-    if len(fit.problem.coordinates) == 1:
-        kinds["kinetic"] = list(_bumps(fit, DIAGNOSIS.bumps_each, f"{fit.problem.coordinates[0]}_dot**2*"))
+    names, kinds = fit.problem.coordinates, {"potential": list(_bumps(fit, DIAGNOSIS.bumps_alone, ""))}
+    if len(names) == 1:
+        kinds["kinetic"] = list(_bumps(fit, DIAGNOSIS.bumps_each, f"{names[0]}_dot**2*"))
     return list(_changes(fit, {kind: terms for kind, terms in kinds.items() if terms}))
 
 
@@ -99,41 +94,36 @@ def _bumps(fit: Fit, count: int, factor: str) -> Iterator[Term]:
     """Bumps over the motion: of the plane for two coordinates, along each for others."""
     names = fit.problem.coordinates
     motion = np.stack(fit.points(_VISITS).columns[: len(names)], axis=1)
-    groups = [(0, 1)] if len(names) == 2 else [(i,) for i in range(len(names))]
-    for group in groups:
+    for group in [(0, 1)] if len(names) == 2 else [(i,) for i in range(len(names))]:
         number = DIAGNOSIS.bumps_each if len(group) == 2 else count
         ends = np.quantile(motion[:, group], _ENDS, axis=0)
         widths = DIAGNOSIS.bump_width * (ends[1] - ends[0]) / (number - 1)
         text = "".join(f"-(({names[i]}-{{c{i}}})/{{w{i}}})**2" for i in group)
         template = make_term(f"{factor}exp({text})", names_in_terms(names))
         width = {f"w{i}": w for i, w in zip(group, widths.tolist(), strict=True)}
-        places: list[list[float]] = [
-            np.linspace(float(low), float(high), number).tolist() for low, high in zip(*ends, strict=True)
-        ]
+        places = [np.linspace(float(a), float(b), number).tolist() for a, b in zip(*ends, strict=True)]
         for centre in product(*places):
-            near = np.all(np.abs(motion[:, group] - centre) < widths, axis=1)
-            if np.mean(near) > DIAGNOSIS.bump_visited:
+            if np.mean(np.all(np.abs(motion[:, group] - centre) < widths, axis=1)) > DIAGNOSIS.bump_visited:
                 yield template.at(width | {f"c{i}": c for i, c in zip(group, centre, strict=True)})
 
 
 def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange]:
     """Of each kind, and of all together where there are several; all are scored at once."""
-    base = [fit.problem.terms[m] for m in fit.structure] + _tangents(fit)
-    candidates = fit.problem.candidates.of([*base, *(t for terms in kinds.values() for t in terms)])
+    names = fit.problem.shapes_of(fit.structure)  # they can move
+    wide, _ = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
+    own = [wide.terms[k] for k in (*fit.structure, *range(len(fit.problem.terms), len(wide.terms)))]
+    n, ends = len(own), list(accumulate(map(len, kinds.values()), initial=len(own)))
+    places = {kind: range(a, b) for kind, a, b in zip(kinds, ends[:-1], ends[1:], strict=True)}
+    if len(kinds) > 1:
+        places[_BOTH] = range(n, ends[-1])
+    candidates = fit.problem.candidates.of([*own, *chain(*kinds.values())])
     quadratic = fit.score(candidates)
     scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
     matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
     change, size = _accelerations(fit, candidates)
-    own = list(range(len(base)))
-    before, root = _explained(matrix[np.ix_(own, own)], gradient[own])
-    places, end = dict[str, list[int]](), len(base)
-    for kind, terms in kinds.items():
-        places[kind] = list(range(end, end + len(terms)))
-        end += len(terms)
-    if len(kinds) > 1:
-        places[_BOTH] = list(range(len(base), end))
-    for kind, more in places.items():
-        part = [*own, *more]
+    before, root = _explained(matrix[:n, :n], gradient[:n])
+    for kind, changed in places.items():
+        part = [*range(n), *changed]
         after, wider = _explained(matrix[np.ix_(part, part)], gradient[part])
         step, moves = -wider @ (wider.T @ gradient[part]), change[..., part] * scale[part]
         shift = np.sqrt(np.mean((moves @ step) ** 2, axis=0)) / size
@@ -141,13 +131,6 @@ def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange
         worst = int(np.argmax(np.nan_to_num(np.hypot(shift, spread), posinf=0.0)))
         freedom = max(wider.shape[1] - root.shape[1], 1)
         yield SmoothChange(kind, after - before, freedom, float(shift[worst]), float(spread[worst]))
-
-
-def _tangents(fit: Fit) -> list[Term]:
-    """Columns by which the shape parameters of the fit can move."""
-    names = fit.problem.shapes_of(fit.structure)
-    wide, _ = with_tangents(fit.problem, fit.structure, fit.coefficients, names)
-    return list(wide.terms[len(fit.problem.terms) :])
 
 
 def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatArray]:
@@ -159,13 +142,10 @@ def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatAr
 
 
 def _accelerations(fit: Fit, candidates: EulerLagrange) -> tuple[FloatArray, FloatArray]:
-    """(n_points, n_dof, n_candidates) change of q̈ with each coefficient, and (n_dof,) size of q̈.
-
-    Prescribed coordinates do not change.
-    """
+    """(n_points, n_dof, n_candidates) change of q̈ with each coefficient, and (n_dof,) size of q̈."""
     points, size = compared_accelerations(fit)
     physics, index = fit.grid.physics(fit.structure)
     mass = physics.columns.mass_matrix(points, fit.coefficients[index])
     change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))
-    change[:, list(fit.problem.prescribed)] = 0.0
+    change[:, list(fit.problem.prescribed)] = 0.0  # they move as they do
     return change, size

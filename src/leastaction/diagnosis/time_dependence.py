@@ -3,9 +3,9 @@
 The equation error of such a law follows the clock, not the state.  It is explained by φ(q) cos(ω t + δ),
 where φ is a coordinate (a force on it) or a potential (a coefficient that oscillates), or by a factor that
 drifts, φ t and φ exp(−a t).  What they gain is read from the quadratic model of the likelihood about the fit,
-at frequencies a quarter of a turn apart at the latest time.  A search with the best frequency decides, and a
-further one is looked for where an error is left.  The law is said to depend on time if its equations hold,
-and no smooth change of a potential is left that would explain more.
+at frequencies a quarter of a turn apart at the latest time.  A search with the best one decides; another one
+follows where an error is left.  The law is said to depend on time if its equations then hold, and no smooth
+change of a potential would explain more.
 """
 
 from __future__ import annotations
@@ -33,22 +33,14 @@ from leastaction.selection.strategies.frequency_scan import best_number
 __all__ = ["time_dependence"]
 
 _ROUNDS = 3  # functions of time in one law, at most
-_MOST_FACTORS = 12  # bounds time
-_MOST_FREQUENCIES = 1000  # bounds time
+_MOST_FACTORS, _MOST_FREQUENCIES = 12, 1000  # bound the time that it takes
 
 
 @dataclass(frozen=True)
 class _Kind:
-    """Two functions of time that belong together.
+    """Two functions of time that belong together, and the letter of their frequency or rate.
 
-    Attributes
-    ----------
-    letter : str
-        Of the frequency or rate.
-    texts : pair of str
-        With a factor and that name.
-    functions : pair of callables
-        Of the time in units of that number, up to a factor.
+    Texts have gaps for a factor and that name; functions take the time in units of that number.
     """
 
     letter: str
@@ -65,10 +57,7 @@ def time_dependence(search: Search) -> list[Finding]:
     factors = _factors(search.found)
     for _ in range(_ROUNDS):
         fit = search.found
-        if not (fit.converged and np.isfinite(fit.evidence)):
-            return []
-        offer = _best(fit, factors)
-        if offer is None:
+        if not (fit.converged and np.isfinite(fit.evidence)) or (offer := _best(fit, factors)) is None:
             return []
         search = searched_with(offered(search, offer), weak_start, shape_fit, feeding_friction)
         if equations_hold(search.found):
@@ -94,15 +83,9 @@ def _factors(fit: Fit) -> list[str]:
     """Forces on the coordinates, their simplest potentials, and the potentials of the law found."""
     problem = fit.problem
     forces = [name for i, name in enumerate(problem.coordinates) if i not in problem.prescribed]
-    simplest = [
-        text
-        for name in forces
-        for text in (
-            [f"cos({name})", f"sin({name})"] if name in problem.candidates.turning else [f"{name}**2"]
-        )
-    ]
-    states = {*problem.coordinates}
-    held = [problem.terms[m] for m in fit.structure]
+    turning = problem.candidates.turning
+    simplest = [t for q in forces for t in ((f"cos({q})", f"sin({q})") if q in turning else (f"{q}**2",))]
+    states, held = {*problem.coordinates}, [problem.terms[m] for m in fit.structure]
     potentials = [t for t in held if t.template is None and {str(s) for s in t.expr.free_symbols} <= states]
     found = [f"({t.text})" if t.expr.is_Add else t.text for t in potentials]
     return list(dict.fromkeys([*forces, *simplest, *found]))[:_MOST_FACTORS]
@@ -111,8 +94,7 @@ def _factors(fit: Fit) -> list[str]:
 def _best(fit: Fit, factors: Sequence[str]) -> Offer | None:
     """The offer with which one factor explains the most, if that is a good part of the equation error."""
     names = names_in_terms(fit.problem.coordinates)
-    terms = [make_term(factor, names) for factor in factors]
-    pushes = _forces(fit, terms)
+    pushes = _forces(fit, [make_term(factor, names) for factor in factors])
     offers = [_offer(fit, factors, pushes, kind) for kind in (_WAVE, _DRIFT)]
     best = max(offers, key=lambda offer: offer.worth)
     return best if best.worth > fit.relevant_gain(DIAGNOSIS.wave_share) else None
@@ -154,11 +136,10 @@ def _offer(fit: Fit, factors: Sequence[str], forces: np.ndarray, kind: _Kind) ->
     taken = {*names, *fit.problem.ranges}
     name = next(n for k in count() if (n := f"{kind.letter}{k or ''}") not in taken)
     terms = [make_term(text.format(factor, name), names) for factor in factors for text in kind.texts]
-    where = (
-        frequency_range(times[:, 0], most=_MOST_FREQUENCIES)
-        if kind is _WAVE
-        else shape_ranges(terms[:2], {TIME: times[:, 0]}, {})[name]
-    )
+    if kind is _WAVE:
+        where = frequency_range(times[:, 0], most=_MOST_FREQUENCIES)
+    else:
+        where = shape_ranges(terms[:2], {TIME: times[:, 0]}, {})[name]
     chosen = fit.problem.candidates.subset(list(fit.structure))
 
     def columns(group: int, numbers: np.ndarray) -> EulerLagrange:

@@ -54,10 +54,8 @@ class Linear:
 
     Parameters
     ----------
-    room : float
-        Pixels that one tick should have.
-    share : float
-        Part of the range of the data that is shown beyond either end.
+    room, share : float
+        Pixels that one tick should have, and part of the range of the data shown beyond either end.
     steps : sequence of float
         Rising, from 1 to less than 10.
     whole : bool

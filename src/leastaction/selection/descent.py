@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from leastaction.errors import InputError
-from leastaction.estimation.adam import AdamFit, AdamProblem, descend
-from leastaction.estimation.adam_options import AdamOptions
+from leastaction.estimation.adam import AdamFit, AdamOptions, AdamProblem, descend
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.grid import Grid, greville_sites

@@ -11,7 +11,6 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
-from leastaction.selection.kinetic_seeds import kinetic_bases
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
 from leastaction.selection.settings import SELECTION
@@ -22,6 +21,7 @@ from leastaction.selection.weak_search import (
     Support,
     beam_search,
     grow_bases,
+    kinetic_bases,
     noise_ratio,
     solve_support,
     support_score,
