@@ -31,6 +31,7 @@ from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import shape_fit, weak_start
 from leastaction.selection.strategies.shape_start import places
+from leastaction.selection.weak_proposals import explicable
 
 __all__ = ["Offer", "best_families", "looks_imitated", "offered", "searched_with"]
 
@@ -152,10 +153,12 @@ def _quadratic(expr: sp.Expr) -> bool:
 
 
 def _searched(posed: Sequence[Search], fit: Fit, most: int = _SEARCHED) -> Iterator[Search]:
-    """Search with the families whose places are the best."""
+    """Search with the families whose places are the best, where the library has equations that hold there."""
     points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
     for _, at in sorted(points, key=lambda pair: pair[0])[:most]:
-        yield _whole(searched_with(at, weak_start, shape_fit), fit.problem.excluded)
+        whole = _with_all(at, fit)
+        if explicable(whole.grid, whole.curve, whole.seed):
+            yield _with_all(searched_with(at, weak_start, shape_fit), fit)
 
 
 def _short(fit: Fit) -> Callable[[Problem], Problem]:
@@ -177,11 +180,10 @@ def _short(fit: Fit) -> Callable[[Problem], Problem]:
     return lambda problem: problem.excluding(out)
 
 
-def _whole(search: Search, excluded: frozenset[int]) -> Search:
-    """The search with all candidates back in but those that were excluded before."""
-    fit = search.found
-    whole = search.posed(lambda problem: replace(problem, excluded=excluded))
-    return replace(whole, fit=replace(fit, grid=whole.grid))
+def _with_all(search: Search, fit: Fit) -> Search:
+    """The search with all candidates back in but those that were excluded from a fit."""
+    whole = search.posed(lambda problem: replace(problem, excluded=fit.problem.excluded))
+    return whole if whole.fit is None else replace(whole, fit=replace(whole.fit, grid=whole.grid))
 
 
 def _positions(fit: Fit) -> list[str]:
