@@ -1,4 +1,4 @@
-"""A robot's log made ready (names, units, standstill, its clock), torques compared with it, and doubts about it.
+"""A robot's log made ready (names, units, standstill, its clock), compared with torques, and doubted.
 
 Programs that poll a controller write the time of the poll, not that of the state: a state appears twice, or
 one is left out, and stamps scatter by a period or more.  Where velocities are logged, positions tell how much
