@@ -13,9 +13,15 @@ from leastaction.delay import estimate, shift_forces
 from leastaction.errors import DataError, InputError
 from leastaction.model.model import LagrangianModel, ModelTerm
 
-control = pytest.importorskip("control")
+try:
+    import control
+except ImportError:
+    control = None
+
+needs_control = pytest.mark.skipif(control is None, reason="python-control is not installed")
 
 
+@needs_control
 @pytest.mark.parametrize("name", MODELS)
 def test_dynamics_are_those_of_the_model(name):
     model = MODELS[name]()
@@ -27,6 +33,7 @@ def test_dynamics_are_those_of_the_model(name):
         np.testing.assert_array_equal(system.output(0.0, np.concatenate([q, v]), f), np.concatenate([q, v]))
 
 
+@needs_control
 def test_labels_and_actuated_coordinates():
     model = MODELS["driven"]()
     system = la.control.state_space(model, actuated=["theta2"])
@@ -37,6 +44,7 @@ def test_labels_and_actuated_coordinates():
     np.testing.assert_array_equal(system.dynamics(0.0, x, [1.5])[2:], expected)
 
 
+@needs_control
 def test_response_is_the_simulation():
     model = MODELS["driven"]()
     t = np.linspace(0.0, 2.0, 201)
@@ -60,6 +68,7 @@ def differences(model, q, qdot, forces):
     return a, np.vstack([np.zeros((n, n)), slopes[:, 2 * n :]])
 
 
+@needs_control
 @pytest.mark.parametrize("name", ["driven", "passive", "chaotic", "magnetic", "swapped"])
 def test_linearisation_agrees_with_finite_differences(name):
     model = MODELS[name]()
@@ -70,6 +79,7 @@ def test_linearisation_agrees_with_finite_differences(name):
         np.testing.assert_allclose(system.B, b, rtol=1e-6, atol=1e-6)
 
 
+@needs_control
 @pytest.mark.parametrize("q", [[0.0, 0.0], [np.pi, 0.0], [np.pi, np.pi]])
 def test_linearisation_at_the_equilibria_of_the_double_pendulum(q):
     model = MODELS["driven"]()
@@ -84,6 +94,7 @@ def test_linearisation_at_the_equilibria_of_the_double_pendulum(q):
     assert (system.poles().real.max() < 0) == (q == [0.0, 0.0])
 
 
+@needs_control
 def test_feedback_found_on_the_linear_system_holds_the_nonlinear_one():
     """The use that the wrapper is made for: stand a cart's pendulum on its head."""
     terms = {"x_dot**2": 1.0, "theta_dot**2": 0.5, "x_dot*theta_dot*cos(theta)": 1.0, "cos(theta)": 9.81}
@@ -103,6 +114,7 @@ def test_feedback_found_on_the_linear_system_holds_the_nonlinear_one():
     np.testing.assert_allclose(state, target, atol=1e-3)
 
 
+@needs_control
 def test_wrong_use():
     model = MODELS["driven"]()
     with pytest.raises(InputError, match="'theta3' is not a coordinate of the model; it has theta1, theta2"):

@@ -20,8 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, find_base
-from leastaction.arms.doubts import contact_notes, scale_notes
-from leastaction.arms.log import prepared
+from leastaction.arms.log import contact_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel, FitFacts
 from leastaction.arms.regression import Choice, Regression
 from leastaction.curve.bspline import SplineGrid, uniform_grid
