@@ -91,7 +91,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
     if unexplained:
-        found += _perhaps_degrees(fit, period)
+        found += _perhaps_degrees(fit, period, share)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
@@ -218,20 +218,23 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     ]
 
 
-def _perhaps_degrees(fit: Fit, period: float) -> list[Finding]:
+def _perhaps_degrees(fit: Fit, period: float, share: np.ndarray) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees.
 
-    Not where free runs follow the data: no law whose sines and cosines are those of degrees does, and where
-    the angle does not matter, nor does its unit.
+    Not where free runs follow the data: few laws whose sines and cosines are those of degrees do, and where
+    the angle does not matter, nor does its unit. An equation that is off by more than its forces explains
+    nothing, even where a simulation happens to follow.
     """
     spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
-    found = [
-        find("angle-in-degrees", name, span=span)
-        for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
+    names = fit.problem.trajectories.coordinates
+    found = {
+        name: find("angle-in-degrees", name, span=span)
+        for name, span in zip(names, spans, strict=True)
         if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
-    ]
+    }
+    nothing = {name for name, part in zip(names, share, strict=True) if part >= 1.0}
     follows = found and fit.converged and forecast_error(fit, period) <= DIAGNOSIS.follows
-    return [] if follows else found
+    return [finding for name, finding in found.items() if name in nothing or not follows]
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:
