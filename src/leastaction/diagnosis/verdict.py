@@ -340,16 +340,18 @@ def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes: list[Finding] = []
     present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
-    found = ((fit.problem.terms[k], float(fit.coefficients[k])) for k in present)
-    terms = {term.expr: coefficient for term, coefficient in found if not isinstance(term, GroupTerm)}
-    for expression, coefficient in terms.items():
+    found = [(fit.problem.terms[k], float(fit.coefficients[k])) for k in present]
+    found = [(term, coefficient) for term, coefficient in found if not isinstance(term, GroupTerm)]
+    terms = {term.expr: coefficient for term, coefficient in found}
+    for term, coefficient in found:
+        expression = term.expr
         for cosine in expression.atoms(sp.cos):
             if time_symbol in cosine.free_symbols:  # a phase, not the zero of an angle
                 continue
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
             if beside is not None and abs(beside) < DIAGNOSIS.small_offset * abs(coefficient):
                 angle, offset = str(cosine.args[0]), beside / coefficient
-                notes.append(find("zero-offset", angle, term=str(expression), offset=offset))
+                notes.append(find("zero-offset", angle, term=term.text, offset=offset))
     return notes
 
 
