@@ -598,6 +598,7 @@ def test_file_names_that_matlab_cannot_call():
 
 def test_fmu_without_a_compiler(monkeypatch):
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr("leastaction.exporters.fmu.find_spec", lambda name: None)
     fails(2, "export", "model.json", "--format", "fmu2", "-o", "m.fmu", says=("no C compiler", "install one"))
     assert not Path("m.fmu").exists()
     fails(
