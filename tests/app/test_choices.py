@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from leastaction import InputError
 from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import jobs as _jobs
-from leastaction.app.candidates import Choice, friction_choices, proposed, split_trials
+from leastaction.app import remedies as _remedies
+from leastaction.app.candidates import Choice, friction_choices, split_trials
 from leastaction.app.columns import (
     ANGLE,
     COORDINATE,
@@ -29,8 +31,9 @@ from leastaction.app.columns import (
 )
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles
+from leastaction.app.remedies import proposed
 from leastaction.app.session import Walk
-from leastaction.findings import Finding
+from leastaction.findings import CODES, Finding
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from report_helpers import spring
@@ -419,19 +422,64 @@ def test_what_one_click_may_do():
     def offer(code: str, *subject: str, **values):
         return proposed(Finding(code, "warning", subject, values, "so it is", "do it"), choice, library)
 
-    words, changed = offer("missing-term", "cos(theta)", constant_force="theta")
-    assert words == "Add cos(theta)"
-    assert changed.text.splitlines() == ["theta_dot**2", "sin(theta)", "cos(theta)"]
-    assert changed.written
-    assert changed.offsets == ["theta"]
-    words, changed = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
-    assert changed.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
-    assert not changed.written
-    words, changed = offer("late-forces", "theta", delay=0.004)
-    assert words == "Let the forces act 14 ms later"
-    assert changed.delay == pytest.approx(0.014)
-    assert offer("form-imitated", "x", family=["exp(-{a}*theta)"])[0] == "Add exp(-{a}*theta)"
-    assert offer("form-imitated", "x") is None
-    assert offer("slight-friction", "theta_dot**2/2", coefficient=-0.1) is None
-    assert offer("motion-in-noise", "theta") is None
+    (add,) = offer("missing-term", "cos(theta)", constant_force="theta")
+    assert add.words == "Add cos(theta)"
+    assert add.choice.text.splitlines() == ["theta_dot**2", "sin(theta)", "cos(theta)"]
+    assert add.choice.written
+    assert add.choice.offsets == ["theta"]
+    assert [o.words for o in offer("missing-term", "x", angles=["x"])] == ["Add x", "x: an angle"]
+    (rub,) = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
+    assert rub.choice.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
+    assert not rub.choice.written
+    for code in ("late-forces", "slight-delay"):
+        (later,) = offer(code, "theta", delay=0.004)
+        assert later.words == "Let the forces act 14 ms later"
+        assert later.choice.delay == pytest.approx(0.014)
+    for code in ("form-imitated", "simpler-form"):
+        assert offer(code, "x", family=["exp(-{a}*theta)"])[0].words == "Add exp(-{a}*theta)"
+        assert offer(code, "x") == []
+    (fewer,) = offer("slight-terms", "sin(theta)")
+    assert fewer.choice.text == "theta_dot**2"
+    (moved,) = offer("equations-off", "theta", may_be_prescribed=True, cause_named=False)
+    assert moved.choice.prescribed == ["theta"]
+    assert offer("equations-off", "theta", may_be_prescribed=True, cause_named=True) == []
+    assert offer("perhaps-angle", "theta")[0].roles == {"theta": ANGLE}
+    assert offer("undeclared-angle", "theta")[0].roles == {"theta": ANGLE}
+    assert offer("angle-in-degrees", "theta")[0].roles == {"theta": DEGREES}
+    assert offer("long-time-step", column="time")[0].roles == {"time": MILLISECONDS}
+    assert offer("slight-friction", "theta_dot**2/2", coefficient=-0.1) == []
+    assert offer("motion-in-noise", "theta") == []
     assert choice == Choice(more_friction="abs(theta_dot)", delay=0.01)
+
+
+def test_a_known_coefficient_is_left_free_only_if_something_else_sets_the_scale():
+    library = la.Library(["theta_dot**2", "cos(theta)"], ["theta"])
+    wrong = Finding("wrong-known-coefficient", "warning", ["cos(theta)"], {}, "so it is", "do it")
+    one = Choice(known="cos(theta) = 1")
+    both = Choice(known="cos(theta) = 1\ntheta_dot**2 = 0.5")
+    assert proposed(wrong, one, library) == []
+    assert proposed(wrong, one, library, driven=True)[0].choice.known == ""
+    assert proposed(wrong, both, library)[0].choice.known == "theta_dot**2 = 0.5"
+
+
+def test_every_remedy_that_is_an_option_has_a_button():
+    """What the command line advises as an option with a known value, the app does by a click."""
+    options = re.compile(r"--(term|angles|dissipation|force-delay|units|time-unit|prescribed)\b")
+    advised = {
+        code for code, row in CODES.items()
+        if isinstance(row.on_command_line, str) and options.search(row.on_command_line)
+    }  # fmt: skip
+    assert advised >= {"unmodelled-friction", "late-forces", "angle-in-degrees", "undeclared-angle"}
+    assert advised <= {*_remedies._OFFERS}
+
+
+def test_coordinates_without_a_sensor_are_in_the_candidates():
+    runs = la.Trajectories([la.Trajectory(np.arange(50) / 10, np.sin(np.arange(50)), coordinates=["a"])])
+    choice = Choice(known="a_dot**2 = 1", hidden="b", hidden_angles=True, families=["stribeck"])
+    task = choice.task(runs, ["a"])
+    assert task.hidden == ("b",)
+    assert (task.library.coordinates, task.library.angles) == (("a", "b"), ("a", "b"))
+    assert "-{b_stribeck}*exp(-abs(b_dot)/{b_stribeck})" in [t.text for t in task.library.dissipation]
+    for name, text in (("a", "is measured"), ("2b", "2b"), ("sin", "sin")):
+        with pytest.raises(InputError, match=text):
+            replace(choice, hidden=name).task(runs, ["a"])

@@ -26,7 +26,9 @@ import socket
 
 from leastaction.app import page as _page
 from leastaction.app import server as _server
+from leastaction.app.columns import ANGLE, MILLISECONDS
 from leastaction.app.jobs import Found
+from leastaction.app.remedies import proposed, take
 from leastaction.app.result_view import compared
 from leastaction.app.worker import Job
 from leastaction.model.mathml import Notation
@@ -87,6 +89,7 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         await until(lambda: session.found)
         await user.should_see("How many terms?")
         await user.should_see("5 free terms. This is the structure that leastaction chose.")
+        await user.should_see("Natural frequency about θ")
         user.find(marker="report").click()
         response = await user.download.next(timeout=30)
         assert response.content.startswith(b"<!DOCTYPE html>")
@@ -218,6 +221,8 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         await user.should_see("rotation of (x, y)")
         await user.should_see("within the error bars (0.")
         await user.should_see("angular momentum")
+        await user.should_see("Equilibria and small motions")
+        await user.should_see("None within the recorded range")
         # A law that holds the time, with coefficients that are no simple numbers.
         terms = [ModelTerm("x_dot**2", 0.5421, 0.0004), ModelTerm("x*cos(3*t)", 0.237, 0.0002)]
         session.found = {0: Found(LagrangianModel(["x"], terms), "fitted")}
@@ -256,6 +261,44 @@ def test_a_coordinate_may_be_moved_by_something_unmeasured():
         assert session.choice.task(session.data, session.angles).forces.prescribed == (first,)
         user.find(marker=f"prescribed-{second}").click()
         await user.should_see("no equation is left")
+
+    simulate(script)
+
+
+def test_a_coordinate_without_a_sensor_changes_candidates_and_friction():
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        session.choice.written = False
+        user.find(marker="step-data").click()
+        await user.should_see("What was measured")
+        user.find(marker="step-candidates").click()
+        await user.should_see("standard: ")
+        user.find(marker="hidden").type("phi")
+        user.find(marker="hidden-angles").click()
+        await user.should_see("viscous, φ")
+        await until(lambda: session.choice.hidden_angles)
+        task = session.choice.task(session.data, session.angles)
+        assert task.hidden == ("phi",)
+        assert "cos(phi)" in [term.text for term in task.library]
+        user.find(marker="families-stribeck").click()
+        await until(lambda: session.choice.families == ["stribeck"])
+        user.find(marker="hidden").clear().type("theta")
+        await user.should_see("theta is measured")
+
+    simulate(script)
+
+
+def test_one_click_gives_a_column_another_meaning():
+    async def script(user) -> None:
+        session = session_of_page()
+        rows = "".join(f"{10 * k},{np.sin(k / 9):.5f},1\n" for k in range(60))
+        session.open_upload("run.csv", f"time,x,tau_x\n{rows}".encode())
+        (offer,) = proposed(session.data.findings[-1], session.choice, session.choice.library(["x"], []))
+        assert offer.words == "Times in ms"
+        take(session, replace(offer, roles={**offer.roles, "x": ANGLE}))
+        assert (session.roles["time"], session.angles) == (MILLISECONDS, ["x"])
+        assert session.data[0].t[-1] == pytest.approx(0.59)
+        assert session.job is not None
 
     simulate(script)
 

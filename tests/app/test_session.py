@@ -165,7 +165,7 @@ def test_a_session_is_saved_and_opened_again(session):
 @pytest.mark.parametrize(
     "change",
     [
-        {"choice": {}},
+        {"choice": {"held_out": "many"}},
         {"tables": ["../../etc/passwd"]},
         {"tables": []},
         {"roles": 3},

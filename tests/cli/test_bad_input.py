@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 
@@ -144,6 +145,81 @@ def test_empty_file_and_header_only():
     Path("empty.csv").touch()
     discover(2, data="empty.csv", says=("empty.csv", "empty"))
     discover(2, data=table([], "header.csv"), says=("header.csv", "no data"))
+
+
+T, X = np.arange(100) / 50, 1.2 * np.cos(np.arange(100) / 9)
+ROWS = [f"{t:.2f},{x:.5f}" for t, x in zip(T, X, strict=True)]
+CSV = "\n".join(["t,x", *ROWS]) + "\n"
+GERMAN = CSV.replace(",", ";").replace(".", ",")
+MILLI = [f"{1000 * t:.0f},{x:.5f}" for t, x in zip(T, X, strict=True)]
+PLAIN = GERMAN.replace(",", ".").replace(";", " ")
+LONG = "\n".join(["t,x", *(f"{k / 1000:.3f},{np.sin(k / 300):.4f}" for k in range(60_000))])
+DATES = [f"2026-11-25T10:00:{t:06.3f}Z,{x:.5f}" for t, x in zip(T, X, strict=True)]
+NOT_READ = leastaction.DataError("stop here")
+
+
+def in_excel(path):
+    pd.DataFrame({"t": T, "x": X}).to_excel(path, index=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "options", "says"),
+    [
+        # read as meant: the codes of the notes
+        ("comma.csv", GERMAN, (), ["decimal-comma"]),
+        ("tabs.txt", GERMAN.replace(";", "\t"), (), ["decimal-comma"]),
+        ("spaces.dat", PLAIN.replace(" ", "    "), (), []),
+        ("latin.csv", ("# gemessen für x\n" + CSV).encode("latin-1"), (), ["text-encoding"]),
+        ("german.csv", GERMAN.replace("t;x", "Zeit [s];Länge [cm]").encode("cp1252"),
+         ("--coordinates", "x=Länge"), ["converted-units", "time-column", "text-encoding", "decimal-comma"]),
+        ("book.xlsx", in_excel, (), []),
+        ("dates.csv", "\n".join(["t,x", *DATES]), (), ["dates"]),
+        ("row.csv", CSV.replace("t,x", "t,x\ns,mm"), (), ["units-row", "converted-units"]),
+        ("degrees.csv", CSV.replace("x", "x [deg]"), ("--angles", "x"), ["converted-units"]),
+        ("ms.csv", "\n".join(["t,x", *MILLI]), (), ["long-time-step"]),
+        ("gaps.csv", re.sub(r"(0\.2.),.*", r"\1,NaN", CSV), (), []),
+        ("long.csv", LONG, (), []),
+        # refused: what is wrong, and the cure
+        ("headers.csv", CSV.replace("t,x", "Zeit,Weg"), (), ("no column 'x'", '--coordinates "x=Weg"')),
+        ("when.csv", CSV.replace("t,x", "wann,x"), (), ("no column 't'", "(--time)")),
+        ("junk.csv", bytes(range(256)) * 9, (), ("binary data", "save the table as CSV")),
+        ("book.csv", b"PK\x03\x04" + bytes(500), (), ("binary data", "save the table as CSV")),
+        ("cut.xlsx", b"PK\x03\x04" + bytes(500), (), ("damaged Excel file", "save it again")),
+        ("twice.csv", CSV.replace("t,x", "x,x"), (), ("two columns are called 'x'", "its own name")),
+        ("one.csv", "x\n1\n2\n", (), ("only the column 'x'", "separate columns by")),
+        ("empty.csv", "", (), ("is empty", "expected")),
+        ("cell.csv", CSV.replace("0.20,", "0.20,o"), (), ("line 12", "not a number", "leave the cell empty")),
+        ("back.csv", "\n".join(["t,x", *ROWS[::-1]]), (), ("line 3", "goes backwards", "sort the rows")),
+        ("numbers.csv", "\n".join(ROWS), (), ("line 1", "add a first line")),
+        ("old.xls", b"\xd0\xcf\x11\xe0" + bytes(500), (), ("'.xls' is not known", ".xlsx")),
+    ],
+)  # fmt: skip
+def test_files_as_people_have_them(name, content, options, says, monkeypatch):
+    """Each is read, with a note of what was done to it, or refused in one line with the cure."""
+    found = []
+
+    def refuse(data, library, **options):
+        found.append(data)
+        raise NOT_READ
+
+    monkeypatch.setattr(leastaction, "discover", refuse, raising=False)
+    if callable(content):
+        content(name)
+    else:
+        Path(name).write_bytes(content.encode() if isinstance(content, str) else content)
+    if isinstance(says, tuple):
+        discover(2, *options, data=name, says=(name, *says))
+        return
+    discover(1, *options, data=name, says="stop here")
+    assert [finding.code for finding in found[0].findings] == says
+    expected, scale = T, {"german.csv": 0.01, "row.csv": 0.001, "degrees.csv": np.pi / 180}.get(name, 1.0)
+    if name == "long.csv":
+        assert found[0][0].t[-1] == 59.999
+        return
+    np.testing.assert_allclose(found[0][0].t, expected * (1000 if name == "ms.csv" else 1), atol=1e-9)
+    there = np.isfinite(found[0][0].q[:, 0])
+    assert there.sum() == (95 if name == "gaps.csv" else 100)
+    np.testing.assert_allclose(found[0][0].q[there, 0], scale * X[there], atol=1e-5 * scale)
 
 
 def test_times():
@@ -522,6 +598,7 @@ def test_file_names_that_matlab_cannot_call():
 
 def test_fmu_without_a_compiler(monkeypatch):
     monkeypatch.setenv("PATH", "")
+    monkeypatch.setattr("leastaction.exporters.fmu.find_spec", lambda name: None)
     fails(2, "export", "model.json", "--format", "fmu2", "-o", "m.fmu", says=("no C compiler", "install one"))
     assert not Path("m.fmu").exists()
     fails(

@@ -31,6 +31,7 @@ from leastaction.cli import program
 from leastaction.cli import show as _show
 from leastaction.cli import text as _text
 from leastaction.cli import values as _values
+from leastaction.findings import find
 from leastaction.model.term import FitSummary, ModelTerm
 
 COMMANDS = (
@@ -114,6 +115,7 @@ def test_discover_prints_the_table(found):
     assert lines[lines.index("structure: determined") + 1].startswith("equations: hold to ")
     assert "left out before the fit: 1 candidate (1 without effect)" in result.stdout
     assert "in 1 trial, 0 diverged" in result.stdout
+    assert "forecast: held-out trials are off by" in result.stdout  # and not: not tested
     assert lines[-2:] == [f"model: {folder / 'model.json'}", f"report: {folder / 'report.html'}"]
     assert "\x1b" not in result.output
 
@@ -152,8 +154,9 @@ def test_what_discover_prints_is_chosen(work, found, tmp_path):
 
 def test_show_prints_what_discover_printed(found, model):
     """But the forecast, and what takes the recording: what was left out, and where the motion went."""
+    but = ("symmetry", "equilibrium", "left out", "forecast: ")
     lines, printed = (
-        [line for line in text.splitlines() if not line.startswith(("symmetry", "equilibrium", "left out"))]
+        [line for line in text.splitlines() if not line.startswith(but)]
         for text in (run("show", model).stdout, found[0].stdout)
     )
     assert len(lines) > 8
@@ -180,6 +183,20 @@ def test_discover_replaces_an_earlier_result_and_keeps_other_files(work, tmp_pat
     assert {t.expression: t.coefficient for t in loaded.terms if t.known} == {"cos(theta)": 9.81}
     assert "cos(theta)    9.81 (known)" in result.stdout
     assert "old" not in (folder / "report.html").read_text(encoding="utf-8")[:10]
+
+
+def test_notes_do_not_repeat_the_statements_or_the_law(capsys):
+    smoothed = find("friction-smoothed", ("x_dot",), widths=[0.02])
+    follows, *left = (find("forecasts", horizon=1.0, error=0.03),
+                      *(find("equation-error", name, equation_error=0.004) for name in "xy"))  # fmt: skip
+    for friction, expected in (("x_dot**2/2", 1), ("sqrt(x_dot**2+1/2500)", 2)):
+        model = la.LagrangianModel(
+            ("x",), [ModelTerm("x_dot**2", 0.5, 0.1, False)], [ModelTerm(friction, 0.1, 0.01, False)],
+            noise_std=[0.01], fit=FitSummary("ok", 1.0, findings=(smoothed, follows, *left)),
+        )  # fmt: skip
+        assert len([*_show._notes(model)]) == expected
+        _show.show_fit(model)
+        assert "forecast: simulations over 1 s are off by 3 % of the spread" in capsys.readouterr().out
 
 
 def test_discover_shows_a_doubtful_model(work, tmp_path):

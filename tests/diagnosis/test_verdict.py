@@ -353,7 +353,9 @@ def test_a_wheel_that_turns_is_not_in_degrees_if_its_simulations_follow():
     library = la.Library(["phi_dot**2", "cos(phi)"], ["phi"], angles=["phi"])
     search = find_structure(begin_search(build_problem(wheel, Request(library))))
     assert np.ptp(wheel.q) > 4.0 * np.pi
-    assert _perhaps_degrees(search.found, 2.0) == []
+    assert _perhaps_degrees(search.found, 2.0, np.array([0.01])) == []
+    # an equation that is off by more than its forces explains nothing, whatever a simulation does
+    assert [f.code for f in _perhaps_degrees(search.found, 2.0, np.array([1.5]))] == ["angle-in-degrees"]
 
 
 def test_rivals_come_with_the_experiment_that_separates_them():

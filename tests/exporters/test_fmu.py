@@ -10,7 +10,14 @@ import pytest
 import leastaction as la
 from helpers import COMPILER, MODELS, states, timed
 from leastaction.errors import InputError
-from leastaction.exporters.fmu import compile_library, longest_step, platform_name, source_files
+from leastaction.exporters import fmu
+from leastaction.exporters.fmu import (
+    TARGETS,
+    compile_library,
+    longest_step,
+    platform_name,
+    source_files,
+)
 from leastaction.model.model import LagrangianModel, ModelTerm
 
 fmpy = pytest.importorskip("fmpy")
@@ -351,7 +358,8 @@ def test_library_exports_the_interface_only(version, tmp_path):
     path = tmp_path / "a.fmu"
     la.export(MODELS["free"](), f"fmu{version}", path)
     with zipfile.ZipFile(path) as archive:
-        (binary,) = [p for p in archive.namelist() if p.startswith("binaries/")]
+        here = f"binaries/{platform_name(version)}/"
+        (binary,) = [p for p in archive.namelist() if p.startswith(here)]
         library = ctypes.CDLL(archive.extract(binary, tmp_path))
     assert hasattr(library, f"fmi{version}DoStep")
     for name in ("motion_step", "leastaction_acceleration", "a_motion_step", "a_leastaction_acceleration"):
@@ -360,6 +368,7 @@ def test_library_exports_the_interface_only(version, tmp_path):
 
 def test_no_compiler(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(fmu, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"no C compiler on the PATH .*install one"):
         la.export(MODELS["free"](), "fmu2", tmp_path / "a.fmu")
     assert not (tmp_path / "a.fmu").exists()
@@ -369,3 +378,40 @@ def test_no_compiler(monkeypatch, tmp_path):
 def test_compiler_that_fails():
     with pytest.raises(InputError, match=r"the C compiler .* failed: .*error"):
         compile_library({"a.c": "int a(void) { return nothing; }\n"})
+
+
+@pytest.mark.parametrize("version", VERSIONS)
+def test_with_zig_there_is_a_library_for_every_platform(version, monkeypatch, tmp_path):
+    def compiled(sources, options, target=None):
+        asked.append(target)
+        return b"library", ".so"
+
+    asked: list[str | None] = []
+    monkeypatch.setattr(fmu, "compile_library", compiled)
+    monkeypatch.setattr(fmu, "find_spec", lambda name: name)
+    for compiler in ("/usr/bin/cc", None):  # without one, Zig compiles for this computer, too
+        asked.clear()
+        monkeypatch.setattr(fmu, "_compiler", lambda compiler=compiler: compiler)
+        found = fmu._libraries({}, version)
+        assert {*found} == {*TARGETS[version], *([platform_name(version)] if compiler else [])}
+        assert len(asked) == len(found)
+        assert (None in asked) == (compiler is not None)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("target", "suffix", "magic"),
+    [
+        ("x86_64-windows-gnu", ".dll", b"MZ"),
+        ("x86_64-linux-gnu.2.17", ".so", b"\x7fELF"),
+        ("aarch64-macos", ".dylib", b"\xcf\xfa\xed\xfe"),
+    ],
+)
+@pytest.mark.parametrize("version", VERSIONS)
+def test_sources_compile_for_other_platforms(version, target, suffix, magic):
+    pytest.importorskip("ziglang", reason="no Zig: pip install 'leastaction[fmu]'")
+    sources = source_files(MODELS["driven"](), version, "model", "token")
+    options = ["-Wall", "-Wextra", "-Werror", f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"]
+    library, found = compile_library(sources, options, target)
+    assert (found, library[: len(magic)]) == (suffix, magic)
+    assert b"nstantiate" in library

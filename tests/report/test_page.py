@@ -22,6 +22,7 @@ from leastaction import (
 from leastaction.curve.bspline import SplineGrid
 from leastaction.findings import Finding, find
 from leastaction.library import Dropped, make_term
+from leastaction.model.diagnostics import HiddenMotion
 from leastaction.model.mathml import number_parts
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.text import percent
@@ -145,7 +146,8 @@ def test_every_drawing_has_title_and_description(source):
         (figure,) = [a for a in panel.ancestors if a.tag == "figure"]
         assert len(figure.one("figcaption").one("p", class_="seen").text) > 20
         labels = [t.text for t in panel.all("text", class_="label")]
-        assert len(labels) == 2
+        # A forecast shares the axis of time with its errors below it.
+        assert len(labels) == (1 if panel.one("title").text.endswith("forecast and samples") else 2)
         assert all(
             "(" in t or t.startswith(("density", "autocorr", "residual", "number", "differ")) for t in labels
         )
@@ -336,6 +338,28 @@ def test_forecasts_that_fail_are_shown_as_such(tmp_path):
     assert "diverged: blow-up" in page.text
     assert "∞" in page.text
     assert "d (too short <for a window>)" in page.text
+
+
+def test_a_coordinate_without_a_sensor_has_its_band(tmp_path):
+    model = spring()
+    motions = tuple(
+        HiddenMotion(run.t, run.q[:, 0], np.linspace(0.01, 0.05, run.n_times))
+        for run in model.diagnostics.trajectories
+    )
+    hidden = replace(model, diagnostics=replace(model.diagnostics, hidden_motion={"x": motions}))
+    page = Page(written(tmp_path, hidden))
+    assert "x: not measured, but estimated from the equations (95 % band: at most ± 0.098)" in page.text
+    titles = [svg.one("title").text for svg in page.by_id("curve").all("svg")]
+    assert titles[1] == "95 % band of x"
+    assert "x not measured" in " ".join(page.by_id("data").all("p")[0].text.split())
+
+
+def test_only_the_largest_error_of_several_coordinates_is_open(source, pendulum):
+    section = Page(source).by_id("forecast")
+    panels = {svg.one("title").text.partition(" of trial")[0]: svg for svg in section.all("svg")}
+    assert set(panels) == {"θ₁", "θ₂"}
+    folded = [any(a.tag == "details" for a in svg.ancestors) for svg in section.all("svg")]
+    assert folded == 4 * [False] + 4 * [True]  # of each coordinate the forecast, and its errors
 
 
 def test_figures_of_the_first_six_coordinates_only(tmp_path):

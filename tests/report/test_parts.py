@@ -297,7 +297,7 @@ def with_residuals(r: np.ndarray) -> Series:
             forecast(0.05, 0.005),
             "off by 10 % of the spread (rms): 10 times as far as an exact model would be",
         ),
-        (forecast(0.05, 0.005, std=0.02), "(rms); 73 % of the samples lie in the model's 95 % band"),
+        (forecast(0.05, 0.005, std=0.02), "(rms); 73 % of the samples are in the 95 % band"),
         (forecast(0.6, np.nan), "off by 120 % of the spread (rms)"),
         (forecast(np.inf, np.nan, "diverged"), "1 of 1 forecast over 1 s diverged"),
         (forecast(np.nan, np.nan), "without samples"),

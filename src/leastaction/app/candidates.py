@@ -8,16 +8,24 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from leastaction.cli.values import check_known, known_coefficients
+from leastaction.cli.values import check_known, known_coefficients, name_list
 from leastaction.errors import InputError
+from leastaction.identifiers import check_coordinate_names
 
 if TYPE_CHECKING:
     from leastaction import Library, Trajectories
-    from leastaction.findings import Finding
 
-__all__ = ["Choice", "Task", "faults", "friction_choices", "proposed", "shown_names", "split_trials"]
+__all__ = ["FAMILIES", "Choice", "Task", "faults", "friction_choices", "shown_names", "split_trials"]
 
 _MOST_LINES = 1500
+
+FAMILIES = (
+    ("Stribeck: dry friction that is larger near rest", "stribeck"),
+    ("quadratic, as drag", "quadratic"),
+    ("dry, growing with the load", "load"),
+    ("different in the two directions", "asymmetric"),
+)
+"""Families of friction that need more than a term for each joint: what they are in words, and their names."""
 
 
 @dataclass
@@ -33,8 +41,8 @@ class Choice:
         itself.
     text, known, more_friction : str
         One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
-    friction : list of str
-        The ready-made friction candidates that are ticked.
+    friction, families : list of str
+        The ready-made friction candidates, and the families for all coordinates, that are ticked.
     gyroscopic : bool
         Whether generated candidates include terms linear in the velocities.
     delay : float
@@ -42,6 +50,10 @@ class Choice:
     offsets, prescribed : list of str
         Coordinates that are ticked: a constant force that nobody knows acts on them; forces that nobody
         measured move them.
+    hidden : str
+        Names of coordinates without a sensor, separated by commas.
+    hidden_angles : bool
+        Whether these are angles.
     held_out : int
         How many trials are not fitted but forecast.
     every_third : bool
@@ -58,6 +70,9 @@ class Choice:
     delay: float = 0.0
     offsets: list[str] = field(default_factory=list)
     prescribed: list[str] = field(default_factory=list)
+    families: list[str] = field(default_factory=list)
+    hidden: str = ""
+    hidden_angles: bool = False
     held_out: int = 0
     every_third: bool = False
 
@@ -67,8 +82,23 @@ class Choice:
         known = "" if data.driven else f"{data.coordinates[0]}_dot**2 = 1"
         return cls(known=known, held_out=len(data) // 3 or int(len(data) == 2))
 
+    def unseen(self, coordinates: Sequence[str]) -> tuple[str, ...]:
+        """Coordinates without a sensor, besides those of the data.
+
+        Raises
+        ------
+        InputError
+            If a name cannot be used, or is that of a column.
+        """
+        if not self.hidden.strip():
+            return ()
+        names = check_coordinate_names(name_list(self.hidden))
+        for name in {*names} & {*coordinates}:
+            raise InputError(f"{name} is measured; name only coordinates without a sensor")
+        return names
+
     def library(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
-        """The candidates.
+        """The candidates, also with coordinates that have no sensor.
 
         Raises
         ------
@@ -77,7 +107,8 @@ class Choice:
         """
         import leastaction as la
 
-        angles = list(angles)
+        unseen = self.unseen(coordinates)
+        coordinates, angles = (*coordinates, *unseen), [*angles, *(unseen if self.hidden_angles else ())]
         if self.written:
             bad = faults(self.text, coordinates)
             if bad:
@@ -127,7 +158,8 @@ class Choice:
         if bad:
             raise InputError(f"friction, {bad[0]}")
         offered = {text for _, text in friction_choices(coordinates)}
-        return [text for text in self.friction if text in offered] + lines(self.more_friction)
+        families = [name for _, name in FAMILIES if name in self.families]
+        return [text for text in self.friction if text in offered] + families + lines(self.more_friction)
 
     def known_terms(self, library: Library, driven: bool) -> dict[str, float]:
         """Known coefficients, each of a candidate.
@@ -174,7 +206,8 @@ class Choice:
         """Everything that a discovery needs."""
         library = self.library(data.coordinates, angles)
         fitted, held_out = split_trials(data, self.held_out, self.every_third)
-        return Task(fitted, held_out, library, self.known_terms(library, data.driven), self.forces(data))
+        known, forces = self.known_terms(library, data.driven), self.forces(data)
+        return Task(fitted, held_out, library, known, forces, self.unseen(data.coordinates))
 
 
 @dataclass(frozen=True)
@@ -195,6 +228,7 @@ class Task:
     library: Library
     known: dict[str, float]
     forces: Forces = Forces()
+    hidden: tuple[str, ...] = ()
     relevance: float = 0.05
 
     def shifted(self) -> Task:
@@ -206,35 +240,6 @@ class Task:
         parts = (self.fitted, self.held_out)
         fitted, held_out = (part and shift_forces(part, self.forces.delay) for part in parts)
         return replace(self, fitted=fitted, held_out=held_out, forces=replace(self.forces, delay=0.0))
-
-
-def proposed(finding: Finding, choice: Choice, library: Library) -> tuple[str, Choice] | None:
-    """What one click may do about a finding: the words of the button, and the choices that it leads to.
-
-    `library` has the candidates of the discovery that the finding is of; None where a person has to decide.
-    """
-    values, subject = finding.values, list(finding.subject)
-    lacking = values.get("family") if finding.code == "form-imitated" else subject
-    if finding.code in ("missing-term", "time-dependent", "form-imitated") and isinstance(
-        lacking, (list, tuple)
-    ):
-        new = [str(text) for text in lacking]
-        if not new:
-            return None
-        pushed = values.get("constant_force")
-        offsets = [*choice.offsets, pushed] if isinstance(pushed, str) and pushed else choice.offsets
-        text = "\n".join([*(term.text for term in library), *new])
-        return f"Add {', '.join(new)}", replace(choice, written=True, text=text, offsets=offsets)
-    size = values.get("coefficient")
-    brakes = isinstance(size, float) and size > 0.0  # a negative one would feed energy in
-    if finding.code in ("unmodelled-friction", "slight-friction") and brakes:
-        more = "\n".join(filter(None, [choice.more_friction.strip(), *subject]))
-        return f"Add {', '.join(subject)} to the friction", replace(choice, more_friction=more)
-    delay = values.get("delay")
-    if finding.code == "late-forces" and isinstance(delay, float):
-        later = choice.delay + delay
-        return f"Let the forces act {1e3 * later:.2g} ms later", replace(choice, delay=later)
-    return None
 
 
 def lines(text: str) -> list[str]:

@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 
 from nicegui import html, ui
 
-from leastaction.app.candidates import faults, friction_choices, lines, shown_names, split_trials
+from leastaction.app.candidates import (
+    FAMILIES,
+    faults,
+    friction_choices,
+    lines,
+    shown_names,
+    split_trials,
+)
 from leastaction.app.parts import action, fault, field, math, panel, say, title
 from leastaction.cli.text import counted
 from leastaction.errors import InputError
@@ -48,8 +55,10 @@ class CandidatesView:
             with panel():
                 self._candidates()
             with panel("stack"):
+                self.friction = html.div().classes("stack")
                 self._friction()
                 self._known()
+                self._hidden()
                 self._forces()
                 if len(self.data) > 1:
                     self._held_out()
@@ -57,6 +66,19 @@ class CandidatesView:
             self.summary = html.div().classes("summary").props("aria-live=polite")
             self.button = action("Find the Lagrangian", self.page.guarded(self._start), "main", "discover")
         self._check()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates of the law; those without a sensor as far as their names can be used."""
+        try:
+            return (*self.data.coordinates, *self.choice.unseen(self.data.coordinates))
+        except InputError:
+            return self.data.coordinates
+
+    @property
+    def angles(self) -> list[str]:
+        unseen = self.names[len(self.data.coordinates) :]
+        return [*self.page.session.angles, *(unseen if self.choice.hidden_angles else ())]
 
     def _candidates(self) -> None:
         title("Candidates")
@@ -70,7 +92,7 @@ class CandidatesView:
 
     def _set_written(self, written: bool) -> None:
         if written and not self.choice.text.strip():
-            generated = self.choice.generated(self.data.coordinates, self.page.session.angles)
+            generated = self.choice.generated(self.names, self.angles)
             self.choice.text = "\n".join(term.text for term in generated)
         self.choice.written = written
         self._show_source()
@@ -85,7 +107,7 @@ class CandidatesView:
                 self._sizes()
 
     def _sizes(self) -> None:
-        names, angles, gyroscopic = self.data.coordinates, self.page.session.angles, self.choice.gyroscopic
+        names, angles, gyroscopic = self.names, self.angles, self.choice.gyroscopic
         sizes = self.choice.sizes(names, angles)
         options = {size: f"{size}: {counted(count, 'candidate')}" for size, count in sizes.items()}
         say("From the kinds of your coordinates: products of velocities, and potentials.", "help")
@@ -123,11 +145,14 @@ class CandidatesView:
         return area
 
     def _friction(self) -> None:
-        with field("Friction", "Tick what could be there; what the data do not show is left out."):
-            self._boxes("friction", friction_choices(self.data.coordinates))
-            with ui.expansion("Other friction terms", value=bool(self.choice.more_friction)).classes(
-                "formulas"
-            ):
+        self.friction.clear()
+        words = "Tick what could be there; what the data do not show is left out."
+        with self.friction, field("Friction", words):
+            self._boxes("friction", friction_choices(self.names))
+            more = bool(self.choice.more_friction or self.choice.families)
+            with ui.expansion("Other friction", value=more).classes("formulas"):
+                say("In every coordinate:", "help")
+                self._boxes("families", FAMILIES)
                 say("Rayleigh functions ψ, one a line; the force is −∂ψ/∂q̇.", "help")
                 self._area(self.choice.more_friction, "more_friction", "Other friction terms", rows=2)
 
@@ -154,6 +179,27 @@ class CandidatesView:
             )
         with field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
+
+    def _hidden(self) -> None:
+        words = (
+            "Names, separated by commas. Their motion is estimated with the law. Offer few candidates: "
+            "compact, or written by hand."
+        )
+        with field("Coordinates without a sensor", words):
+            entry = ui.input(value=self.choice.hidden).classes("code").mark("hidden")
+            entry.props('outlined dense debounce=300 aria-label="Coordinates without a sensor"')
+            entry.on_value_change(self.page.guarded(lambda e: self._rename(hidden=e.value or "")))
+            box = ui.checkbox("they are angles", value=self.choice.hidden_angles).props("dense")
+            box.mark("hidden-angles")
+            box.on_value_change(self.page.guarded(lambda e: self._rename(hidden_angles=e.value)))
+
+    def _rename(self, **values: str | bool) -> None:
+        """Other coordinates have other candidates and other friction."""
+        for name, value in values.items():
+            setattr(self.choice, name, value)
+        self._show_source()
+        self._friction()
+        self._check()
 
     def _forces(self) -> None:
         names = [(text, c) for c, text in shown_names(self.data.coordinates).items()]
@@ -199,10 +245,10 @@ class CandidatesView:
         choice, data = self.choice, self.data
         bad: list[str] = []
         if choice.written:
-            bad = faults(choice.text, data.coordinates)
+            bad = faults(choice.text, self.names)
             self._show_faults(bad)
         else:
-            size = choice.size_for(data.coordinates, self.page.session.angles)
+            size = choice.size_for(self.names, self.angles)
             self.size_words.text = f"{size.capitalize()}: {_WORDS[size]}."
         text, problem = "", _problem(bad)
         try:

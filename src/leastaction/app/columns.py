@@ -188,6 +188,9 @@ def read(path: Path | Sequence[Path], roles: Mapping[str, str]) -> Trajectories:
         first, second = list(times)[:2]
         raise InputError(f"{first!r} and {second!r} are both marked as time; choose one")
     ((time, time_role),) = times.items()
+    time_unit, table = TIMES[time_role], peek(path if isinstance(path, Path) else path[0])
+    if time_role == TIME and table.unit(time, time=True) is None and not table.dated(time):
+        time_unit = None  # seconds, but only because nobody says anything else
     forces = _belonging(roles, FORCE, names)
     # what is said here wins over what the file says
     turning = [column for column in moving if roles[column] != COORDINATE]
@@ -200,7 +203,7 @@ def read(path: Path | Sequence[Path], roles: Mapping[str, str]) -> Trajectories:
         velocities=_belonging(roles, VELOCITY, names) or None,
         accelerations=_belonging(roles, ACCELERATION, names) or None,
         trial=_only(roles, TRIAL),
-        time_unit=TIMES[time_role],
+        time_unit=time_unit,
         units=units,
     )
     angles = [names[column] for column in turning]

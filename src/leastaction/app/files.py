@@ -167,7 +167,8 @@ def _choice(said: Mapping[str, Any]) -> Choice:
     """The choices, each of the kind that it has by default."""
     default, out = Choice(), {}
     for field in fields(Choice):
-        value, like = said[field.name], getattr(default, field.name)
+        like = getattr(default, field.name)
+        value = said.get(field.name, like)  # a session of an earlier version says less
         if isinstance(like, list):
             value = _texts(value)
         elif isinstance(like, float):

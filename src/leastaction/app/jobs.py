@@ -82,6 +82,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         task.known,
         force_offset=task.forces.offsets,
         prescribed=task.forces.prescribed,
+        hidden=task.hidden,
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )
@@ -91,7 +92,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
 
 def _derive(model: LagrangianModel) -> None:
     """Compute here what the page shows of the law: it stays with the model."""
-    _ = model.symmetries, model.simple_constants
+    _ = model.symmetries, model.simple_constants, model.small_motions
 
 
 def refine(progress: Callable[[str, dict], None], model: LagrangianModel, point: PathPoint) -> Found:

@@ -11,18 +11,19 @@ from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import Kind, frames, stick_kind
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
+from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
 from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
-from leastaction.report.tables import coefficient_groups, simple_rows, symmetry_rows
+from leastaction.report.law import unsmoothed
+from leastaction.report.tables import coefficient_groups, motion_rows, simple_rows, symmetry_rows
 from leastaction.report.text import percent, plain
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
-    from leastaction.app.candidates import Choice
     from leastaction.app.jobs import Found
     from leastaction.app.page import Page
 
@@ -51,6 +52,12 @@ class ResultView:
     def __init__(self, page: Page) -> None:
         self.page, self.session = page, page.session
 
+    @property
+    def _angles(self) -> list[str]:
+        """Coordinates of the law that are angles, also those without a sensor."""
+        task = self.session.task
+        return self.session.angles if task is None else list(task.library.angles)
+
     def build(self) -> None:
         self.model = html.div().classes("stack follows")
         with html.div().classes("halves uneven"):
@@ -78,6 +85,7 @@ class ResultView:
                 self._compare(found, notation)
             with self.symmetries:
                 _symmetries(found.model, notation)
+                _small_motions(found.model, notation)
         with self.motion:
             self._forecast(found, notation)
 
@@ -160,7 +168,7 @@ class ResultView:
             with html.p().classes("keys"):
                 say("measured", "key dots", "span")
                 say("forecast", "key line forecast", "span")
-            kind = stick_kind(model.coordinates, self.session.angles)
+            kind = stick_kind(model.coordinates, self._angles)
             with html.div().classes("halves" if kind else "stack"):
                 if kind:
                     with html.div():
@@ -176,7 +184,7 @@ class ResultView:
         model, motion = found.model, found.motion
         assert motion is not None
         for i, name in enumerate(model.coordinates[:_MOST_DRAWN]):
-            unit = "rad" if name in self.session.angles else ""
+            unit = "rad" if name in self._angles else ""
             figure = await aside(forecast_figure, motion, i, notation.text(name), unit)
             if box.is_deleted:
                 return
@@ -189,13 +197,13 @@ class ResultView:
 
     def _remedies(self) -> None:
         """One click each: the choices change, and the search begins again."""
-        offers = self.session.remedies()
-        if offers:
+        found = offers(self.session)
+        if found:
             with html.div().classes("heading offers"):
                 say("Search again with one change:", "help")
-                for words, choice in offers:
-                    ask = self.page.guarded(lambda _=None, choice=choice: self._again(choice))
-                    action(words, ask, "quiet").props("icon=replay").mark("remedy")
+                for offer in found:
+                    ask = self.page.guarded(lambda _=None, offer=offer: self._again(offer))
+                    action(offer.words, ask, "quiet").props("icon=replay").mark("remedy")
 
     def _compare(self, found: Found, notation: Notation) -> None:
         """The model that is shown beside the one that was kept; a button keeps this one."""
@@ -218,9 +226,8 @@ class ResultView:
         self.session.kept = self.session.current
         self.refresh()
 
-    def _again(self, choice: Choice) -> None:
-        self.session.choice = choice
-        self.session.discover()
+    def _again(self, offer: Offer) -> None:
+        take(self.session, offer)
         self.page.show("result")
 
     def _exports(self, fitted: bool) -> None:
@@ -340,6 +347,25 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
             "Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows]
         )
         say(captions.symmetry_note(model.symmetries), "help")
+
+
+def _small_motions(model: LagrangianModel, notation: Notation) -> None:
+    rows = motion_rows(model, notation)
+    with panel("motions"):
+        title("Equilibria and small motions")
+        if not rows:
+            say(captions.NO_MOTIONS, "help")
+            return
+        summary = captions.motion_summary(model.small_motions, notation)
+        if summary:
+            say(summary)
+        cells = [
+            (row["place"], row["standing"], *("; ".join(mode[k] for mode in row["modes"]) for k in (0, 1)))
+            for row in rows
+        ]
+        table("Table of equilibria", captions.MOTION_HEAD, cells)
+        left_out = next((system.left_out for _, system in model.small_motions if system is not None), ())
+        say(captions.motion_note([unsmoothed(text, notation.widths) for text in left_out]), "help")
 
 
 def _stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:

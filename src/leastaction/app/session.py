@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leastaction.app import columns, files
-from leastaction.app.candidates import Choice, Task, proposed
+from leastaction.app.candidates import Choice, Task
 from leastaction.app.jobs import Found, forecast, refine, search
 from leastaction.app.worker import Job, Worker, explain
 from leastaction.errors import DataError, InputError
@@ -96,9 +96,14 @@ class Session:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     @property
+    def moving(self) -> list[str]:
+        """Columns that are coordinates."""
+        return columns.moving_columns(self.roles)
+
+    @property
     def angles(self) -> list[str]:
-        """Coordinates that are angles."""
-        names = columns.coordinate_names(columns.moving_columns(self.roles))
+        """Coordinates of the table that are angles."""
+        names = columns.coordinate_names(self.moving)
         return [name for column, name in names.items() if self.roles[column] != columns.COORDINATE]
 
     def open_upload(self, name: str, content: bytes) -> None:
@@ -222,14 +227,6 @@ class Session:
         self.forget()
         self.job = self.worker.start(search, self.task)
         return self.job
-
-    def remedies(self) -> list[tuple[str, Choice]]:
-        """What one click may do about the findings on the model that is shown: words, and choices."""
-        if self.task is None:
-            return []
-        findings = self.current.model.fit.findings
-        offers = (proposed(finding, self.choice, self.task.library) for finding in findings)
-        return list({words: (words, choice) for words, choice in filter(None, offers)}.values())
 
     def go_to(self, place: int) -> Job | None:
         """Move along the trade-off curve: a provisional model is there at once, where there was none before.

@@ -74,7 +74,7 @@ def demo(ctx: click.Context, system: str, output: str) -> None:
     say()
     _show_coefficients(chosen, model)
     say()
-    show_fit(model)
+    show_fit(model, forecasts["found"])
     say()
     _show_forecasts(forecasts)
     say()

@@ -278,7 +278,7 @@ def _show(
         if model.fit.status != "ok":
             warn_of_doubts("the fit", model)
     else:
-        show_model(model, lengths)
+        show_model(model, lengths, forecast)
         if forecast is not None:
             say()
             show_forecast(forecast)

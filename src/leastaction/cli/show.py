@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from leastaction.cli.text import counted, in_options, one_line
+from leastaction.findings.wording import fill
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -163,10 +165,14 @@ def with_error(term: ModelTerm) -> str:
     return f"{value} ± {rounded(term.standard_error, term.standard_error)}"
 
 
-def show_model(model: LagrangianModel, lengths: Mapping[str, float] | None = None) -> None:
+def show_model(
+    model: LagrangianModel,
+    lengths: Mapping[str, float] | None = None,
+    forecast: ForecastResult | None = None,
+) -> None:
     """Print Lagrangian, table, status, warnings, and what was left out before the fit.
 
-    With lengths of links, also gravity.
+    With lengths of links, also gravity. With a forecast of held-out trials, the verdict gives its error.
     """
     from leastaction.model.notation import interval_text, plain_sum, z_text
     from leastaction.model.text import resting_lines, simple_lines, symmetry_lines
@@ -197,7 +203,7 @@ def show_model(model: LagrangianModel, lengths: Mapping[str, float] | None = Non
     for line in resting_lines(model):
         say(f"equilibrium: {line}")
     show_gravity(model, lengths)
-    show_fit(model)
+    show_fit(model, forecast)
 
 
 def show_gravity(model: LagrangianModel, lengths: Mapping[str, float] | None) -> None:
@@ -225,13 +231,16 @@ def _differences(model: LagrangianModel) -> Iterator[tuple[str, list[ModelTerm]]
             yield f"differences of {name} from {groups.names[0]}:", differences
 
 
-def show_fit(model: LagrangianModel) -> None:
+def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> None:
     """Print the status of the fit, its warnings, and what was done to library and data."""
     doubts = model.fit.status != "ok"
     status = model.fit.status.upper() if doubts else "ok"
     color = "yellow" if doubts else "green"
     say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
-    for name, text in model.fit.statements.items():
+    statements = model.fit.statements
+    if forecast is not None:
+        statements["forecast"] = _held_out(forecast)
+    for name, text in statements.items():
         say(f"{name}: {one_line(text)}")
     for text in model.fit.sentences("warning", "command line"):
         say(f"WARNING: {one_line(text)}", bold=True, fg="yellow")
@@ -246,8 +255,29 @@ def show_fit(model: LagrangianModel) -> None:
         parts = ", ".join(f"{count} {kinds.get(reason, reason)}" for reason, count in dropped.items())
         total = counted(sum(dropped.values()), "candidate")
         say(f"left out before the fit: {total} ({parts}); the report names them")
-    for note in model.fit.sentences("note", "command line"):
+    for note in _notes(model):
         say(f"note: {one_line(note)}")
+
+
+def _held_out(forecast: ForecastResult) -> str:
+    off = max((share for share in forecast.rms_over_std.tolist() if share == share), default=math.nan)
+    return fill(
+        "held-out trials are off by {off:.2g%} of the spread over {horizon:g} s",
+        {"off": off, "horizon": forecast.horizon},
+    )
+
+
+def _notes(model: LagrangianModel) -> Iterator[str]:
+    """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
+    from leastaction.findings import sentence
+
+    notes = [f for f in model.fit.findings if f.severity == "note" and f.code != "forecasts"]
+    smooth = any("sqrt(" in term.written for term in (*model.terms, *model.dissipation))
+    if not smooth:
+        notes = [f for f in notes if f.code != "friction-smoothed"]
+    for _, alike in groupby(notes, key=lambda f: (f.code, f.remedy if f.code != "text" else id(f))):
+        *others, last = alike
+        yield "; ".join([*(f.message for f in others), sentence(last, "command line")])
 
 
 def show_forecast(forecast: ForecastResult) -> None:

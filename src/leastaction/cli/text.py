@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 
 import click
 from click.shell_completion import CompletionItem
@@ -12,6 +13,7 @@ __all__ = ["complete_file", "complete_folder", "counted", "in_options", "one_lin
 
 _OPTIONS = {
     "(trial=...)": "(--trial)",
+    "(time=...)": "(--time)",
     "time_unit is": "--time-unit is",
     "in time_unit and in units": "in --time-unit and in --units",
     "with time_unit": "with --time-unit",
@@ -60,7 +62,7 @@ def in_options(text: str) -> str:
     """
     for argument, option in _OPTIONS.items():
         text = text.replace(argument, option)
-    return text
+    return re.sub(r"coordinates=\{'(.+?)': '(.+?)'\}", r'--coordinates "\1=\2"', text)
 
 
 def complete_file(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:

@@ -92,7 +92,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
     if unexplained:
-        found += _perhaps_degrees(fit, period)
+        found += _perhaps_degrees(fit, period, share)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
@@ -219,20 +219,23 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     ]
 
 
-def _perhaps_degrees(fit: Fit, period: float) -> list[Finding]:
+def _perhaps_degrees(fit: Fit, period: float, share: np.ndarray) -> list[Finding]:
     """An angle that covers more than two turns within a recording may be in degrees.
 
-    Not where free runs follow the data: no law whose sines and cosines are those of degrees does, and where
-    the angle does not matter, nor does its unit.
+    Not where free runs follow the data: few laws whose sines and cosines are those of degrees do, and where
+    the angle does not matter, nor does its unit. An equation that is off by more than its forces explains
+    nothing, even where a simulation happens to follow.
     """
     spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
-    found = [
-        find("angle-in-degrees", name, span=span)
-        for name, span in zip(fit.problem.trajectories.coordinates, spans, strict=True)
+    names = fit.problem.trajectories.coordinates
+    found = {
+        name: find("angle-in-degrees", name, span=span)
+        for name, span in zip(names, spans, strict=True)
         if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
-    ]
+    }
+    nothing = {name for name, part in zip(names, share, strict=True) if part >= 1.0}
     follows = found and fit.converged and forecast_error(fit, period) <= DIAGNOSIS.follows
-    return [] if follows else found
+    return [finding for name, finding in found.items() if name in nothing or not follows]
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:
@@ -338,16 +341,18 @@ def _zero_offsets(fit: Fit) -> list[Finding]:
     """a g cos u + b g sin u with a small b is a g cos(u − b/a): the zero of an angle is off."""
     notes: list[Finding] = []
     present = [*fit.structure, *(int(k) for k in np.flatnonzero(fit.problem.is_known))]
-    found = ((fit.problem.terms[k], float(fit.coefficients[k])) for k in present)
-    terms = {term.expr: coefficient for term, coefficient in found if not isinstance(term, GroupTerm)}
-    for expression, coefficient in terms.items():
+    found = [(fit.problem.terms[k], float(fit.coefficients[k])) for k in present]
+    found = [(term, coefficient) for term, coefficient in found if not isinstance(term, GroupTerm)]
+    terms = {term.expr: coefficient for term, coefficient in found}
+    for term, coefficient in found:
+        expression = term.expr
         for cosine in expression.atoms(sp.cos):
             if time_symbol in cosine.free_symbols:  # a phase, not the zero of an angle
                 continue
             beside = terms.get(expression.subs(cosine, sp.sin(cosine.args[0])))
             if beside is not None and abs(beside) < DIAGNOSIS.small_offset * abs(coefficient):
                 angle, offset = str(cosine.args[0]), beside / coefficient
-                notes.append(find("zero-offset", angle, term=str(expression), offset=offset))
+                notes.append(find("zero-offset", angle, term=term.text, offset=offset))
     return notes
 
 

@@ -1,5 +1,7 @@
-"""A model as an FMU for co-simulation: an archive of a description, C sources and a library
-that the compiler found on the PATH makes of them.
+"""A model as an FMU for co-simulation: an archive of a description, C sources and compiled libraries.
+
+The compiler found on the PATH makes the library of this platform.  Where the package ``ziglang`` is installed
+(extra ``fmu``), its ``cc`` makes those of the others.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import uuid
 import zipfile
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -27,9 +30,28 @@ from leastaction.exporters.shared import about, clock
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
 
-__all__ = ["COMPILERS", "compile_library", "longest_step", "platform_name", "source_files", "write"]
+__all__ = [
+    "COMPILERS",
+    "TARGETS",
+    "compile_library",
+    "longest_step",
+    "platform_name",
+    "source_files",
+    "write",
+]
 
 COMPILERS = ("cc", "gcc", "clang")
+TARGETS = {
+    2: {"win64": "x86_64-windows-gnu", "linux64": "x86_64-linux-gnu.2.17", "darwin64": "x86_64-macos"},
+    3: {
+        "x86_64-windows": "x86_64-windows-gnu",
+        "x86_64-linux": "x86_64-linux-gnu.2.17",
+        "aarch64-linux": "aarch64-linux-gnu.2.17",
+        "x86_64-darwin": "x86_64-macos",
+        "aarch64-darwin": "aarch64-macos",
+    },
+}
+"""Version of FMI -> its name of a platform -> Zig's name, with the oldest glibc that is supported."""
 _SECONDS = 600  # that a compilation may take
 
 _MAX_STEP = 1e-3  # seconds, unless the knots of the discovery or the halving test ask for less
@@ -66,15 +88,29 @@ def write(model: LagrangianModel, version: int, file: str | None = None) -> byte
     ]
     token = f"{{{uuid.uuid5(uuid.NAMESPACE_URL, ''.join(parts))}}}"
     sources = source_files(model, version, name, token, step)
-    library, suffix = compile_library(sources, [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"])
     members: dict[str, bytes] = {
         "modelDescription.xml": model_description(name, version, table, token).encode(),
-        f"binaries/{platform_name(version)}/{name}{suffix}": library,
+        **{
+            f"binaries/{place}/{name}{suffix}": library
+            for place, (library, suffix) in _libraries(sources, version).items()
+        },
         **{f"sources/{path}": text.encode() for path, text in sources.items()},
     }
     if version == 3:
         members["sources/buildDescription.xml"] = build_description(name).encode()
     return _archive(members)
+
+
+def _libraries(sources: Mapping[str, str], version: int) -> dict[str, tuple[bytes, str]]:
+    """Name of a platform -> library and suffix: this one, and with Zig the others."""
+    options, zig = [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"], find_spec("ziglang") is not None
+    out: dict[str, tuple[bytes, str]] = {}
+    if not zig or _compiler() is not None:
+        out[platform_name(version)] = compile_library(sources, options)
+    for place, target in TARGETS[version].items() if zig else ():
+        if place not in out:
+            out[place] = compile_library(sources, options, target)
+    return out
 
 
 def source_files(
@@ -207,30 +243,45 @@ def platform_name(version: int) -> str:
     return "darwin64" if version == 2 and short == "darwin" else f"{machine}-{long}"
 
 
-def compile_library(sources: Mapping[str, str], options: Sequence[str] = ()) -> tuple[bytes, str]:
+def _compiler() -> str | None:
+    return next((found for name in COMPILERS if (found := shutil.which(name))), None)
+
+
+def compile_library(
+    sources: Mapping[str, str], options: Sequence[str] = (), target: str | None = None
+) -> tuple[bytes, str]:
     """Return a shared library of the C files (file name -> text), and the suffix of its name.
+
+    Parameters
+    ----------
+    target : str, optional
+        Platform as Zig names it; by default this one, by the compiler on the PATH.
 
     Raises
     ------
     InputError
         If there is no C compiler, or it fails.
     """
-    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    compiler = _compiler() if target is None else "ziglang"
     if compiler is None:
         raise InputError(
             f"there is no C compiler on the PATH (looked for {', '.join(COMPILERS)}), and an FMU holds "
-            "compiled code; install one such as GCC or Clang, or export another format"
+            "compiled code; install one such as GCC or Clang, or pip install 'leastaction[fmu]', or export "
+            "another format"
         )
-    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    start = [compiler] if target is None else [sys.executable, "-m", "ziglang", "cc", "-target", target, "-s"]
+    system = sys.platform if target is None else target
+    windows, mac = system == "win32" or "windows" in system, system == "darwin" or "macos" in system
+    suffix = ".dll" if windows else ".dylib" if mac else ".so"
     with TemporaryDirectory(prefix="leastaction-") as name:
         folder = Path(name)
         for path, text in sources.items():
             (folder / path).write_text(text, encoding="utf-8")
         units = sorted(path for path in sources if path.endswith(".c"))
-        position = [] if sys.platform == "win32" else ["-fPIC", "-fvisibility=hidden"]
-        if sys.platform == "linux":  # elsewhere a missing function is an error anyway
+        position = [] if windows else ["-fPIC", "-fvisibility=hidden"]
+        if "linux" in system:  # elsewhere a missing function is an error anyway
             position.append("-Wl,--no-undefined")
-        command = [compiler, "-std=c99", "-O2", *position, *options, "-shared", "-o", f"library{suffix}"]
+        command = [*start, "-std=c99", "-O2", *position, *options, "-shared", "-o", f"library{suffix}"]
         try:
             done = subprocess.run(
                 [*command, *units, "-lm"], cwd=folder, capture_output=True, timeout=_SECONDS, check=False

@@ -21,8 +21,8 @@ FORMATS = {
     "mjcf": "MuJoCo model of a chain of links in a plane, if the law is one",
     "urdf": "robot description of a chain of links in a plane, if the law is one",
     "matlab": "MATLAB or Octave function file: acceleration, state derivative for ode45, energy",
-    "fmu2": "FMU for co-simulation, FMI 2.0: C sources, and compiled for this computer",
-    "fmu3": "FMU for co-simulation, FMI 3.0: C sources, and compiled for this computer",
+    "fmu2": "FMU for co-simulation, FMI 2.0: C sources and compiled code",
+    "fmu3": "FMU for co-simulation, FMI 3.0: C sources and compiled code",
 }
 """Name -> one line."""
 

@@ -80,7 +80,8 @@ def export(model, format, path=None):
                     for ``ode45``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``. The function has the name
                     of the file
     ``"fmu2"``      an FMU for co-simulation (FMI 2.0) with its C sources, compiled for this computer by the
-                    C compiler on the PATH. Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
+                    C compiler on the PATH, and with the extra ``fmu`` also for Windows, Linux and macOS.
+                    Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
                     ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
                     first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
                     ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms

@@ -265,6 +265,13 @@ CODES: dict[str, Message] = {
     # what was done to data and library
     "time-unit": Message("note", templates.time_unit),
     "time-column": Message("note", "the times were read from the column '{column}'"),
+    "long-time-step": Message(
+        "note",
+        "the samples are {step:.3g} s apart if the times in '{column}' are seconds",
+        "if they are not, give their unit, e.g. time_unit='ms'",
+        on_command_line="if they are not, give their unit, e.g. --time-unit ms",
+        on_page="if they are not, choose their unit",
+    ),
     "dates": Message(
         "note", "the dates in '{column}' were converted to seconds since the first date of each file"
     ),

@@ -45,6 +45,8 @@ class _Template(Formatter):
         if format_spec.endswith("%"):
             if not math.isfinite(value):
                 return "an unknown share"
+            if abs(value) >= 1.0:  # never 2e+02 %
+                format_spec = ".0f%"
             return f"{format(100.0 * value, format_spec[:-1])} %"
         return super().format_field(value, format_spec)
 

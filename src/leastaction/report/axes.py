@@ -27,6 +27,7 @@ _UPRIGHT = Linear(room=45.0, share=0.06, steps=(1.0, 2.0, 2.5, 5.0))
 
 # Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
 _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
+_UNDER = 18.0  # of the bottom: the label of the horizontal axis
 _DIGIT, _LETTER = 9.8, 10.5
 _SPARSE = 16.0  # px from sample to sample, from which on dots do not hide the line below them
 _WIDER = {"−": 1.35, ".": 0.5}  # in digits
@@ -243,8 +244,9 @@ class Axes:
         room = int(self.width / _LETTER)
         x, y = shortened(x, room - len(x_unit)), shortened(y, room - len(y_unit))
         parts.append(text(with_power(y, y_ticks.power, y_unit), 2, 15.2, "label"))
-        x = with_power(x, x_ticks.power, x_unit)
-        parts.append(text(x, frame.right, self.height - 4.9, "label", "end"))
+        if x:
+            x = with_power(x, x_ticks.power, x_unit)
+            parts.append(text(x, frame.right, self.height - 4.9, "label", "end"))
         return "".join(parts)
 
     def _layout(self) -> tuple[Frame, Ticks, Ticks]:
@@ -253,7 +255,8 @@ class Axes:
         x_ends, y_ends = self._ends(0), self._ends(1)
         y_ticks = y_scale.ticks(*y_ends, max(3, int(self.height / y_scale.room)))
         left = max(_LEFT, _widest(y_ticks) + 8)
-        right, bottom = self.width - _RIGHT, self.height - _BOTTOM
+        below = _BOTTOM if self._labels[0] else _BOTTOM - _UNDER
+        right, bottom = self.width - _RIGHT, self.height - below
         frame = Frame(left, right, _TOP, bottom, x_scale, y_scale, x_ends, y_ends)
         for most in range(max(4, int(self.width / x_scale.room)), 0, -1):
             x_ticks = x_scale.ticks(*x_ends, most)

@@ -88,7 +88,7 @@ def forecast_title(result: ForecastResult) -> str:
         return f"{text}: as an exact model would be"
     if np.isfinite(result.coverage).any():
         inside = percent(float(np.nanmin(result.coverage)))
-        return f"{text}; {inside} of the samples lie in the model's 95 % band"
+        return f"{text}; {inside} of the samples are in the 95 % band"
     times = f"{ratio:.0f}" if 10 <= ratio < 1e4 else plain(ratio, 2)
     return f"{text}: {times} times as far as an exact model would be"
 
@@ -96,7 +96,8 @@ def forecast_title(result: ForecastResult) -> str:
 def curve_title(series: Series, i: int, name: str) -> str:
     """How well curve and samples agree."""
     if i not in series.measured:
-        return f"{name}: not measured; the curve is estimated from the equations"
+        largest = plain(1.96 * float(np.max(series.estimate(i).standard_error)), 2)
+        return f"{name}: not measured, but estimated from the equations (95 % band: at most ± {largest})"
     ratio = _ratio(series, i)
     if math.isnan(ratio):
         return f"{name}: samples and fitted curve"
@@ -240,7 +241,7 @@ def energy_title(energy: dict[str, Any]) -> str:
     else:
         text = f"Nothing drives or brakes this motion: the energy should stay at {energy['start']}"
     if energy["imbalance"]:
-        text += f"; {energy['imbalance']} of the mean kinetic energy stays unexplained (rms, worst trial)"
+        text += f"; {energy['imbalance']} of the mean kinetic energy stays unexplained (worst trial)"
     return text
 
 

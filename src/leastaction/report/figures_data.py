@@ -35,8 +35,23 @@ class DataFigures:
         t = _sample_times(trial.t[0], trial.t[-1], 4 * trial.n_times)
         axes.line(*thin_line(t, self.series.curve(t)[:, i], self._share(_POINTS)), "fit", 1.1)
         axes.label("t (s)", name, y_unit=self._unit(i))
-        said = f"{trial.n_samples} samples, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
-        return axes.svg(f"overview{i}", f"{name} over the whole trial {trial.name}", said)
+        title = f"{name} over the whole trial {trial.name}"
+        if i in self.series.measured:
+            said = f"{trial.n_samples} samples, the fitted curve as a line. {self._range(trial.q[:, i], i)}"
+            return axes.svg(f"overview{i}", title, said)
+        return axes.svg(f"overview{i}", title, "The estimated curve as a line") + self._band(i)
+
+    def _band(self, i: int) -> Markup:
+        """The 95 % band about the estimate, in a panel of its own: beside the motion it is too thin."""
+        name, motion = self._name(i), self.series.estimate(i)
+        reach = 1.96 * motion.standard_error
+        axes = Axes((HALF[0], 130.0))
+        axes.strip(motion.t, -reach, reach, "fit")
+        axes.rule(0.0, "fit", 1.2)
+        most = 1.1 * float(np.max(reach)) or 1.0
+        axes.limit(x=(motion.t[0], motion.t[-1]), y=(-most, most))
+        axes.label("t (s)", "95 % band about the estimate", y_unit=self._unit(i))
+        return axes.svg(f"band{i}", f"95 % band of {name}", f"At most ± {plain(most / 1.1)} {self._unit(i)}")
 
     def zoom(self, i: int, derivative: int) -> Markup:
         """A stretch of the curve, or of its derivative, with the samples of the coordinate."""

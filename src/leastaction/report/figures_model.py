@@ -150,16 +150,17 @@ def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
 
 def forecast_panel(trace: ForecastTrace, i: int, name: str, unit: str, key: str) -> Markup:
     """Measured samples and the free run of one coordinate, and below them what is between the two."""
-    axes = Axes(HALF)
+    axes = Axes((HALF[0], HALF[1] - 18.0))
     reach = None if trace.reach is None else trace.reach[:, i]
     draw_forecast(axes, trace.t, trace.measured[:, i], trace.forecast[:, i])
     if reach is not None:
         axes.strip(trace.t, trace.forecast[:, i] - reach, trace.forecast[:, i] + reach, "forecast")
-    axes.label("t (s)", name, y_unit=unit)
+    errors = _errors_of_forecast(trace, i, reach, (name, unit), f"{key}e")
+    axes.label("" if errors else "t (s)", name, y_unit=unit)  # one axis of time for both
     far = "no error known" if np.isnan(trace.rms[i]) else f"rms error {plain(float(trace.rms[i]))} {unit}"
     title = f"{name} of trial {trace.trial} from {trace.origin:.4g} s: forecast and samples"
     said = f"Measured samples, and the free run as a line; {far}"
-    return axes.svg(key, title, said) + _errors_of_forecast(trace, i, reach, (name, unit), f"{key}e")
+    return axes.svg(key, title, said) + errors
 
 
 def _errors_of_forecast(

@@ -291,12 +291,14 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         for k, (title, trace) in enumerate(picked)
     ]
     rows = tables.forecast_trials(result)
+    folds = n_drawn > 1 and len(panels) > 1  # the largest error beside itself, that of the median folded away
     return {
         "forecast": {
             "result": result,
             "title": captions.forecast_title(result),
             "banded": bool(np.isfinite(result.coverage).any()),
-            "panels": panels,
+            "shown": panels[-1:] if folds else panels,
+            "folded": panels[0] if folds else None,
             "rows": tables.forecast_rows(result, notation, units),
             "trials": rows[:_MOST_ROWS],
             "n_more": max(len(rows) - _MOST_ROWS, 0),

@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.mechanics.equations import state_symbols
-from leastaction.model.diagnostics import Diagnostics
+from leastaction.model.diagnostics import Diagnostics, HiddenMotion
 from leastaction.model.model import LagrangianModel
 
 __all__ = ["Energy", "Series"]
@@ -70,6 +70,10 @@ class Series:
         """Coordinates that a sensor saw."""
         hidden = _diagnostics(self.model).hidden_motion
         return tuple(i for i, name in enumerate(self.model.coordinates) if name not in hidden)
+
+    def estimate(self, coordinate: int) -> HiddenMotion:
+        """Motion of a coordinate without a sensor in the trial that is shown."""
+        return _diagnostics(self.model).hidden_motion[self.model.coordinates[coordinate]][self.trial]
 
     def correlation(self, coordinate: int) -> np.ndarray:
         """Autocorrelation of the residuals at lags of 1, 2, … samples, missing ones left out."""

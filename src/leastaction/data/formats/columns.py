@@ -75,5 +75,9 @@ class Names:
             if names
             else f"it has no named {self.kind}s"
         )
-        cure = "; name the one of the times (time=...)" if time and names else ""
+        cure = ""
+        if time and names:
+            cure = "; name the one of the times (time=...)"
+        elif role == f"coordinate {name}" and names:
+            cure = f"; give its column: coordinates={{{name!r}: {names[-1]!r}}}"
         raise InputError(f"{self.source} has no {self.kind} {quoted(name)} ({role}); {there}{cure}")

@@ -15,9 +15,11 @@ from leastaction.data.formats.csv import read_csv_table
 from leastaction.data.formats.frames import peek_excel, read_excel_table, read_parquet_table
 from leastaction.data.formats.layout import BESIDE, Layout, Table
 from leastaction.data.formats.text import Peek, peek_csv
+from leastaction.data.formats.units import parted
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray, time_fault
 from leastaction.errors import DataError, InputError
+from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
 
 __all__ = [
@@ -34,6 +36,10 @@ __all__ = [
 
 MIN_SAMPLES = 5
 """Fewest measured samples of a coordinate in a trial with which anything can be done."""
+
+LONG_STEP = 1.0
+"""Seconds between samples beyond which times without a unit may be milliseconds: logs of mechanical systems
+are faster, and a clock in milliseconds below 1 kHz is not."""
 
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
 
@@ -227,10 +233,9 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
         _check_enough(layout, table, label, q)
         beside = {kind: _matrix(layout, numbers, kind, rows, q.shape) for kind in BESIDE}
         t = numbers[layout.time][rows]
+        said = layout.findings + _perhaps_not_seconds(layout, t)
         trajectories.append(
-            Trajectory(
-                t, q, coordinates=tuple(layout.coordinates), name=label, findings=layout.findings, **beside
-            )
+            Trajectory(t, q, coordinates=tuple(layout.coordinates), name=label, findings=said, **beside)
         )
     result = Trajectories(trajectories)
     return result.unwrap(layout.angles) if layout.angles else result
@@ -307,6 +312,15 @@ def _check_times(layout: Layout, table: Table, label: str, rows: slice) -> None:
         cure += ", or give the column that tells the trials apart (trial=...)"
     place = f"{table.source}, {table.place(rows.start + index)}, column {quoted(layout.time)}"
     raise InputError(f"{place}: {what}; {cure}")
+
+
+def _perhaps_not_seconds(layout: Layout, t: FloatArray) -> tuple[Finding, ...]:
+    """A note where nobody says the unit of the times, and samples are a second or more apart."""
+    step = float(np.median(np.diff(t))) if t.size >= 20 else 0.0  # as many as a discovery needs
+    told = layout.time in (*layout.asked, *layout.conversions) or layout.clock or layout.as_written
+    if told or step < LONG_STEP or parted(layout.time, time=True)[1]:
+        return ()
+    return (find("long-time-step", column=layout.time, step=step),)
 
 
 def _check_enough(layout: Layout, table: Table, label: str, q: FloatArray) -> None:
