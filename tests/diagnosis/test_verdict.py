@@ -295,6 +295,9 @@ def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
     (found,) = findings_of(model, "forecasts")
     result = model.validate(data, horizon=found.values["horizon"])
     assert found.values["error"] == pytest.approx(float(result.rms_over_std.max()), rel=0.3)
+    worst = max(float(part.rms[0] / result.std[0]) for part in result.by_trial().values())
+    assert found.values["worst"] == pytest.approx(worst, rel=0.3)
+    assert found.values["horizon"] <= 0.4 * min(t.duration for t in data)
     again = la.LagrangianModel.from_dict(model.to_dict())
     assert again.fit == model.fit
 

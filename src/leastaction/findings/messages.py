@@ -350,9 +350,13 @@ CODES: dict[str, Message] = {
     ),
     "forecasts": Message(
         "note",
-        "simulations started from states along the data, over {horizon:.2g} s (about a period), are off by "
-        "{error:.2g%} of the spread",
+        templates.followed,
         "compare forecasts of held-out trials with the accuracy that you need",
+    ),
+    "forecast-reach": Message(
+        "note",
+        templates.reach,
+        "estimated from the intervals: forecast a trial that was held out",
     ),
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),
