@@ -16,6 +16,7 @@ from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import Finding, find, status_of
 from leastaction.hidden.band import curve_errors
 from leastaction.model.diagnostics import Diagnostics, HiddenMotion, PathPoint, pareto
+from leastaction.model.gravity import gravity_findings
 from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -90,8 +91,12 @@ def assemble_model(
         _shapes(fit),
         _groups(fit, unknown),
     )
-    reach = _reach(model, diagnostics, search.scales.period) if status == "ok" else []
-    return replace(model, fit=replace(model.fit, findings=(*findings, *reach))) if reach else model
+    more = gravity_findings(model, options.get("lengths", {}))
+    status = status_of((*findings, *more))
+    more += _reach(model, diagnostics, search.scales.period) if status == "ok" else []
+    return (
+        replace(model, fit=replace(model.fit, status=status, findings=(*findings, *more))) if more else model
+    )
 
 
 def _reach(model: LagrangianModel, found: Diagnostics, period: float) -> list[Finding]:

@@ -31,6 +31,7 @@ from helpers import (
 )
 from leastaction import systems
 from leastaction.curve.knots import excerpt
+from leastaction.refit import refit
 
 
 # ------------------------------------------------------------------------------ round trips
@@ -157,6 +158,22 @@ def test_the_stated_reach_is_that_of_unseen_motions():
     spread = np.concatenate([t.q for t in data]).std(axis=0)
     off = np.sqrt(np.mean(np.square(last), axis=0)) / spread
     assert 0.3 * share < off.max() < 2.0 * share
+
+
+@pytest.mark.parametrize("clock", [1.0, 1e3])
+def test_a_length_shows_a_wrong_clock(clock):
+    data = la.Trajectories([t.changed(t=clock * t.t) for t in pendulum()])
+    model = la.discover(data, PENDULUM_LIBRARY, dissipation=FRICTION, lengths={"theta": 1.0})
+    codes = [f.code for f in model.fit.findings if f.severity == "warning"]
+    assert codes == ([] if clock == 1.0 else ["gravity-off"])
+    again = refit(model, next(p for p in model.diagnostics.path if p.chosen))
+    assert again.fit.status == model.fit.status == ("ok" if clock == 1.0 else "doubtful")
+
+
+@pytest.mark.parametrize("lengths", [{"x": 1.0}, {"theta": -1.0}])
+def test_lengths_are_checked_before_the_search(lengths):
+    with pytest.raises(la.InputError, match="length"):
+        la.discover(pendulum(), PENDULUM_LIBRARY, lengths=lengths)
 
 
 # ----------------------------------------------------------------------------- invariances

@@ -20,6 +20,7 @@ __all__ = [
     "equations_off_remedy",
     "followed",
     "friction",
+    "gravity_remedy",
     "groups_differ",
     "hidden_coordinate",
     "hidden_motion_open",
@@ -351,6 +352,14 @@ def correlated(f: dict[str, Any]) -> str:
     """State that residuals are not white."""
     what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
     return fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
+
+
+def gravity_remedy(f: dict[str, Any]) -> str:
+    """What g that is not that of the Earth may come from."""
+    if f["unit"]:
+        return f"{f['unit']}; correct the unit"
+    text = "check the times (a second of the recording may be {clock:.4g} s), the length, and whether the "
+    return fill(text + "plane of motion is inclined", f)
 
 
 def groups_differ(f: dict[str, Any]) -> str:
