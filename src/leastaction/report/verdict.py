@@ -156,8 +156,9 @@ def _free_runs(model: LagrangianModel) -> str:
     for finding in model.fit.findings:
         if finding.code == "forecasts":
             error, horizon = (as_float(finding.values[name], name) for name in ("error", "horizon"))
-            worst = finding.values.get("worst")
-            more = f" ({percent(as_float(worst, 'worst'))} in the worst trial)" if worst is not None else ""
+            worst, trials = (finding.values.get(name) for name in ("worst", "trials"))
+            several = worst is not None and trials != 1
+            more = f" ({percent(as_float(worst, 'worst'))} in the worst trial)" if several else ""
             return f"an error of {percent(error)} of the spread over {plain(horizon)} s{more}"
     return ""
 
