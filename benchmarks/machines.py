@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 
 import click
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt
 
 import leastaction as la
@@ -217,7 +218,7 @@ def _faults(rng: np.random.Generator) -> dict[str, float]:
 
 
 def draw(kind: str, seed: int, extent: Extent | None = None, less: float = 1.0) -> Machine:
-    """The machine of a seed, with its recordings; faults may be less than usual."""
+    """The machine of a seed, with its recordings; faults, and how torques are held, may be less."""
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     plant, extent = _PLANTS[kind](rng), extent or Extent()
     faults = _faults(rng)
@@ -232,7 +233,9 @@ def draw(kind: str, seed: int, extent: Extent | None = None, less: float = 1.0) 
         )
     given *= 0.5 * drive
     tick = np.arange(t.size) // int(faults["held"]) * int(faults["held"])
-    acting = np.repeat(given[:, tick], step, axis=1)[:, : fine.size]
+    told = given + min(less, 1.0) * (given[:, tick] - given)
+    smooth = CubicSpline(t, given, axis=1)(fine)
+    acting = smooth + min(less, 1.0) * (np.repeat(told, step, axis=1)[:, : fine.size] - smooth)
     lag = round(faults["late"] * step)
     acting = np.concatenate([np.repeat(acting[:, :1], lag, axis=1), acting[:, : fine.size - lag]], axis=1)
     band = np.array([faults["from_hz"], 2.0 * faults["from_hz"]]) / (FINE / 2.0)
@@ -261,7 +264,7 @@ def draw(kind: str, seed: int, extent: Extent | None = None, less: float = 1.0) 
     friction = _friction(rng, plant, np.sqrt(np.mean(free[1] ** 2, axis=(0, 1))))
     recorded, _ = motion(friction, fine)
     seen = np.round(recorded[::step] / faults["encoder"]) * faults["encoder"]
-    told = given[:, tick] + faults["noise"] * drive * rng.normal(size=given.shape)
+    told = told + faults["noise"] * drive * rng.normal(size=given.shape)
     data = la.Trajectories(
         [la.Trajectory(t, seen[:, k], forces=told[k], coordinates=list(plant.names)) for k in range(trials)]
     )

@@ -177,6 +177,7 @@ _ORDER = (
     "robot_arm",
     "seven_joint_arm",
     "closed_loop_arm",
+    "payload",
     "oscillators",
     "magnetic_pendulum",
     "unknown_anchor",

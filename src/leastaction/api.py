@@ -23,6 +23,7 @@ from leastaction.estimation.intervals import first_points
 from leastaction.estimation.profile import profiled
 from leastaction.findings import doubtful, find
 from leastaction.library import Library
+from leastaction.model.gravity import checked_lengths
 from leastaction.model.model import LagrangianModel
 from leastaction.selection.alternatives import find_alternatives
 from leastaction.selection.descent import run_descent
@@ -56,6 +57,7 @@ def discover(
     seed: int = 0,
     shapes: Mapping[str, tuple[float, float]] | None = None,
     groups: Mapping[str, object] | Iterable[object] | None = None,
+    lengths: Mapping[str, float] | None = None,
     options: AdamOptions | Mapping[str, object] | None = None,
     progress: Progress | None = None,
     workers: int | Any = None,
@@ -127,6 +129,9 @@ def discover(
         between groups, and by how much (``model.groups``); all others are shared. ``model`` has the
         coefficients of the group that is named first, ``model.of_group(name)`` those of another. Groups
         exclude a trade-off curve, slow forces, shape parameters and ``method="adam"``.
+    lengths : mapping of str to float, optional
+        Metres of links, by coordinate: from joint to joint, or of a simple pendulum. A wrong time base or
+        unit of length then shows: gravity is not that of the Earth (the finding ``gravity-off``).
     options : AdamOptions or mapping, optional
         Settings of ``method="adam"``. The default method has none.
     progress : callable, optional
@@ -177,6 +182,7 @@ def discover(
     grouping = None if groups is None else Grouping.of(groups, trajectories)
     prescribed, hidden = _texts(prescribed), _texts(hidden)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
+    sizes = _lengths(lengths or {}, trajectories.coordinates)
     _refuse_together(slow, grouping, descent, hidden)
     request = Request(
         library,
@@ -205,6 +211,7 @@ def discover(
         _check_columns(setup, search.grid)
         search = _search(setup, search, grouping, settings if descent else None)
         given = _given(method, request, setup, search, settings if descent else None, grouping)
+        given |= {"lengths": sizes} if sizes else {}
         return _concluded(setup, search, given, clock)
 
 
@@ -351,6 +358,16 @@ def _offsets(
             )
     slow = {coordinates.index(name): float(x) for name, x in given.items() if x < np.inf}
     return [name for name, x in given.items() if x == np.inf], slow
+
+
+def _lengths(given: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, float]:
+    for name in given:
+        if name not in coordinates:
+            raise InputError(
+                f"a length is given for {name!r}, which is not a coordinate; the coordinates are "
+                f"{', '.join(coordinates)}"
+            )
+    return checked_lengths(given)
 
 
 def _check_columns(setup: Setup, grid: Grid) -> None:

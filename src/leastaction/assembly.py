@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from leastaction.diagnosis.verdict import Verdict
+from leastaction.errors import InputError
 from leastaction.estimation.build import Setup
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
-from leastaction.findings import find, status_of
+from leastaction.findings import Finding, find, status_of
 from leastaction.hidden.band import curve_errors
 from leastaction.model.diagnostics import Diagnostics, HiddenMotion, PathPoint, pareto
+from leastaction.model.gravity import gravity_findings
 from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
@@ -21,6 +24,11 @@ from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import Search
 
 __all__ = ["assemble_model"]
+
+_NEAR = 0.05  # of the spread: within it, a forecast is said to be near the motion
+_PERIODS = 10.0  # that forecasts last, at most; trials, samples a period, and coordinates bound their cost
+_MOST_TRIALS, _SAMPLES_A_PERIOD, _MOST_COORDINATES = 6, 30, 4
+_NO_RATES = {"velocities": None, "accelerations": None}
 
 
 def assemble_model(
@@ -64,7 +72,7 @@ def assemble_model(
     )
     terms = _terms(fit)
     unknown = bool(np.isnan(fit.covariance).any())
-    return LagrangianModel(
+    model = LagrangianModel(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
@@ -83,6 +91,45 @@ def assemble_model(
         _shapes(fit),
         _groups(fit, unknown),
     )
+    more = gravity_findings(model, options.get("lengths", {}))
+    status = status_of((*findings, *more))
+    more += _reach(model, diagnostics, search.scales.period) if status == "ok" else []
+    return (
+        replace(model, fit=replace(model.fit, status=status, findings=(*findings, *more))) if more else model
+    )
+
+
+def _reach(model: LagrangianModel, found: Diagnostics, period: float) -> list[Finding]:
+    """For how long forecasts stay near the motion, by what the fit leaves open.
+
+    Forecasts run along the fitted curve, as if it was the motion.  Their bands hold the standard errors of
+    the coefficients, the equation errors, and the error of a start that is found in a period of samples.
+    """
+    if model.n_dof > _MOST_COORDINATES or found.hidden_motion:
+        return []
+    data = [t.changed(q=q, **_NO_RATES) for t, q in zip(found.trajectories, found.curve(), strict=True)]
+    own = model.own_trials(len(data))
+    data = [data[k] for k in own[:: -(-len(own) // _MOST_TRIALS)]]
+    step = max(1, int(period / found.trajectories.sampling_interval / _SAMPLES_A_PERIOD))
+    shortest = min(t.duration for t in data)
+    window = min(period, 0.25 * shortest)
+    horizon = min(_PERIODS * period, 0.5 * (shortest - window))
+    data = [t.rows(slice(0, np.searchsorted(t.t, t.t[0] + window + 2.05 * horizon), step)) for t in data]
+    try:
+        runs = model.validate(data, horizon=horizon, window=window)
+    except InputError:  # too few samples for a start
+        return []
+    count = min(trace.t.size for trace in runs.traces)
+    if not count or any(trace.std is None for trace in runs.traces):
+        return []
+    after = runs.traces[0].t[:count] - runs.traces[0].origin
+    bands = np.array([trace.std[:count] ** 2 for trace in runs.traces if trace.std is not None])
+    away = np.array([trace.forecast[:count] - trace.measured[:count] for trace in runs.traces])
+    squares = np.maximum(bands.mean(axis=0) - runs.noise_std**2, (away**2).mean(axis=0)) / runs.std**2
+    free = [i for i, name in enumerate(model.coordinates) if name not in model.prescribed]
+    beyond = np.flatnonzero(~(squares[:, free] <= _NEAR**2).all(axis=1))
+    seconds = after[max(beyond[0] - 1, 0)] if beyond.size else after[-1]
+    return [find("forecast-reach", seconds=seconds, share=_NEAR, to_the_end=not beyond.size, window=window)]
 
 
 def _hidden_motion(fit: Fit) -> dict[str, tuple[HiddenMotion, ...]]:

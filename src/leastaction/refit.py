@@ -133,7 +133,7 @@ def refit(model: LagrangianModel, point: PathPoint, progress: Progress | None = 
     search = search.now(profiled(search.found))
     verdict = verify(search, (), look_for_causes=False)
     clock.stop()
-    found = assemble_model(setup, search, verdict, (), {}, clock.timings)
+    found = assemble_model(setup, search, verdict, (), _lengths(model), clock.timings)
     assert found.diagnostics is not None
     # of the whole curve, not of this structure alone
     after = replace(
@@ -194,6 +194,11 @@ def _slow_forces(model: LagrangianModel) -> tuple[Finding, ...]:
 def _relevance(model: LagrangianModel) -> float | None:
     options = model.provenance.get("options", {})
     return options.get("relevance") if isinstance(options, Mapping) else None
+
+
+def _lengths(model: LagrangianModel) -> dict:
+    """The options of a discovery that findings on its result need."""
+    return {"lengths": model.provenance.get("options", {}).get("lengths", {})}
 
 
 def _provenance(model: LagrangianModel, point: PathPoint) -> dict:

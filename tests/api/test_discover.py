@@ -29,7 +29,9 @@ from helpers import (
     pendulum,
     record,
 )
+from leastaction import systems
 from leastaction.curve.knots import excerpt
+from leastaction.refit import refit
 
 
 # ------------------------------------------------------------------------------ round trips
@@ -136,6 +138,42 @@ def test_found_model_forecasts_a_motion_it_has_not_seen():
     unseen = record(lambda q, v, f: -q - 0.8 * q**3, [([-1.0], [1.7])], ["x"], duration=10.0, noise=0.0)[0]
     forecast = model.simulate([-1.0], [1.7], unseen.t)
     np.testing.assert_allclose(forecast.q, unseen.q, rtol=0, atol=0.02)
+
+
+def test_the_stated_reach_is_that_of_unseen_motions():
+    name, share = "double_pendulum", 0.05
+    system = systems.get(name)
+    data = systems.generate(name, noise=0.1, trials=3, duration=10.0, rate=50.0, seed=5)
+    model = la.discover(data, system.library, system.known)
+    (reach,) = (f.values for f in model.fit.findings if f.code == "forecast-reach")
+    seconds, window = reach["seconds"], reach["window"]
+    assert 1.0 < seconds < 4.0
+    assert not reach["to_the_end"]
+    truth = systems.simulate_truth(system, 8, window + seconds + 0.05, rate=50.0, seed=77)
+    result = model.validate(systems.measure(system, truth, model.noise_std, seed=3), seconds, window=window)
+    last = [
+        trace.forecast[-1] - motion.q[np.searchsorted(motion.t, trace.t[-1] - 1e-9)]
+        for trace, motion in zip(result.traces, truth, strict=True)
+    ]
+    spread = np.concatenate([t.q for t in data]).std(axis=0)
+    off = np.sqrt(np.mean(np.square(last), axis=0)) / spread
+    assert 0.3 * share < off.max() < 2.0 * share
+
+
+@pytest.mark.parametrize("clock", [1.0, 1e3])
+def test_a_length_shows_a_wrong_clock(clock):
+    data = la.Trajectories([t.changed(t=clock * t.t) for t in pendulum()])
+    model = la.discover(data, PENDULUM_LIBRARY, dissipation=FRICTION, lengths={"theta": 1.0})
+    codes = [f.code for f in model.fit.findings if f.severity == "warning"]
+    assert codes == ([] if clock == 1.0 else ["gravity-off"])
+    again = refit(model, next(p for p in model.diagnostics.path if p.chosen))
+    assert again.fit.status == model.fit.status == ("ok" if clock == 1.0 else "doubtful")
+
+
+@pytest.mark.parametrize("lengths", [{"x": 1.0}, {"theta": -1.0}])
+def test_lengths_are_checked_before_the_search(lengths):
+    with pytest.raises(la.InputError, match="length"):
+        la.discover(pendulum(), PENDULUM_LIBRARY, lengths=lengths)
 
 
 # ----------------------------------------------------------------------------- invariances

@@ -15,6 +15,7 @@ from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.diagnosis.verdict import _perhaps_degrees
+from leastaction.diagnosis.wider_search import begun_anew
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
@@ -294,6 +295,9 @@ def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
     (found,) = findings_of(model, "forecasts")
     result = model.validate(data, horizon=found.values["horizon"])
     assert found.values["error"] == pytest.approx(float(result.rms_over_std.max()), rel=0.3)
+    worst = max(float(part.rms[0] / result.std[0]) for part in result.by_trial().values())
+    assert found.values["worst"] == pytest.approx(worst, rel=0.3)
+    assert found.values["horizon"] <= 0.4 * min(t.duration for t in data)
     again = la.LagrangianModel.from_dict(model.to_dict())
     assert again.fit == model.fit
 
@@ -390,6 +394,14 @@ def test_free_runs_tell_a_right_model_from_a_wrong_one():
     right = forecast_error(found, 1.0)
     wrong = found.coefficients * np.where(setup.problem.is_known, 1.0, 0.5)
     assert forecast_error(replace(found, coefficients=wrong), 1.0) > 3.0 * right
+
+
+@pytest.mark.parametrize("more", [-10.0, 10.0])
+def test_a_search_begun_anew_has_to_find_something_likelier(more):
+    setup = build_problem(pendulum(viscous=0.0), Request(la.Library(PENDULUM_LIBRARY, ["theta"])))
+    search = find_structure(begin_search(setup))
+    before = replace(search.found, evidence=search.found.evidence + more)
+    assert (begun_anew(search.now(before), before.grid) is None) == (more > 0.0)
 
 
 @pytest.mark.parametrize(

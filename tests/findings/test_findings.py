@@ -404,6 +404,23 @@ def test_status_and_statements_follow_from_the_findings(findings, status, struct
     assert ("3.1 % of the spread" in said["forecast"]) == (FOLLOWED in findings)
 
 
+def test_a_forecast_is_stated_as_far_as_it_is_known():
+    def said(found):
+        return FitSummary("ok", 1.0, findings=[found]).statements["forecast"]
+
+    def runs(**more):
+        return said(find("forecasts", horizon=0.5, error=0.031, **more))
+
+    def reach(end):
+        return said(find("forecast-reach", seconds=2.31, share=0.05, to_the_end=end, window=1.0))
+
+    assert runs(worst=0.09, trials=3).endswith("off by 3.1 % of the spread, 9 % in the worst trial")
+    assert runs(worst=0.031, trials=1) == runs()  # as in files of former versions
+    assert "less than 5 % of the spread for 2.3 s (by its intervals, not tested)" in reach(False)
+    assert "2.3 s and more" in reach(True)
+    assert not FitSummary("ok", 1.0, findings=[FOLLOWED]).notes  # said once
+
+
 def test_every_code_of_a_status_or_statement_exists():
     warnings = {code for code, row in CODES.items() if row.severity == "warning"}
     assert warnings >= INEXACT

@@ -14,6 +14,7 @@ from leastaction import InputError, LagrangianModel, Trajectories, discover, loa
 from leastaction.library import parse_expression
 from leastaction.model.constants import Offer
 from leastaction.model.diagnostics import Diagnostics
+from leastaction.model.gravity import gravity_findings
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.model.text import outcome, simple_lines, symmetry_lines
 from report_helpers import spring
@@ -452,6 +453,21 @@ def test_a_ratio_knows_its_error():
     (ratio,) = LagrangianModel("q", terms, covariance=covariance).gravity()
     share = np.hypot(0.02, 0.015), 2 * 0.9 * 0.02 * 0.015
     assert ratio.standard_error / ratio.value == pytest.approx(np.sqrt(share[0] ** 2 - share[1]))
+
+
+def test_what_gravity_says_of_the_clock_is_a_finding():
+    def said(clock, lengths):
+        return {f.code: f for f in gravity_findings(_hanging(True, clock), lengths)}
+
+    off = said(1e-3, {"a": 0.3, "c": 0.1})
+    assert [*off] == ["gravity-off", "length-implausible", "length-unused"]
+    assert off["gravity-off"].values["clock"] == pytest.approx(1e-3, rel=1e-3)
+    assert "milliseconds" in off["gravity-off"].remedy
+    assert off["length-implausible"].subject == ("b",)
+    assert off["length-unused"].subject == ("c",)
+    assert not said(1.0, {"a": 0.3})
+    assert not said(1.0, {})
+    assert "inclined" in said(0.8, {"a": 0.3})["gravity-off"].remedy
 
 
 @pytest.mark.parametrize("lengths", [{"c": 0.1}, {"a": -1.0}, {"a": True}, {"z": 1.0}])

@@ -22,6 +22,7 @@ from leastaction.selection.likelihood_search import (
     term_penalty,
     trade_off,
 )
+from leastaction.selection.shape_profile import _Rows
 from leastaction.selection.weak_form import WeakForm, WeakGram
 from leastaction.selection.weak_search import (
     ScaledGram,
@@ -616,3 +617,10 @@ def test_search_ends_where_no_cost_is_a_number():
     model = QuadraticModel(np.full((4, 4), np.nan), np.zeros(4), np.ones(4))
     levels = search_subsets(model, (0, 1), 1.0)
     assert np.isnan(levels[2][0].cost)
+
+
+def test_columns_whose_squares_overflow_count_as_undefined():
+    rows = np.ones((5, 3))
+    large = rows * [1.0, 1e200, 1.0]
+    assert _Rows(rows, large, [rows]).defined().tolist() == [True, False, True]
+    assert _Rows(rows, rows, [rows, large]).defined().tolist() == [True, False, True]

@@ -288,6 +288,8 @@ def _status(model: LagrangianModel) -> None:
         with html.p().classes("status ok"):
             say("ok", "badge", "span")
             say("None of the checks has failed: the equations hold along the data.", "", "span")
+        for name, text in model.fit.statements.items():
+            say(f"{name.capitalize()}: {text}.")
         return
     usable = model.fit.status == "usable"
     with html.div().classes(f"status {model.fit.status}"):

@@ -215,6 +215,7 @@ def discover(
             options=chosen,
             relevance=share,
             shapes=shape_ranges(shapes),
+            lengths=links,
             groups={name: groups[name] for name in fitted.names} if groups else None,
             progress=progress,
             workers=workers,

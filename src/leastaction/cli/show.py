@@ -210,15 +210,17 @@ def show_gravity(model: LagrangianModel, lengths: Mapping[str, float] | None) ->
     """Print g/l of links, or g where lengths are given."""
     from leastaction.errors import InputError
 
+    found = {f.code for f in model.fit.findings} & {"gravity-off", "length-unused"}
     try:
         ratios = model.gravity(lengths)
     except InputError as problem:
-        warn(str(problem))
+        if not found:
+            warn(str(problem))
         ratios = model.gravity()
     for ratio in ratios:
         if ratio.clock is None:
             say(f"gravity: {ratio}")
-        else:
+        elif not found:  # else among the warnings of the fit
             say(f"WARNING: {ratio}", bold=True, fg="yellow")
 
 

@@ -28,7 +28,7 @@ from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.families import looks_imitated
-from leastaction.selection.forecast_error import forecast_error
+from leastaction.selection.forecast_error import followed, forecast_error
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
 
@@ -164,8 +164,8 @@ def _form(search: Search, exact: bool) -> list[Finding]:
 
 def _forecasts(fit: Fit, period: float) -> list[Finding]:
     """How well equations that hold to some per cent follow the data, where they do."""
-    error = forecast_error(fit, period)
-    return [find("forecasts", horizon=period, error=error)] if error <= DIAGNOSIS.follows else []
+    runs = followed(fit, period)
+    return [find("forecasts", **runs._asdict())] if runs.error <= DIAGNOSIS.follows else []
 
 
 def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:

@@ -34,12 +34,20 @@ MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
 
 def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit | None:
-    """What is found on a grid of all data, if its equations hold and every term is certain."""
+    """What is found on a grid of all data, if its equations hold and every term is certain.
+
+    It has to be likelier than the fit that is in doubt.  What explains the motion no better may still move
+    the unexplained from the equations to the noise, as vibrations can be either.
+    """
     begun = restarted(replace(search, report=silent), grid, curve)
     if not explicable(begun.grid, begun.curve, begun.seed):
         return None
     found = searched_with(begun, weak_start, feeding_friction).found
     if not (found.converged and equations_hold(found)):
+        return None
+    before = search.found
+    same = found.grid.knots_per_second == before.grid.knots_per_second
+    if same and before.converged and not found.evidence > before.evidence:
         return None
     certain = np.abs(found.estimates) >= DIAGNOSIS.certain * found.standard_errors
     return found if np.all(certain) else None

@@ -3,6 +3,7 @@
 from leastaction.findings.finding import (
     INEXACT,
     SEVERITIES,
+    STATED,
     TEXT,
     Figures,
     Finding,
@@ -22,6 +23,7 @@ __all__ = [
     "INEXACT",
     "REASONS",
     "SEVERITIES",
+    "STATED",
     "TEXT",
     "Audience",
     "Figures",

@@ -14,6 +14,7 @@ from leastaction.identifiers import quoted
 __all__ = [
     "INEXACT",
     "SEVERITIES",
+    "STATED",
     "TEXT",
     "Figures",
     "Finding",
@@ -32,6 +33,8 @@ Value = None | bool | int | float | str | tuple["Value", ...]
 SEVERITIES: tuple[Severity, ...] = ("note", "warning")  # rising; a further level takes its place in this row
 INEXACT = frozenset({"equations-off", "unmodelled-friction", "late-forces"})
 """Codes of warnings that say how exactly the equations hold, which forecasts may bear."""
+STATED = frozenset({"forecasts", "forecast-reach"})
+"""Codes of notes that the statement on forecasts says in other words."""
 TEXT = "text"  # the code of a sentence that nobody took apart: from a user, or from a file of schema 1
 _CODE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 _ENTRIES = ("code", "severity", "subject", "values", "message", "remedy")

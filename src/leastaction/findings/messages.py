@@ -357,9 +357,29 @@ CODES: dict[str, Message] = {
     ),
     "forecasts": Message(
         "note",
-        "simulations started from states along the data, over {horizon:.2g} s (about a period), are off by "
-        "{error:.2g%} of the spread",
+        templates.followed,
         "compare forecasts of held-out trials with the accuracy that you need",
+    ),
+    "forecast-reach": Message(
+        "note",
+        templates.reach,
+        "estimated from the intervals: forecast a trial that was held out",
+    ),
+    "gravity-off": Message(
+        "warning",
+        "{potential} over {coupling} and the length of {subject} ({length:g} m) give g = {gravity:.4g} m/s², "
+        "not that of the Earth",
+        templates.gravity_remedy,
+    ),
+    "length-implausible": Message(
+        "note",
+        "if {potential} is gravity, {potential} over {coupling} means a length of {on_earth:.2g} m on Earth",
+        "check that the times are in seconds",
+        on_command_line="check that the times are in seconds (--time-unit)",
+    ),
+    "length-unused": Message(
+        "note",
+        "the length of {subject} was not used: the model has no potential and coupling that give g over it",
     ),
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),

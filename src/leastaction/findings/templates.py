@@ -18,7 +18,9 @@ __all__ = [
     "correlated",
     "equations_off",
     "equations_off_remedy",
+    "followed",
     "friction",
+    "gravity_remedy",
     "groups_differ",
     "hidden_coordinate",
     "hidden_motion_open",
@@ -26,8 +28,10 @@ __all__ = [
     "late_forces",
     "missing_term",
     "missing_term_remedy",
+    "off_by",
     "perhaps_angle_remedy",
     "rate_scaled",
+    "reach",
     "smoothed",
     "statements",
     "time_dependent",
@@ -298,8 +302,8 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
     found = tuple(findings)
     codes = {finding.code for finding in found}
     structure = next((words for words, some in _STRUCTURES.items() if codes & {*some}), "determined")
-    followed = next((finding.values for finding in found if finding.code == "forecasts"), None)
-    if structure == "determined" and "equations-off" in codes and followed is None:
+    runs = _values(found, "forecasts")
+    if structure == "determined" and "equations-off" in codes and runs is None:
         structure = "in doubt, since the equations do not hold"
     left = [
         fill("{equation_error:.2g%} of the forces (", finding.values) + ", ".join(finding.subject) + ")"
@@ -307,10 +311,35 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
         if "equation_error" in finding.values
     ]
     forecast = "not tested"
-    if followed is not None:
-        forecast = fill("simulations over {horizon:.2g} s are off by {error:.2g%} of the spread", followed)
+    if runs is not None:
+        forecast = "simulations over " + off_by(runs)
+    elif (far := _values(found, "forecast-reach")) is not None:
+        forecast = reach(far) + " (by its intervals, not tested)"
     equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
     return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
+
+
+def _values(found: Iterable[Finding], code: str) -> dict[str, Any] | None:
+    return next(({**finding.values} for finding in found if finding.code == code), None)
+
+
+def off_by(f: dict[str, Any]) -> str:
+    """State how far simulations are off, and in the worst trial where that is known."""
+    worst = f.get("worst") if f.get("trials", 0) > 1 else None
+    if worst is None:
+        return fill("{horizon:.2g} s are off by {error:.2g%} of the spread", f)
+    return fill("{horizon:.2g} s are off by {error:.2g%} of the spread, {worst:.2g%} in the worst trial", f)
+
+
+def followed(f: dict[str, Any]) -> str:
+    """State how well simulations follow the data that were fitted."""
+    return "simulations started from states along the data, over " + off_by(f)
+
+
+def reach(f: dict[str, Any]) -> str:
+    """State how far ahead the model forecasts, according to its intervals."""
+    within = "forecasts are off by less than {share:.0f%} of the spread for "
+    return fill(within + ("{seconds:.2g} s and more" if f["to_the_end"] else "{seconds:.2g} s"), f)
 
 
 def smoothed(f: dict[str, Any]) -> str:
@@ -323,6 +352,14 @@ def correlated(f: dict[str, Any]) -> str:
     """State that residuals are not white."""
     what = "{subject}" if f["quantity"] == "position" else "{quantity} of {subject}"
     return fill(f"residuals of {what} are correlated from sample to sample ({{correlation:+.2f}})", f)
+
+
+def gravity_remedy(f: dict[str, Any]) -> str:
+    """What g that is not that of the Earth may come from."""
+    if f["unit"]:
+        return f"{f['unit']}; correct the unit"
+    text = "check the times (a second of the recording may be {clock:.4g} s), the length, and whether the "
+    return fill(text + "plane of motion is inclined", f)
 
 
 def groups_differ(f: dict[str, Any]) -> str:

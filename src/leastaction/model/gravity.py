@@ -25,6 +25,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.errors import InputError
+from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms, quoted
 from leastaction.library import make_term
 from leastaction.model.numbers import covariance_of
@@ -33,10 +34,11 @@ from leastaction.selection.significance import normal_cutoff
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
 
-__all__ = ["STANDARD_GRAVITY", "GravityRatio", "gravity_ratios"]
+__all__ = ["STANDARD_GRAVITY", "GravityRatio", "checked_lengths", "gravity_findings", "gravity_ratios"]
 
 STANDARD_GRAVITY = 9.80665
 _RANGE = 0.03  # share of g that lengths and places explain
+_SIZES = (1e-3, 100.0)  # metres of pendulums that people build
 _ALIKE = 0.02  # share by which a factor may differ from that of a unit
 # factors of the clock, and what was given in another unit than seconds and metres
 _UNITS = {
@@ -149,12 +151,8 @@ def gravity_ratios(
     >>> round(ratio.value, 9), round(ratio.clock, 6)
     (9.81e-06, 0.001)
     """
-    given = _checked(lengths or {})
-    best: dict[str, GravityRatio] = {}
-    for ratio in _ratios(model, given):
-        held = best.get(ratio.link)
-        if held is None or ratio.standard_error * held.value < held.standard_error * ratio.value:
-            best[ratio.link] = ratio
+    given = checked_lengths(lengths or {})
+    best = _best(model, given)
     missing = [name for name in given if name not in best]
     if missing:
         raise InputError(
@@ -164,7 +162,33 @@ def gravity_ratios(
     return tuple(best[name] for name in model.coordinates if name in best)
 
 
-def _checked(lengths: Mapping[str, Any]) -> dict[str, float]:
+def gravity_findings(model: LagrangianModel, lengths: Mapping[str, float]) -> list[Finding]:
+    """Where g is not that of the Earth with the lengths given, or no length that people build gives it."""
+    found: list[Finding] = []
+    best = _best(model, lengths)
+    for link, r in best.items():
+        figures = {"potential": r.potential, "coupling": r.coupling, "standard_error": r.standard_error}
+        if r.clock is not None:
+            more = {"gravity": r.gravity, "length": r.length, "clock": r.clock, "unit": r.unit}
+            found.append(find("gravity-off", link, **figures, **more))
+        elif r.length is None and not _SIZES[0] < r.on_earth < _SIZES[1]:
+            found.append(find("length-implausible", link, **figures, value=r.value, on_earth=r.on_earth))
+    unused = [name for name in lengths if name not in best]
+    return [*found, find("length-unused", unused)] if unused else found
+
+
+def _best(model: LagrangianModel, lengths: Mapping[str, float]) -> dict[str, GravityRatio]:
+    """Of each link the ratio with the smallest relative error."""
+    best: dict[str, GravityRatio] = {}
+    for ratio in _ratios(model, lengths):
+        held = best.get(ratio.link)
+        if held is None or ratio.standard_error * held.value < held.standard_error * ratio.value:
+            best[ratio.link] = ratio
+    return best
+
+
+def checked_lengths(lengths: Mapping[str, Any]) -> dict[str, float]:
+    """Lengths as numbers; InputError for one that is not positive."""
     for name, value in lengths.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
             raise InputError(f"the length of {quoted(name)} is {value!r}; expected metres, such as 0.3")

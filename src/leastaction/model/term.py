@@ -12,7 +12,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.errors import InputError
-from leastaction.findings import Audience, Finding, Severity, Status, sentence, statements
+from leastaction.findings import STATED, Audience, Finding, Severity, Status, sentence, statements
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_number
 from leastaction.shown import Card, Shown
@@ -323,12 +323,16 @@ class FitSummary(Shown):
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.
 
+        What `statements` says of forecasts is not repeated.
+
         Examples
         --------
         >>> FitSummary("doubtful", warnings=["the shaft is bent"]).sentences("warning", "page")
         ('the shaft is bent',)
         """
-        return tuple(sentence(found, audience) for found in self.findings if found.severity == severity)
+        said = STATED if self.statements else frozenset[str]()
+        findings = (found for found in self.findings if found.code not in said)
+        return tuple(sentence(found, audience) for found in findings if found.severity == severity)
 
     def _card(self) -> Card:
         lines = [f"{name}: {text}" for name, text in self.statements.items()]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import Finding
+from leastaction.findings import STATED, Finding
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
@@ -53,7 +53,7 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     said = {
         key: [_in_words(group, notation, words) for group in _alike(some)]
         for key, some in {
-            "reservations": [f for f in notes if f.code not in _PREPARED and f.code != "forecasts"],
+            "reservations": [f for f in notes if f.code not in _PREPARED and f.code not in STATED],
             "prepared": [f for f in notes if f.code in _PREPARED],
         }.items()
     }
@@ -156,7 +156,10 @@ def _free_runs(model: LagrangianModel) -> str:
     for finding in model.fit.findings:
         if finding.code == "forecasts":
             error, horizon = (as_float(finding.values[name], name) for name in ("error", "horizon"))
-            return f"an error of {percent(error)} of the spread over {plain(horizon)} s"
+            worst, trials = (finding.values.get(name) for name in ("worst", "trials"))
+            several = worst is not None and trials != 1
+            more = f" ({percent(as_float(worst, 'worst'))} in the worst trial)" if several else ""
+            return f"an error of {percent(error)} of the spread over {plain(horizon)} s{more}"
     return ""
 
 

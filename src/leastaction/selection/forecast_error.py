@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -18,28 +18,49 @@ from leastaction.selection.settings import SELECTION
 from leastaction.simulation.forecast import forecast
 from leastaction.simulation.law import Law
 
-__all__ = ["forecast_error"]
+__all__ = ["Followed", "followed", "forecast_error"]
 
 _WINDOW_STEPS = 8  # sampling intervals in which a state is found, at least
 _JUDGED = 12_000  # samples along which is simulated
 
 
+class Followed(NamedTuple):
+    """Simulation errors relative to the spread: of all runs together, and of the trial that is off most.
+
+    ``horizon`` is that of the runs in seconds, shorter than asked for where the trials are short.
+    """
+
+    horizon: float
+    error: float
+    worst: float
+    trials: int
+
+
 def forecast_error(fit: Fit, horizon: float) -> float:
     """Root mean square simulation error over standard deviation, runs that are lost counted as one."""
+    return followed(fit, horizon).error
+
+
+def followed(fit: Fit, horizon: float) -> Followed:
+    """How well simulations along the fitted data follow them; all is infinite where none is possible."""
     apart = laws(fit)
     most = _JUDGED // len(apart)
     try:
-        parts = [
-            _errors(fit, horizon, excerpt(fit.completed_data().select(t), most), law) for t, *law in apart
-        ]
+        runs = [_runs(fit, horizon, excerpt(fit.completed_data().select(t), most), law) for t, *law in apart]
     except InputError:  # too short for a simulation
-        return np.inf
-    errors = np.concatenate(parts)
+        return Followed(np.inf, np.inf, np.inf, 0)
+    errors = [errors for part, _ in runs for errors in part if errors.size]
+    worst = max(_together(part) for part in errors)
+    horizon = min(length for _, length in runs)
+    return Followed(horizon, _together(np.concatenate(errors)), worst, len(errors))
+
+
+def _together(errors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.minimum(errors, 1.0) ** 2)))
 
 
-def _errors(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) -> np.ndarray:
-    """Those of every simulation along data that obey one law."""
+def _runs(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) -> tuple[list[np.ndarray], float]:
+    """Errors of the simulations along each trial of data that obey one law, and their length."""
     (terms, coefficients), problem = law, fit.problem
     values = [sp.Float(float(value)) for value in coefficients]
     mechanics = Mechanics.of_terms(terms, values, data.coordinates, prescribed=problem.prescribed)
@@ -52,5 +73,8 @@ def _errors(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) ->
         spread = np.nanstd(np.concatenate([t.q for t in data]), axis=0)
         noise[list(problem.hidden)] = spread[list(problem.hidden)] * (noise / spread)[seen].mean()
     result = forecast(run, data, noise, horizon, window)
-    errors = np.array([(trace.rms / result.std)[seen] for trace in result.traces])
-    return errors[~np.isnan(errors)]
+    errors: dict[str, list[np.ndarray]] = {}
+    for trace in result.traces:
+        one = (trace.rms / result.std)[seen]
+        errors.setdefault(trace.trial, []).append(one[~np.isnan(one)])
+    return [np.concatenate(some) for some in errors.values()], horizon

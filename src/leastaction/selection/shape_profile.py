@@ -32,6 +32,7 @@ _STEPS = 12  # Gauss–Newton, at most
 _SHARES = (1.0, 0.3, 0.1, 0.03)  # of a step, tried in turn
 _GAIN = 1e-3  # of log ρ: less is no progress
 _COLUMNS = 128  # made at once: bounds memory
+_LARGEST = 1e120  # of a column: squares, summed over the rows, remain finite
 _UNEXPLAINED = 1.0  # equation error: with it, and without noise, ρ is the unexplained share of the rows
 
 
@@ -99,9 +100,9 @@ class _Rows:
         )
 
     def defined(self) -> np.ndarray:
-        """Whether each column is finite everywhere."""
-        finite = np.isfinite(self.inertial + self.potential).all(axis=0)
-        return np.logical_and.reduce([finite, *(np.isfinite(r).all(axis=0) for r in self.replicates)])
+        """Whether each column, and its square, is finite everywhere."""
+        parts = (self.inertial, self.potential, *self.replicates)
+        return np.logical_and.reduce([(np.abs(rows) < _LARGEST).all(axis=0) for rows in parts])
 
     def of(self, columns: np.ndarray) -> _Rows:
         """Some of the columns."""
@@ -337,7 +338,7 @@ class Profile:
         """Quadratic forms over the plain candidates, the bearers and the tangents; None if undefined."""
         numbers: list[Mapping[str, float]] = [{} for _ in tangents]  # they have theirs
         rows = self._columns(bearers, values, tangents, numbers, most)
-        return self._rows.beside(rows).gram() if np.isfinite(rows.inertial + rows.potential).all() else None
+        return self._rows.beside(rows).gram() if rows.defined().all() else None
 
     def _columns(
         self,
