@@ -247,7 +247,10 @@ def _lines(part: list[tuple[Case, dict]]) -> Iterable[str]:
             for case, r in part
             if case.size == size
         )
-        yield f"  faults of size {size}: " + ", ".join(f"{a} {b} {n}" for (a, b), n in sorted(some.items()))
+        if some:
+            yield f"  faults of size {size}: " + ", ".join(
+                f"{a} {b} {n}" for (a, b), n in sorted(some.items())
+            )
     yield f"  ok: {len(ok)}, wrong {len(wrong)}, materially {sum(r['off'] > MATERIAL for r in wrong)}"
     within = sum(_all(r["measured"]) <= 2.0 * _stated(r)[0] for r in usable)
     trials = [e <= 2.0 * _stated(r)[1] for r in usable for e in r["measured"]]
