@@ -145,6 +145,7 @@ def carried_out(case: Case) -> dict:
         "absent": len(machine.offered) - len(true),
         "off": 1.0 if truth is None else _off(model, truth, held),
         "stated": [stated["error"], stated["worst"]] if stated else None,
+        "left_out": [stated["left_out"], stated["worst_left_out"]] if "left_out" in stated else None,
         "measured": measured,  # with the forces as told
         "bands": bands,
         "inside": inside,
@@ -224,6 +225,11 @@ def _all(errors: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+def _stated(result: dict) -> list[float]:
+    """Stated error of trials left out, and of the worst; in older records, of fitted ones."""
+    return result.get("left_out") or result["stated"]
+
+
 def _as_good(results: list[dict]) -> str:
     """How many are as good as the truth, and how many of these are doubted."""
     good = [r for r in results if r["truth"] and _all(r["measured"]) <= AS_GOOD * _all(r["truth"])]
@@ -241,10 +247,13 @@ def _lines(part: list[tuple[Case, dict]]) -> Iterable[str]:
             for case, r in part
             if case.size == size
         )
-        yield f"  faults of size {size}: " + ", ".join(f"{a} {b} {n}" for (a, b), n in sorted(some.items()))
+        if some:
+            yield f"  faults of size {size}: " + ", ".join(
+                f"{a} {b} {n}" for (a, b), n in sorted(some.items())
+            )
     yield f"  ok: {len(ok)}, wrong {len(wrong)}, materially {sum(r['off'] > MATERIAL for r in wrong)}"
-    within = sum(_all(r["measured"]) <= 2.0 * r["stated"][0] for r in usable)
-    trials = [e <= 2.0 * r["stated"][1] for r in usable for e in r["measured"]]
+    within = sum(_all(r["measured"]) <= 2.0 * _stated(r)[0] for r in usable)
+    trials = [e <= 2.0 * _stated(r)[1] for r in usable for e in r["measured"]]
     yield f"  usable: {len(usable)}, forecasts within twice the stated error {within}"
     yield f"  usable: trials within twice the error of the worst {sum(trials)} of {len(trials)}"
     bands = [(e, b) for r in usable + ok for e, b in zip(r["measured"], r["bands"] or (), strict=True)]

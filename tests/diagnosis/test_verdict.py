@@ -23,6 +23,7 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_search import kinetic_bases
 
 
@@ -300,6 +301,22 @@ def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
     assert found.values["horizon"] <= 0.4 * min(t.duration for t in data)
     again = la.LagrangianModel.from_dict(model.to_dict())
     assert again.fit == model.fit
+
+
+def test_the_error_of_trials_left_out_is_that_of_fits_without_them():
+    data = measured(geared(0.4), ["theta"], 0.003, 2.0)
+    model = la.discover(data, PENDULUM_LIBRARY)
+    (found,) = findings_of(model, "forecasts")
+    horizon, terms = found.values["horizon"], [t.expression for t in model.terms]
+    window = max(SELECTION.window * horizon, 8 * data.sampling_interval)
+    errors = []
+    for name in data.names:
+        rest = la.discover(data.select([other for other in data.names if other != name]), terms)
+        assert [t.expression for t in rest.terms] == terms
+        result = rest.validate(data.select(name), horizon=horizon, window=window)
+        errors.append(float(result.rms_over_std[0]))
+    assert found.values["worst_left_out"] == pytest.approx(max(errors), rel=0.3)
+    assert found.values["left_out"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.3)
 
 
 def test_a_machine_that_free_runs_do_not_follow_is_doubtful():

@@ -415,6 +415,8 @@ def test_a_forecast_is_stated_as_far_as_it_is_known():
         return said(find("forecast-reach", seconds=2.31, share=0.05, to_the_end=end, window=1.0))
 
     assert runs(worst=0.09, trials=3).endswith("off by 3.1 % of the spread, 9 % in the worst trial")
+    out = runs(worst=0.09, trials=3, left_out=0.05, worst_left_out=0.12)
+    assert out.endswith("worst trial; of trials left out of the fit, by 5 % and 12 %")
     assert runs(worst=0.031, trials=1) == runs()  # as in files of former versions
     assert "less than 5 % of the spread for 2.3 s (by its intervals, not tested)" in reach(False)
     assert "2.3 s and more" in reach(True)

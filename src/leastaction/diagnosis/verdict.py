@@ -28,7 +28,7 @@ from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
 from leastaction.selection.families import looks_imitated
-from leastaction.selection.forecast_error import followed, forecast_error
+from leastaction.selection.forecast_error import followed, forecast_error, left_out
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
 
@@ -165,7 +165,11 @@ def _form(search: Search, exact: bool) -> list[Finding]:
 def _forecasts(fit: Fit, period: float) -> list[Finding]:
     """How well equations that hold to some per cent follow the data, where they do."""
     runs = followed(fit, period)
-    return [find("forecasts", **runs._asdict())] if runs.error <= DIAGNOSIS.follows else []
+    if not runs.error <= DIAGNOSIS.follows:
+        return []
+    new = left_out(fit, period)
+    figures = {} if new is None else {"left_out": new[0], "worst_left_out": new[1]}
+    return [find("forecasts", **runs._asdict(), **figures)]
 
 
 def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:

@@ -325,10 +325,12 @@ def _values(found: Iterable[Finding], code: str) -> dict[str, Any] | None:
 
 def off_by(f: dict[str, Any]) -> str:
     """State how far simulations are off, and in the worst trial where that is known."""
-    worst = f.get("worst") if f.get("trials", 0) > 1 else None
-    if worst is None:
-        return fill("{horizon:.2g} s are off by {error:.2g%} of the spread", f)
-    return fill("{horizon:.2g} s are off by {error:.2g%} of the spread, {worst:.2g%} in the worst trial", f)
+    text = "{horizon:.2g} s are off by {error:.2g%} of the spread"
+    if f.get("trials", 0) > 1:
+        text += ", {worst:.2g%} in the worst trial"
+    if f.get("left_out") is not None:
+        text += "; of trials left out of the fit, by {left_out:.2g%} and {worst_left_out:.2g%}"
+    return fill(text, f)
 
 
 def followed(f: dict[str, Any]) -> str:

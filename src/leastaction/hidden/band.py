@@ -20,7 +20,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.joint import linearise
 from leastaction.estimation.recipes import Recipe
 
-__all__ = ["curve_errors"]
+__all__ = ["curve_errors", "normal_of"]
 
 
 def curve_errors(fit: Fit, coordinates: Sequence[int], times: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -32,7 +32,7 @@ def curve_errors(fit: Fit, coordinates: Sequence[int], times: Sequence[np.ndarra
 
 
 def _errors_of(fit: Fit, trial: int, coordinates: list[int], times: np.ndarray) -> np.ndarray:
-    normal, space = _normal_of(fit, trial), fit.grid.spline.spaces[trial]
+    normal, space = normal_of(fit, trial), fit.grid.spline.spaces[trial]
     try:
         factor = BandedFactor.of(normal.rows)
     except np.linalg.LinAlgError:
@@ -59,7 +59,7 @@ def _band(space: SplineSpace, inverse: np.ndarray, times: np.ndarray) -> np.ndar
     return out
 
 
-def _normal_of(fit: Fit, trial: int) -> NormalEquations:
+def normal_of(fit: Fit, trial: int) -> NormalEquations:
     """The normal equations of one trajectory, whoever holds those of all."""
     grid, problem = fit.grid, fit.problem
     spline, data = grid.spline, problem.trajectories

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,17 +12,20 @@ import sympy as sp
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
+from leastaction.estimation.elimination import Eliminated
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import laws
+from leastaction.hidden.band import normal_of
 from leastaction.mechanics.equations import Mechanics
 from leastaction.selection.settings import SELECTION
 from leastaction.simulation.forecast import forecast
 from leastaction.simulation.law import Law
 
-__all__ = ["Followed", "followed", "forecast_error"]
+__all__ = ["Followed", "followed", "forecast_error", "left_out"]
 
 _WINDOW_STEPS = 8  # sampling intervals in which a state is found, at least
 _JUDGED = 12_000  # samples along which is simulated
+_MOST_TRIALS = 12  # of more, one matters little for the law
 
 
 class Followed(NamedTuple):
@@ -53,6 +57,43 @@ def followed(fit: Fit, horizon: float) -> Followed:
     worst = max(_together(part) for part in errors)
     horizon = min(length for _, length in runs)
     return Followed(horizon, _together(np.concatenate(errors)), worst, len(errors))
+
+
+def left_out(fit: Fit, horizon: float) -> tuple[float, float] | None:
+    """The error, and that of the worst trial, where each trial is simulated by a law fitted to the others.
+
+    To first order: with the system A_k Δλ = −g_k of each trial, its curve eliminated, the coefficients
+    without trial k differ by −(Σ_j A_j)⁻¹ Σ_j g_j over the other trials.  None where that is not to be had:
+    of one trial, of many, and of groups, shape parameters and hidden coordinates.
+    """
+    data, problem = fit.completed_data(), fit.problem
+    special = len(laws(fit)) > 1 or fit.shapes is not None or problem.hidden
+    if special or not 2 <= len(data) <= _MOST_TRIALS or data.n_samples > _JUDGED:
+        return None
+    try:
+        systems = [normal_of(fit, k).eliminate() for k in range(len(data))]
+        errors: list[np.ndarray] = []
+        for k in range(len(data)):
+            others = [system for j, system in enumerate(systems) if j != k]
+            moved = replace(fit, coefficients=_without(fit, systems, others))
+            ((_, *law),) = laws(moved)
+            errors += _runs(moved, horizon, data.select([k]), law)[0]
+    except (np.linalg.LinAlgError, InputError):
+        return None
+    errors = [one for one in errors if one.size]
+    return (_together(np.concatenate(errors)), max(map(_together, errors))) if errors else None
+
+
+def _without(fit: Fit, every: Sequence[Eliminated], others: Sequence[Eliminated]) -> np.ndarray:
+    """Coefficients that minimise the cost of the others, if those of the fit minimise that of all."""
+    mean = np.mean([system.gradient for system in every], axis=0)  # of coefficients of another origin
+    gradient = np.stack([system.gradient - mean for system in others]).sum(axis=0)
+    matrix = np.stack([system.matrix for system in others]).sum(axis=0)
+    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    scaled = matrix * np.outer(scale, scale)
+    out = fit.coefficients.copy()
+    out[list(fit.structure)] -= scale * np.linalg.solve(scaled, scale * gradient)
+    return out
 
 
 def _together(errors: np.ndarray) -> float:
