@@ -38,12 +38,12 @@ def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:
     fixed = problem.completed(np.zeros(len(problem.candidates)))
     given = problem.candidates.mass_matrix(points, fixed)
     for i in range(n):
-        if np.all(given[:, i, i] > 0.0):  # a known term holds it up
+        if np.all(given[:, i, i] > 0.0):  # a known term already makes it positive
             options[i].append((0, ()))
     velocities = {sp.Symbol(f"{name}_dot", real=True) for name in problem.coordinates}
     for position, k in enumerate(problem.free):
         if velocities.isdisjoint(problem.terms[int(k)].expr.free_symbols):
-            continue  # a potential: not worth deriving
+            continue  # a potential has no mass
         mass = problem.candidates.mass_of(int(k), points)
         size = np.abs(mass).max(axis=0)
         (touched,) = np.nonzero(np.diag(size) > _TINY * size.max(initial=1e-300))

@@ -184,7 +184,7 @@ def choose(
     """The best supports of some columns and, of each kind of others, as many as it says; best first."""
     kept = [Support(base, np.inf)]
     *others, last = [columns for columns, count in kinds for _ in range(count)]
-    for columns in others:  # often they make sense together only
+    for columns in others:  # often only both together improve the fit
         kept = best_extensions(scaled, {s.members for s in kept}, _WIDE, columns)
     kept = best_extensions(scaled, {s.members for s in kept}, width, last)
     return _swapped(scaled, kept, width, [columns for columns, _ in kinds]) if others else kept
