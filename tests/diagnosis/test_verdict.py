@@ -350,7 +350,7 @@ def test_angles_that_were_taken_for_positions():
     found = {finding.code: finding for finding in model.fit.findings}
     assert found["missing-term"].subject == ("cos(theta)",)
     assert found["missing-term"].values["angles"] == ("theta",)
-    assert found["missing-term"].remedy.endswith("; or, if theta is an angle, say so: angles=['theta']")
+    assert found["missing-term"].remedy.endswith("; or, if theta is an angle, declare it: angles=['theta']")
     assert found["perhaps-angle"].subject == ("theta",)
     assert found["perhaps-angle"].severity == "note"
     # another name is no reason to think of an angle, and an angle that was declared none either

@@ -15,13 +15,13 @@ from leastaction.data.validation import FloatArray
 
 __all__ = ["FEWEST_SAMPLES", "Knots", "excerpt", "lay_knots"]
 
-FEWEST_SAMPLES = 20  # of a coordinate: fewer are refused
+FEWEST_SAMPLES = 20  # of a coordinate, at least
 _MOST_GRIDS = 6  # tried in turn
 _PIECES = 20  # at least so many pieces of a long recording are searched
 
 
 class Knots(NamedTuple):
-    """How fast the motion is, and the curve that was found on the way.
+    """Time scale of the motion, and the smoothed curve from which it was estimated.
 
     Attributes
     ----------
@@ -90,14 +90,14 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
     period = 2.0 * np.pi * CURVE.knots_per_radian / knots_for(1)
     if first > rate / 5.0 and smoothed.grid.n_ctrl > sum(t.size for t in times):
-        # a curve through all samples tells nothing of their noise, and a fit that begins with none finds none
+        # interpolation gives no estimate of the noise, and a fit that starts at zero stays there
         least = CURVE.unknown_noise * spread(0)
         smoothed = replace(smoothed, noise_std=np.maximum(smoothed.noise_std, least))
     return Knots(knots, coarse, period, smoothed, spread(1))
 
 
 def _hides_motion(smoothed: Smooth, times: list[np.ndarray], values: list[np.ndarray]) -> bool:
-    """Whether much of what a smoother left of a coordinate is no noise: two samples predict the next."""
+    """Whether the residual of a smoother is motion, not noise: two samples then predict the next."""
     curves = smoothed.grid.evaluate(smoothed.control_points, times)
     for i in range(values[0].shape[1]):
         left = [(q[:, i] - c[:, i])[np.isfinite(q[:, i])] for q, c in zip(values, curves, strict=True)]

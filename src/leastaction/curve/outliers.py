@@ -26,7 +26,7 @@ _DIGITS = 1e-5  # of the spread: what a curve through noiseless samples is off b
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """How smooth a motion is, and how noisy its samples are.
+    """Smoothness of a motion, and noise of its samples.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ def leave_out_outliers(
         out = [_outliers_of(one, degree, motion) for one in trajectories]
     counts = np.sum([o.sum(axis=0) for o in out], axis=0)
     share = counts / np.sum([np.isfinite(t.q).sum(axis=0) for t in trajectories], axis=0)
-    if np.any(share > CURVE.most_outliers):  # more than the pieces had
+    if np.any(share > CURVE.most_outliers):  # more outliers than in the pieces
         out = [o & (share <= CURVE.most_outliers) for o in out]
         counts = np.where(share > CURVE.most_outliers, 0, counts)
     if not np.any(counts):

@@ -96,7 +96,7 @@ class Smooth:
         return cls(grid, points, noise, parts[0].penalty, rates, times, seen)
 
     def _freedom(self, coordinate: int) -> int:
-        """Samples of a coordinate less the directions that the penalty does not touch."""
+        """Number of samples of a coordinate, less the dimension of the null space of the penalty."""
         return max(self._seen[coordinate][0].count - _PENALTY_DERIVATIVE * len(self.grid.spaces), 1)
 
 
@@ -241,7 +241,7 @@ def _smooth_together(
     give up.
     """
     alone = np.array([np.std(y - design @ result[0]) for design, y in blocks])
-    spread = np.maximum([np.std(y) for _, y in blocks], alone) + 1e-300  # a dead sensor shows nothing
+    spread = np.maximum([np.std(y) for _, y in blocks], alone) + 1e-300  # a dead sensor has no spread
     alone[0] = result[1]
     exact = spread * np.array([1.0] + [_NEARLY_EXACT] * (len(blocks) - 1))
     grams = [banded_gram(design, grid.degree) for design, _ in blocks]

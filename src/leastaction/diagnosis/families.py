@@ -1,4 +1,4 @@
-"""Which terms with unknown numbers would say what the candidates imitate?
+"""Families of terms with shape parameters that the candidates may imitate.
 
 Those of the families of `leastaction.selection.families` are searched with.  One is named if its law is
 likelier by the evidence, its equations hold, and it leaves no doubt about the form itself.
@@ -55,7 +55,7 @@ def simpler_form(search: Search) -> list[Finding]:
         return []
     found, names, gain = helpful
     shift = _difference(fit, found)
-    if shift <= DIAGNOSIS.form_matters:  # the same motion, written in fewer terms
+    if shift <= DIAGNOSIS.form_matters:  # the same law in fewer terms
         return []
     family, numbers = _as_offered(found, names)
     lengths = {"free_terms": len(found.structure), "instead_of": len(fit.structure)}
@@ -81,7 +81,7 @@ def _difference(fit: Fit, other: Fit) -> float:
 
 
 def _as_offered(found: Fit, names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Terms in use as a user writes them, and their numbers."""
+    """Terms of the structure as a user writes them, and their shape parameters."""
     templates = [found.problem.terms[m].template for m in found.structure]
     texts = [t.term.text for t in templates if t is not None and {*t.term.shapes} & {*names}]
     return texts, [f"{name} = {found.problem.shape_values[name]:.3g}" for name in names]
@@ -99,7 +99,7 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str], float] | No
         gain = value(at.found) - value(fit)
         if not gain > 0.0:
             continue
-        # on knots for the motion of another law, the right one may be off
+        # knots laid for the motion of another law may be too coarse for the right one
         found = searched_with(at, finer_knots, shape_fit, feeding_friction).found
         used = {*found.problem.shapes_of(found.structure)} - {*fit.problem.ranges}
         holds = found.converged and equations_hold(found)

@@ -1,4 +1,4 @@
-"""Do the forces act as the data say: on these coordinates, and as large as that?
+"""Test whether the forces act on the stated coordinates, with the stated size.
 
 An exchange is tried: with the forces of two coordinates exchanged the search begins anew, and the exchange is
 named if the same candidates then lead to equations that hold and explain the motion better.  What the
@@ -26,7 +26,7 @@ from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["exchanged_forces", "scaled_forces"]
 
-_MOST_POINTS = 200_000  # along the motion: shares need no more
+_MOST_POINTS = 200_000  # points along the motion, enough for a share
 _NULL = 1e-6  # relative: rounding
 _MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
 
@@ -75,7 +75,7 @@ def scaled_forces(fit: Fit) -> list[Finding]:
     size = float(column @ column)
     column = column - basis @ (basis.T @ column)
     left = float(column @ column)
-    if left <= _NULL * size:  # the model's own terms can imitate it
+    if left <= _NULL * size:  # terms of the model can imitate it
         return []
     amount = float(column @ residual) / left
     share = amount**2 * left / float(residual @ residual)

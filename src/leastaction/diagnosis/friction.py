@@ -1,4 +1,4 @@
-"""Was something left out that the user did not ask about?  Friction, late forces, wrong known coefficients.
+"""Tests for what was not offered: friction, delayed forces, wrong known coefficients.
 
 All are likelihood-ratio tests on the final fit, by the means of the selection: friction that is not among
 the candidates is scored beside the chosen terms, and so is what a delay of the forces would leave; a known
@@ -37,7 +37,7 @@ __all__ = [
     "wrong_known",
 ]
 
-_MOST_RELEASED = 3  # known coefficients, each a search
+_MOST_RELEASED = 3  # most known coefficients tested, with a search for each
 
 
 def hidden_friction(effects: Effects, relevance: float) -> list[Finding]:
@@ -115,7 +115,7 @@ def _most_likely(
     Terms are added and dropped one at a time: a damper between two joints does for friction in both, until
     both are there.
     """
-    # the power of the velocity is one more parameter of friction that is not viscous
+    # the exponent of the velocity is one more parameter of friction that is not viscous
     count = len(tested)
     prices = {k: chi_square_cutoff(1 if _viscous(term) else 2, count) for k, term in tested.items()}
 
@@ -173,7 +173,7 @@ def _kind(friction: sp.Expr) -> sp.Expr:
 
 
 class _Late:
-    """What forces that act later leave in the equations: f(t − τ) ≈ f − τ ḟ."""
+    """Residual that delayed forces leave in the equations: f(t − τ) ≈ f − τ ḟ."""
 
     def __init__(self, rates: np.ndarray) -> None:
         self.rates = rates
@@ -223,7 +223,7 @@ def wrong_known(fit: Fit) -> list[Cause]:
         found = refine(released.fit(fit.structure.with_([int(k)]), fit.start))
         gain = 2.0 * (value(found) - value(fit))
         fewer = len(fit.structure) + 1 - len(found.structure)
-        # a term that is dropped when it is set free makes way for others that imitate what lacks
+        # a known term that is dropped once it is free makes room for terms that imitate a missing one
         holds = k in found.structure and equations_hold(found)
         # as with a missing term: the right law needs no more terms, or holds where this one does not
         likely = fewer >= 0 or (holds and not equations_hold(fit))

@@ -1,7 +1,7 @@
-"""Does the library lack a term?  Common ones that are not among the candidates are tried on the final fit.
+"""Test for missing terms: common terms that are not candidates are tried on the final fit.
 
-Where a needed term is missing others imitate it, along these data well enough to leave hardly any equation
-error.  With the term itself fewer do, and the likelihood, less the price of the terms, is higher.
+Where a term is missing, others imitate it, along these data well enough to leave hardly any equation error.
+With the term itself fewer terms suffice, and the likelihood less the price of the terms is higher.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from leastaction.selection.significance import chi_square_cutoff
 __all__ = ["Cause", "common_terms", "lacking_terms", "missing_term"]
 
 _MOST_TOGETHER = 3  # coordinates; of more, functions of several are left out, there are hundreds of them
-_ROUNDS = 3  # a term that is lacking is found in the first
+_ROUNDS = 3  # a missing term is among the first
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Cause:
 
 
 def lacking_terms(fit: Fit, relevance: float) -> list[Cause]:
-    """Common terms that would explain the motion better than the candidates do."""
+    """Common terms that explain the motion better than the candidates."""
     if not fit.converged:
         return []
     hold = equations_hold(fit)
@@ -62,7 +62,7 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     if not common:
         return []
     here = fit.posed(fit.problem.wider(common))
-    # with the term that is lacking the best proposal succeeds at once
+    # with the missing term, the best proposal succeeds at once
     found = refine(here, rounds=_ROUNDS, most=1)
     gain = 2.0 * (value(found) - value(here))
     new = [found.problem.terms[m].text for m in found.structure if m >= len(columns)]
@@ -71,7 +71,7 @@ def _with_common(fit: Fit, relevance: float, hold: bool, size: str) -> list[Caus
     # the price of the terms is in the gain; an exchange for one of many others pays none
     chance = chi_square_cutoff(len(new), comb(len(common), len(new)))
     threshold = chance + fit.relevant_gain(relevance)
-    # a law says it with fewer terms, or holds; on hardware more terms always explain a little more
+    # a law needs fewer terms, or holds; on hardware, more terms always explain a little more
     fewer = len(found.structure) <= len(fit.structure)
     holds = equations_hold(found)
     if not ((fewer or (holds and not hold)) and found.converged and gain > threshold):

@@ -45,7 +45,7 @@ def doubts_about_shapes(fit: Fit) -> list[Finding]:
 
 
 def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
-    """The term or parameter that moves with a parameter nearly as one; empty if there is none."""
+    """The term or parameter that is most correlated with a parameter; empty if none is."""
     spread = np.sqrt(np.clip(np.diag(found.covariance), 1e-300, None))
     place = len(fit.structure) + k
     together = np.abs(found.covariance[place] / (spread[place] * spread))

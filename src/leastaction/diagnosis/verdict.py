@@ -1,4 +1,4 @@
-"""Can the result be trusted?  Checks that need no truth."""
+"""Checks of a result that need no reference solution."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ from leastaction.selection.settings import SELECTION
 __all__ = ["Verdict", "verify"]
 
 _NOTHING = 1e-8  # of a standard error
-_OPEN = ("competing-structures", "hardly-determined", "scale-open")  # which scales that are open lead to
+_OPEN = ("competing-structures", "hardly-determined", "scale-open")  # a consequence of undetermined scales
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What is doubtful, and what is only worth knowing."""
+    """Warnings and notes on a fit."""
 
     findings: tuple[Finding, ...]
     chi2_per_sample: float
@@ -126,7 +126,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     # a new search has one law for all trials, and takes every coordinate as measured
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
-        # what needs no further term comes first
+        # causes that need no further term come first
         found = exchanged_forces(search) or search_afresh(search)
         # first those with the name of an angle; without any, whichever it may be comes after the families
         named = perhaps_angles(fit.problem.candidates)
@@ -135,13 +135,13 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
         found = found or time_dependence(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
-    # Others imitate a missing term, and terms a wrong coefficient: of the two the likelier is named.
+    # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
     lacking = lacking_terms(fit, relevance)
     likelier = max(known, lacking, key=lambda causes: max((cause.gain for cause in causes), default=0.0))
     found += [cause.finding for cause in likelier]
     for check in (hidden_friction, late_forces):
         found += check(effects, relevance)
-    # what is left of another cause may look like forces
+    # the remainder of another cause may look like wrong forces
     if not found and np.any(effects.left > DIAGNOSIS.worth_knowing):
         found = scaled_forces(fit)
     return found
@@ -184,7 +184,7 @@ def _behind_noise(fit: Fit, size: np.ndarray, period: float) -> np.ndarray:
         return np.zeros(size.size)
     weights = fit.weights
     rms = np.sqrt(2.0 * DIAGNOSIS.band / period / weights.physics)
-    # an equation without terms has no size to compare with
+    # an equation without terms has no scale
     visible = (weights.slack > ESTIMATION.slack_left) & (size > 0.0)
     return np.divide(rms, size, out=np.zeros(size.size), where=visible)
 
@@ -200,7 +200,7 @@ def _as_forces_are(fit: Fit) -> np.ndarray:
 def _unexplained_little(
     names: Sequence[str], share: np.ndarray, excused: np.ndarray, unexplained: list[int]
 ) -> list[Finding]:
-    """Equation errors that are no reason for doubt."""
+    """Notes on small equation errors."""
     notes: list[Finding] = []
     for i in range(len(names)):
         if i in unexplained:
@@ -213,7 +213,7 @@ def _unexplained_little(
 
 
 def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
-    """Motion that is too fast for the sampling looks like noise to any smoother."""
+    """Motion that is too fast for the sampling rate is taken for noise."""
     spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.completed_data()], axis=0))
     noise = np.where(np.isnan(fit.position_std), 0.0, noise)
     return [
@@ -248,7 +248,7 @@ def _perhaps_angles(fit: Fit) -> list[Finding]:
 
 
 def _signal(fit: Fit) -> list[Finding]:
-    """A curve that hardly moves fits any noise, and any equations hold along it."""
+    """Coordinates whose motion barely exceeds the noise: any equations hold along it."""
     spread = np.sqrt(np.mean([np.var(curve, axis=0) for curve in fit.curves()], axis=0))
     return [
         find("motion-in-noise", name, motion=size, noise=noise)
@@ -265,7 +265,7 @@ def _identifiability(effects: Effects) -> list[Finding]:
     covariance = fit.covariance
     if not np.isfinite(covariance).all():
         return []
-    # a coefficient that vanishes beside its error is as loose as can be
+    # a coefficient far below its standard error is undetermined
     size = np.maximum(np.abs(fit.estimates), np.maximum(_NOTHING * fit.standard_errors, 1e-150))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
@@ -374,7 +374,7 @@ def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
 def _whiteness(fit: Fit) -> list[Finding]:
     notes: list[Finding] = []
     observations, names = fit.grid.observations, fit.problem.trajectories.coordinates
-    # a curve that nothing holds follows the noise
+    # an unconstrained curve follows the noise
     loose = [names[i] for i in fit.problem.prescribed]
     channels = [(name, "position") for name in names]
     channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]

@@ -150,13 +150,13 @@ CODES: dict[str, Message] = {
     "hidden-coordinate": Message("note", templates.hidden_coordinate),
     "hidden-gauge": Message(
         "warning",
-        "the candidates leave open how {subject} is measured ({changes}): with other values of it the same "
-        "terms describe the same motion",
+        "the candidates do not fix the choice of the coordinate {subject} ({changes}): after such a change "
+        "the same terms describe the same motion",
         "give the coefficient of a term with {subject} as known, or leave out a candidate",
     ),
     "hidden-start-unconfirmed": Message(
         "note",
-        "the search for the motion of {subject} did not confirm the law that it began with",
+        "no two searches for the motion of {subject} led to the same law",
         "if the fit is doubtful, offer fewer candidates, give coefficients as known, or record for longer",
     ),
     "hidden-motion-open": Message(
@@ -352,8 +352,8 @@ CODES: dict[str, Message] = {
     ),
     "fast-forces": Message(
         "note",
-        "coordinates follow forces of few samples a period, so all of the forces acts; between samples they "
-        "are {between}",
+        "coordinates follow forces that have few samples per period, so the whole force acts; between "
+        "samples, forces are {between}",
     ),
     "forecasts": Message(
         "note",

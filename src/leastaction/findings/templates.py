@@ -265,7 +265,8 @@ def perhaps_angle_remedy(f: dict[str, Any], on_command_line: bool = False) -> st
 
 def _declared(names: Sequence[str], on_command_line: bool) -> str:
     how = f"--angles {','.join(names)}" if on_command_line else f"angles={[*names]}"
-    return f"if {' and '.join(names)} {'is an angle' if len(names) == 1 else 'are angles'}, say so: {how}"
+    what = "is an angle, declare it" if len(names) == 1 else "are angles, declare them"
+    return f"if {' and '.join(names)} {what}: {how}"
 
 
 def zero_offset(f: dict[str, Any]) -> str:
@@ -380,12 +381,13 @@ def groups_differ(f: dict[str, Any]) -> str:
 
 
 def hidden_coordinate(f: dict[str, Any]) -> str:
-    """What is known of a coordinate without a sensor, and what is a matter of choice."""
+    """What is known of a coordinate without a sensor, and what is arbitrary."""
     text = "{subject} was not measured: its motion is estimated from the equations "
     text += "(standard error {standard_error:.2g})"
     choices = {"sign": "its sign", "half a turn": "its zero up to half a turn"}
     named = " and ".join(choices[kind] for kind in f["gauge"])
-    return fill(text + (f"; {named} is a matter of choice" if named else ""), f)
+    verb = "are" if len(f["gauge"]) > 1 else "is"
+    return fill(text + (f"; {named} {verb} arbitrary, and was fixed by convention" if named else ""), f)
 
 
 def hidden_motion_open(f: dict[str, Any]) -> str:

@@ -21,7 +21,7 @@ from leastaction.selection.strategies.irrelevant_terms import price_of_terms
 __all__ = ["Alternative", "find_alternatives"]
 
 _FITTED = 3  # of those that the quadratic model prefers to the fit
-_EXCHANGED = 64  # structures that are tested, where no other of the fit's size can be solved
+_EXCHANGED = 64  # structures tested if no other of the fit's size is solvable
 _SHOWN = 3  # of those that can be
 _GAIN = 1e-3  # of −2 log likelihood: less is rounding
 
@@ -116,7 +116,7 @@ def _reason(
 
 
 def _outcome(near: Neighbourhood, members: tuple[int, ...]) -> str:
-    """What became of a structure's own fit."""
+    """Outcome of the fit of a structure."""
     fit = near.fit
     other = fit.grid.fit(near.structure(members), near.start(members))
     if not other.converged or not np.isfinite(value(other)):

@@ -1,4 +1,4 @@
-"""discover(method="adam"): the paper's gradient descent in the place of the search and the joint fit."""
+"""discover(method="adam"): the gradient descent of the paper, instead of the search and the joint fit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from leastaction.selection.search_state import Search
 
 __all__ = ["run_descent"]
 
-_REST = 1e-3  # not zero, which would mean: removed
+_REST = 1e-3  # not zero, since zero marks a removed term
 
 
 def run_descent(search: Search, options: AdamOptions) -> Search:

@@ -1,4 +1,4 @@
-"""Laws with unknown numbers that nobody offered: a dictionary of families, and searches with the best.
+"""Families of terms with shape parameters that nobody offered, and searches with the best of them.
 
 Over one position the families are exponentials, wells, barriers, softened distances and powers.  Over several
 they are exponentials of all positions and of their differences, with one rate, and functions of the distance
@@ -35,12 +35,12 @@ from leastaction.selection.weak_proposals import explicable
 
 __all__ = ["Offer", "best_families", "looks_imitated", "offered", "searched_with"]
 
-_STARTS = 64  # numbers tried of a family with several shape parameters
-_PROFILED = 5  # families of one coordinate whose numbers are looked for on the weak form
-_LOWEST = 0.5  # power of a coordinate that changes its sign, which a search begins with
-_SEARCHED = 2  # families that are searched with
-_CENTRES = 3  # unknown points that are placed together
-_PLAIN = 2  # terms beyond the second degree that a potential may have without being suspected
+_STARTS = 64  # values tried for a family with several shape parameters
+_PROFILED = 5  # families of one coordinate whose shape parameters are estimated on the weak form
+_LOWEST = 0.5  # initial exponent of a coordinate that changes its sign
+_SEARCHED = 2  # families for which a full search is run
+_CENTRES = 3  # unknown points located together
+_PLAIN = 2  # terms above the second degree that a potential may have without a test for imitation
 _SHORT = 2  # size of the candidates beside which the families of several coordinates are profiled
 
 # of one coordinate X, in L and times X_dot**2
@@ -59,7 +59,7 @@ _BOTH_SIGNS = (("abs(X)**{n}",),)
 _ORIGIN = ("(R)**{n}", "exp(-{a}*sqrt(R))", "exp(-{a}*(R))")  # of the squared distance R to the origin
 # of the squared distance R to an unknown point
 _CENTRE = ("1/sqrt(R+{h}**2)", "sqrt(R)", "log(R+{h}**2)", "exp(-(R)/{w}**2)")
-_POINT = ("p", "r", "s")  # how the coordinates of an unknown point are called
+_POINT = ("p", "r", "s")  # names of the coordinates of an unknown point
 
 
 @dataclass(frozen=True)
@@ -86,13 +86,13 @@ class Offer:
 
 
 def offered(search: Search, offer: Offer) -> Search:
-    """A search that has found nothing yet, on the grid of the fit, with an offer among its candidates."""
+    """A new search on the grid of the fit, with an offer among its candidates."""
     on = replace(search, grid=search.found.grid, report=silent).posed(offer.added)
     return replace(on, curve=on.grid.smooth(), fit=None, feeding=())
 
 
 def searched_with(search: Search, *strategies: ModuleType) -> Search:
-    """What a few strategies find, one after another."""
+    """Run a few strategies in turn."""
     for strategy in strategies:
         search = strategy.run(search)
     return search
@@ -122,7 +122,7 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
     for texts in rounds:
         offers = [_unscored(*family) for family in _families(fit, states, texts)]
         posed = [offered(search, offer).posed(short) for offer in offers]
-        # a good imitation hardly differs from the law on the weak form
+        # on the weak form a good imitation is hardly distinguishable from the law
         yield from _searched(posed, fit, 2 * _SEARCHED if holds else _SEARCHED)
 
 
@@ -140,7 +140,7 @@ def looks_imitated(fit: Fit) -> bool:
     for expr in terms:
         names = {str(symbol) for symbol in expr.free_symbols}
         long += names <= positions and not expr.has(sp.Add) and not _quadratic(expr)
-        # r**2*phi_dot**2 is a mass of its own right; x**2*x_dot**2 bends a path
+        # r**2*phi_dot**2 is a genuine mass term; x**2*x_dot**2 may only imitate a curved path
         bent = any({name, f"{name}_dot"} <= names for name in positions)
         moving |= bent and bool(expr.is_polynomial(*expr.free_symbols))
     return long > _PLAIN or moving
@@ -153,7 +153,7 @@ def _quadratic(expr: sp.Expr) -> bool:
 
 
 def _searched(posed: Sequence[Search], fit: Fit, most: int = _SEARCHED) -> Iterator[Search]:
-    """Search with the families whose places are the best, where the library has equations that hold there."""
+    """Search with the families of highest worth, where the library has equations that hold with them."""
     points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
     for _, at in sorted(points, key=lambda pair: pair[0])[:most]:
         whole = _with_all(at, fit)
@@ -181,7 +181,7 @@ def _short(fit: Fit) -> Callable[[Problem], Problem]:
 
 
 def _with_all(search: Search, fit: Fit) -> Search:
-    """The search with all candidates back in but those that were excluded from a fit."""
+    """The search with all candidates restored, except those excluded from a fit."""
     whole = search.posed(lambda problem: replace(problem, excluded=fit.problem.excluded))
     return whole if whole.fit is None else replace(whole, fit=replace(whole.fit, grid=whole.grid))
 
@@ -214,7 +214,7 @@ def _families(
 
 
 def _of_one(positions: Sequence[str], states: Mapping[str, np.ndarray]) -> Iterator[list[str]]:
-    """Families in words: of one coordinate, unless it is an angle."""
+    """Families as text: of one coordinate that is not an angle."""
     for name in positions:
         powers = _POSITIVE if states[name].min() > 0.0 else _BOTH_SIGNS
         yield from ([text.replace("X", name) for text in texts] for texts in (*_LINE, *powers))

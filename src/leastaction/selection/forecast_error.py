@@ -1,4 +1,4 @@
-"""How well a fit forecasts the motion that it was fitted to."""
+"""Simulation error of a fit on the data that it was fitted to."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from leastaction.simulation.law import Law
 
 __all__ = ["Followed", "followed", "forecast_error", "left_out"]
 
-_WINDOW_STEPS = 8  # sampling intervals in which a state is found, at least
-_JUDGED = 12_000  # samples along which is simulated
+_WINDOW_STEPS = 8  # fewest sampling intervals from which an initial state is estimated
+_JUDGED = 12_000  # samples of a simulation
 _MOST_TRIALS = 12  # of more, one matters little for the law
 
 
@@ -41,7 +41,7 @@ class Followed(NamedTuple):
 
 
 def forecast_error(fit: Fit, horizon: float) -> float:
-    """Root mean square simulation error over standard deviation, runs that are lost counted as one."""
+    """Rms simulation error relative to the standard deviation; a diverged run counts as one."""
     return followed(fit, horizon).error
 
 
@@ -110,7 +110,7 @@ def _runs(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) -> t
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
     run = Law(mechanics.acceleration, problem.prescribed, mechanics.timed)
     noise, seen = fit.position_std, [i for i in range(data.n_dof) if i not in problem.hidden]
-    if problem.hidden:  # its curve stands for samples, which count as much as those that were taken
+    if problem.hidden:  # the estimated curve replaces the samples, with the same weight
         spread = np.nanstd(np.concatenate([t.q for t in data]), axis=0)
         noise[list(problem.hidden)] = spread[list(problem.hidden)] * (noise / spread)[seen].mean()
     result = forecast(run, data, noise, horizon, window)

@@ -47,7 +47,7 @@ def value(fit: Fit) -> float:
     """
     if not fit.usable or not np.isfinite(fit.evidence):
         return -np.inf
-    # candidates that imitate the known term let the scale of L run away from it
+    # candidates that imitate the known term leave the scale of L undetermined
     if np.all(np.abs(fit.estimates) < SELECTION.scale_lost * fit.standard_errors):
         return -np.inf
     n_parameters = len(fit.structure) + len(fit.problem.shapes_of(fit.structure))
@@ -132,7 +132,7 @@ class Neighbourhood:
 
 
 def refine(fit: Fit, report: Progress = silent, rounds: int = 8, most: int | None = None) -> Fit:
-    """Go to better structures until there is none; ``most`` limits the proposals that a round fits."""
+    """Fit better structures until none is found; ``most`` limits the proposals fitted in a round."""
     for _ in range(rounds):
         try:
             tell(fit, report)
@@ -154,7 +154,7 @@ def tell(fit: Fit, report: Progress) -> None:
 
 
 def _better(fit: Fit, most: int | None) -> Fit | None:
-    """The first proposal that converges to a higher value; else the best that is still moving."""
+    """The first proposal that converges to a higher value; otherwise the best unconverged one."""
     now, moving = value(fit), None
     proposals = Neighbourhood.of(fit).better(penalty(fit.grid))
     for n, (structure, start) in enumerate(proposals):
@@ -171,7 +171,7 @@ def _better(fit: Fit, most: int | None) -> Fit | None:
 
 
 def best_structure(proposals: Iterable[Proposal], best: Fit | None, report: Progress) -> Fit:
-    """Refine proposals (with ``grid``, ``structure``, ``start`` and ``evidence``), the best first.
+    """Refine proposals (with ``grid``, ``structure``, ``start`` and ``evidence``), starting with the best.
 
     Ends when two of them lead to the same structure.
     """

@@ -40,11 +40,11 @@ __all__ = ["Choice", "QuadraticModel", "relevant", "search_subsets", "term_penal
 
 _RIDGE = 1e-11  # relative to a unit diagonal
 _NO_BETTER = 1e-3  # in units of χ²
-_VAGUE = 1e-6  # prior precision at the start; 1 is that of the data, the other coefficients held
+_VAGUE = 1e-6  # prior precision at the start, relative to that of the data with the other coefficients fixed
 _ROUNDS = 300  # of relevance determination, at most
 _SETTLED = 1e-2  # relative change of every prior precision
 _LARGEST = 1e150  # whose square is still a number
-_SPARE = 18  # neighbours solved beyond those wanted: rounding may rank near-ties differently
+_SPARE = 18  # neighbours solved in addition, since rounding may reorder near-ties
 
 
 def term_penalty(n_samples: int, n_candidates: int) -> float:
@@ -313,7 +313,7 @@ def _swap_until_best(model: QuadraticModel, kept: list[Choice], width: int) -> l
         swapped -= {choice.members for choice in kept}
         better = model.best(swapped, width)
         merged = sorted([*kept, *better], key=lambda c: c.cost)[:width]
-        # Costs that are not numbers are no better either.
+        # A cost that is not a number is not an improvement.
         if not merged[0].cost < kept[0].cost - _NO_BETTER:
             return merged
         kept = merged

@@ -1,4 +1,4 @@
-"""How a search tells what it has found so far, and where its time goes."""
+"""Progress reports of a search, and the time of each stage."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Progress = Callable[[str, dict[str, Any]], None]
 
 
 def silent(stage: str, details: dict[str, Any]) -> None:
-    """For searches that nobody follows."""
+    """Ignore progress reports."""
 
 
 def law_so_far(problem: Problem, coefficients: np.ndarray, evidence: float) -> dict[str, Any]:

@@ -51,7 +51,7 @@ ON_ONE_GRID = (
     feeding_friction,
     shape_fit,
 )
-"""Strategies that find a structure from nothing but a first grid, in order."""
+"""Strategies that find a structure on a first grid, in order."""
 
 
 WITH_HIDDEN = (
@@ -102,7 +102,7 @@ def find_on_data(search: Search) -> Search:
 
 
 def _attempt(run: Callable[[Search], Search], search: Search) -> Search:
-    """Run a strategy unless the user has stopped the search; then the best fit so far stays."""
+    """Run a strategy, or keep the best fit so far if the user has stopped the search."""
     if search.stopped:
         return search
     try:

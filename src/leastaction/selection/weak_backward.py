@@ -25,8 +25,8 @@ from leastaction.selection.weak_search import ScaledGram, Support, best_extensio
 __all__ = ["backward_search"]
 
 _BISECTIONS = 45  # to rounding
-_ONE_BY_ONE = 120  # candidates; from larger libraries, several are left out at once
-_AT_ONCE = 10  # one in so many
+_ONE_BY_ONE = 120  # candidates; from larger libraries, several are removed at once
+_AT_ONCE = 10  # at most one member in ten is removed at once
 
 
 def backward_search(
@@ -75,7 +75,7 @@ def backward_search(
 
 
 def _without_many(scaled: ScaledGram, support: Support, price: float) -> Support:
-    """The support without the terms that are worth least, as many as do not matter together."""
+    """The support without its least valuable terms, as many as the price of a term allows at once."""
     count = min(len(support.members) // _AT_ONCE, len(support.members) - _ONE_BY_ONE)
     sequence = _reductions(scaled, [support], max(count, 1))
     out = [next(iter({*support.members}.difference(s.members))) for s in sequence]

@@ -193,7 +193,7 @@ def choose(
     """The best supports of some columns and, of each kind of others, as many as it says; best first."""
     kept = [Support(base, np.inf)]
     *others, last = [columns for columns, count in kinds for _ in range(count)]
-    for columns in others:  # often they make sense together only
+    for columns in others:  # often only both together improve the fit
         kept = best_extensions(scaled, {s.members for s in kept}, _WIDE, columns)
     kept = best_extensions(scaled, {s.members for s in kept}, width, last)
     return _swapped(scaled, kept, width, [columns for columns, _ in kinds]) if others else kept
@@ -337,12 +337,12 @@ def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:
     fixed = problem.completed(np.zeros(len(problem.candidates)))
     given = problem.candidates.mass_matrix(points, fixed)
     for i in range(n):
-        if np.all(given[:, i, i] > 0.0):  # a known term holds it up
+        if np.all(given[:, i, i] > 0.0):  # a known term already makes it positive
             options[i].append((0, ()))
     velocities = {sp.Symbol(f"{name}_dot", real=True) for name in problem.coordinates}
     for position, k in enumerate(problem.free):
         if velocities.isdisjoint(problem.terms[int(k)].expr.free_symbols):
-            continue  # a potential: not worth deriving
+            continue  # a potential has no mass
         mass = problem.candidates.mass_of(int(k), points)
         size = np.abs(mass).max(axis=0)
         (touched,) = np.nonzero(np.diag(size) > _TINY * size.max(initial=1e-300))

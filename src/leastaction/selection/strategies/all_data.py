@@ -27,7 +27,7 @@ _ROUNDS = 4  # at most, each with fits
 
 
 def run(search: Search) -> Search:
-    """The structure fitted on all data, with the terms that they ask for."""
+    """Fit the structure on all data, and select its terms again."""
     found = search.found
     if search.searched.trajectories is search.problem.trajectories or not found.converged:
         return search

@@ -1,4 +1,4 @@
-"""A second search on a coarse grid, for hardware that moves in ways the library knows nothing of.
+"""A second search on a coarse grid, for hardware with motion that the library cannot express.
 
 Belts and joints vibrate, clocks jitter, motors ripple.  A fine spline follows all of it, and the equations
 then fight accelerations of the wrong origin.  Where the first search leaves a large equation error, another
@@ -53,11 +53,11 @@ def run(search: Search, again: Callable[[Search], Search]) -> Search:
         return search
     first, second = (forecast_error(fit, horizon(knots)) for fit in (fine, coarse))
     search.report("coarse", {"forecast_error": second, "before": first})
-    # where its equations hold the first search went astray, and no machine need vibrate
+    # if its equations hold, the first search failed for another reason than vibration
     better = second < (first if equations_hold(coarse) else SELECTION.clearly * first)
     return replace(other, curve=search.curve, thorough=search.thorough) if better else search
 
 
 def horizon(knots_per_second: float) -> float:
-    """Seconds of the simulations that judge."""
+    """Length in seconds of the simulations that decide."""
     return SELECTION.horizon * 2.0 * np.pi * CURVE.knots_per_radian / knots_per_second

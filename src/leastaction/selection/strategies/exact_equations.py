@@ -1,4 +1,4 @@
-"""Take equations as exact where the data do not speak against it.
+"""Treat equations as exact where the data do not contradict it.
 
 Cost: five to ten steps of the joint fit. Without it, where an exact library is fitted, coefficients depend by
 some tenths of a standard error on the path that the search took.

@@ -37,7 +37,7 @@ def run(search: Search) -> Search:
             feeding += tuple(m for m, z in negative.items() if -z > certain)
         grid = fit.grid.posed(fit.problem.excluding(list(negative)))
         structure = fit.structure.without(negative)
-        # what held to rounding with it may not without: at those weights a fit ends anywhere
+        # equations exact with the term may not be so without it: those weights are no start
         noise = fit.weights.noise_std[: fit.grid.observations.n_dof]
         start = grid.start(structure, fit.control_points, fit.coefficients, noise)
         fit = refine(grid.fit(structure, start), search.report, _ROUNDS)

@@ -23,7 +23,7 @@ from leastaction.selection.settings import SELECTION
 
 __all__ = ["run"]
 
-_DIGITS = 1e-6  # of an estimate, which nobody needs
+_DIGITS = 1e-6  # of an estimate: finer knots are not worth a smaller change
 _FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
 _MOST_ROUNDS = 6  # grids, at most
 
@@ -53,7 +53,7 @@ def run(search: Search) -> Search:
         off = finer.equation_error()[0]
         if np.any((off > SELECTION.holds) & (off > SELECTION.grown * left)):
             return search.now(fit, knots_settled=True, vibrates=True)
-        if done and np.any(off > SELECTION.holds):  # not for want of knots
+        if done and np.any(off > SELECTION.holds):  # not caused by too few knots
             return search.now(finer, knots_settled=False, vibrates=False)
         # finer splines leave a smaller equation error, by nearly the same factor in every round, until
         # hardly any of it is left and its weight no longer matters

@@ -22,7 +22,7 @@ from leastaction.selection.search_state import Search, restarted
 
 __all__ = ["run"]
 
-_MOST_FITS = 12  # of curve, terms and forces in turn
+_MOST_FITS = 12  # alternations between curve, terms and forces
 
 
 def run(search: Search, again: Callable[[Search], Search]) -> Search:
@@ -57,7 +57,7 @@ def _settled(search: Search) -> Search:
         coefficients[index] = joint.coefficients[: len(index)]
         settled = bias.settled(more)
         if settled and n > 1 and np.min(z**2) < penalty(grid):
-            # fitted next together with the forces, which may be what the term stood for
+            # fitted next with the forces, which the term may have replaced
             structure = structure.without([structure.members[int(np.argmin(z**2))]])
             start = Start(fit.control_points, coefficients, fit.weights)
             continue

@@ -23,7 +23,7 @@ from leastaction.selection.strategies import finer_knots, shape_fit
 
 __all__ = ["run"]
 
-_MOST_SAMPLES = 50_000  # on more, places take too long
+_MOST_SAMPLES = 50_000  # with more coordinates, locating points takes too long
 
 
 def run(search: Search) -> Search:

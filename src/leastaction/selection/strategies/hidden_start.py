@@ -1,4 +1,4 @@
-"""Begin where some coordinates have no samples: their motion by shooting, then the joint fit.
+"""Start values where some coordinates have no samples: shooting, then the joint fit.
 
 Cost: some thousand short motions for each set of coefficients that is tried, 5 to 20 s.
 Without it there is no curve to begin with.
@@ -25,8 +25,8 @@ __all__ = ["run"]
 _Fitted = tuple[Fit, Smooth]
 """A fit, and the smooth curve through samples and motion that it began with."""
 
-_ATTEMPTS = 2  # searches for a law, at most
-_FINER = 3.0  # knots than the measured motion asks for, at most
+_ATTEMPTS = 2  # most searches for a law
+_FINER = 3.0  # largest factor by which knots exceed those for the measured motion
 
 
 def run(search: Search) -> Search:

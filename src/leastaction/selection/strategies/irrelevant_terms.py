@@ -25,7 +25,7 @@ def price_of_terms(fit: Fit, relevance: float) -> float:
 
 
 def run(search: Search) -> Search:
-    """Drop terms one by one on the quadratic model, refit, and look again."""
+    """Drop terms one by one on the quadratic model, refit, and repeat."""
     fit = search.found
     while fit.converged and len(fit.structure) > 1:
         threshold = price_of_terms(fit, search.relevance)

@@ -1,4 +1,4 @@
-"""Where the equations do not hold: begin once more, from kinetic energies too.
+"""Where the equations do not hold, search again, also from kinetic seeds.
 
 Cost: that of the first search, on the first grid. Skipped where the equations hold, where finer knots
 followed vibrations, and where the data themselves are in doubt.
@@ -19,9 +19,9 @@ __all__ = ["run"]
 
 
 def run(search: Search) -> Search:
-    """The better of the structure so far and the best of a second search."""
+    """The better of the present structure and that of a second search."""
     fit, before = search.found, search.first
-    search = replace(search, first=None)  # nobody needs it after this
+    search = replace(search, first=None)  # not used afterwards
     if not search.thorough or search.vibrates or explains(fit, value(fit)):
         return search
     first = Grid.lay(fit.problem, search.scales.per_second)

@@ -1,4 +1,4 @@
-"""Fit the shape parameters together with curve and coefficients, and drop what they make needless.
+"""Fit shape parameters, curve and coefficients together, and drop terms that become redundant.
 
 A term that only made up for wrong numbers loses its worth when these are right.  The opposite happens, too:
 numbers that make up for a term that is not there hide its worth, until both are moved at once.
