@@ -50,6 +50,7 @@ def discover(
     force_offset: Iterable[str] | Mapping[str, float] = (),
     prescribed: Iterable[str] = (),
     hidden: Iterable[str] = (),
+    measure: Iterable[str] = (),
     robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
@@ -189,9 +190,10 @@ def discover(
         robust=robust and not descent,
         shapes=dict(shapes or {}),
         hidden=hidden,
+        measure=_texts(measure),
     )
     with employ(workers) as crew:
-        whole = bool(descent or slow or request.hidden)
+        whole = bool(descent or slow or request.hidden or request.measure)
         setup = _set_up(trajectories, request, positions_alone=descent, whole=whole).computed_by(crew)
         search = begin_search(
             setup,

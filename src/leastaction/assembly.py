@@ -158,7 +158,7 @@ def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
     names = fit.problem.coordinates
     noise = fit.weights.noise_std[len(names) :].tolist()
     channels = [(rate.quantity, names[rate.coordinate]) for rate in fit.problem.trajectories.rates]
-    return dict(zip(channels, noise, strict=True))
+    return dict(zip(channels, noise, strict=False))
 
 
 def _path(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:

@@ -56,7 +56,9 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     names = fit.problem.coordinates
     floor = fit.grid.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
+    sensors = fit.problem.sensors
+    columns = () if sensors is None else sensors.noise_std
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std, *columns], fit.grid.observations.floors)
     counts = fit.grid.observations.counts
     chi2 = fit.linearisation.squares / np.maximum(counts, 1) / every**2
     share, rms = fit.equation_error()
@@ -356,7 +358,7 @@ def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
         find(
             "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
         )
-        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
+        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=False)
         if value > DIAGNOSIS.noise_ratio**2
     ]
 
@@ -367,10 +369,12 @@ def _whiteness(fit: Fit) -> list[Finding]:
     # a curve that nothing holds follows the noise
     loose = [names[i] for i in fit.problem.prescribed]
     channels = [(name, "position") for name in names]
+    sensors = fit.problem.sensors
     channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
+    channels += [(name, "column") for name in (sensors.functions.columns if sensors else ())]
     for (name, quantity), r, least, sigma in zip(
         channels,
-        observations.residuals(fit.control_points),
+        fit.residuals(),
         observations.floors,
         fit.weights.noise_std,
         strict=True,

@@ -62,6 +62,8 @@ class BlockedObservations:
         Control points and knot intervals of each block.
     """
 
+    calibration: np.ndarray | None = None
+
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         values, rates = recipes[0].samples[1:]
         self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]

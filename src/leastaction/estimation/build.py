@@ -13,6 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.columns import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
+from leastaction.estimation.calibration import Calibrated, calibrate
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
@@ -24,10 +25,11 @@ from leastaction.estimation.hidden import (
     with_hidden,
 )
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.sensors import SensorFunctions
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
-from leastaction.identifiers import TIME, quoted
+from leastaction.identifiers import TIME, check_coordinate_names, quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -57,6 +59,7 @@ class Request:
     robust: bool = True
     shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     hidden: Iterable[str] = ()
+    measure: Iterable[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,11 @@ def build_problem(
     ------
     InputError, DataError
     """
-    trajectories, hidden = with_hidden(Trajectories.coerce(trajectories), request.hidden, request.library)
+    trajectories = Trajectories.coerce(trajectories)
+    seen_by = _calibrated(trajectories, request) if request.measure else None
+    if seen_by is not None:
+        trajectories = seen_by.trajectories
+    trajectories, hidden = with_hidden(trajectories, () if seen_by else request.hidden, request.library)
     library = _library(request.library, trajectories.coordinates)
     check_hidden_terms(library, [trajectories.coordinates[i] for i in hidden])
     angles = library.angles if request.angles is None else tuple(request.angles)
@@ -129,7 +136,9 @@ def build_problem(
     findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
     seen = arranged(trajectories, measured)
-    if request.robust:
+    if seen_by is not None:
+        findings += seen_by.findings
+    elif request.robust:
         seen, left_out = leave_out_outliers(seen, request.degree, most_samples)
         findings += left_out
     trajectories = anchored(joined(seen, trajectories), library, hidden)
@@ -157,8 +166,29 @@ def build_problem(
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
         between="band-limited" if _fast_forces_act(searched) else "slow",
         hidden=hidden,
+        sensors=None if seen_by is None else seen_by.sensors,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _calibrated(table: Trajectories, request: Request) -> Calibrated:
+    """Coordinates that follow from measured columns, in the sequence of the library where it has one."""
+    texts = [request.measure] if isinstance(request.measure, str) else list(request.measure)
+    columns = [text.partition("=")[0].strip() for text in texts]
+    if isinstance(request.library, Library):
+        names = request.library.coordinates
+    else:
+        names = (*(name for name in table.coordinates if name not in columns), *request.hidden)
+    unknown = [name for name in table.coordinates if name not in (*columns, *names)]
+    if unknown:
+        raise InputError(
+            f"the data have a column {quoted(unknown[0])} that is neither a coordinate of the library nor "
+            "measured by a function; leave it out"
+        )
+    angles = request.library.angles if isinstance(request.library, Library) else ()
+    angles = angles if request.angles is None else tuple(request.angles)
+    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
+    return calibrate(table, functions, angles, request.degree, request.shapes, robust=request.robust)
 
 
 def _fast_forces_act(data: Trajectories) -> bool:

@@ -15,6 +15,8 @@ import scipy.sparse as sp
 from leastaction.curve.bspline import SplineGrid, SplineSpace
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
+from leastaction.estimation.banded import trace_product
+from leastaction.estimation.elimination import NormalEquations
 
 __all__ = ["Observations", "Recipe", "counts_and_floors", "cut"]
 
@@ -50,7 +52,11 @@ class Observations:
     floors, noise_floor : (n_channels,) and (n_dof,) arrays
         No sensor is better than a millionth of its range; below that rounding and the data's own
         integration errors would count as physics.
+    calibration : None
+        There is nothing to calibrate.
     """
+
+    calibration: np.ndarray | None = None
 
     def __init__(
         self,
@@ -91,17 +97,26 @@ class Observations:
 
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
-        residuals = self.residuals(control_points)
+        residuals = Observations.residuals(self, control_points)  # of these channels alone
         gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
-    def gram(self, channel: int) -> np.ndarray:
-        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
-        return self._channels[channel].gram
+    def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> Observations:  # noqa: ARG002
+        """Itself: the samples are linear in the control points, and there is nothing to calibrate."""
+        return self
+
+    def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:  # noqa: ARG002
+        """The normal equations as they are: there is nothing to calibrate."""
+        return normal
+
+    def traces(self, inverse_rows: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
+        """(n_channels,) degrees of freedom that each channel uses: tr(H⁻¹NᵀN) / σ²."""
+        pairs = zip(self._channels, noise_std, strict=False)
+        return np.array([trace_product(inverse_rows, c.coordinate, c.gram) / sigma**2 for c, sigma in pairs])
 
     def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
         """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        for c, sigma in zip(self._channels, noise_std, strict=True):
+        for c, sigma in zip(self._channels, noise_std, strict=False):
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
 
 
