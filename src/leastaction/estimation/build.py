@@ -153,7 +153,9 @@ def build_problem(
     library = library.reduced(keep=list(known), prescribed=[library.coordinates[i] for i in places])
     terms = (*library.terms, *library.dissipation)
     coefficients = _coefficients(terms, known)
-    ranges = shape_ranges(terms, states, request.shapes)
+    of_sensors = () if seen_by is None else seen_by.sensors.functions.names
+    given = {name: ends for name, ends in request.shapes.items() if name not in of_sensors}
+    ranges = shape_ranges(terms, states, given)
     numbers = {name: where.at(_FIRST) for name, where in ranges.items()}
     candidates = EulerLagrange([term.at(numbers) for term in terms], library.coordinates, places)
     problem = Problem(
@@ -188,7 +190,11 @@ def _calibrated(table: Trajectories, request: Request) -> Calibrated:
     angles = request.library.angles if isinstance(request.library, Library) else ()
     angles = angles if request.angles is None else tuple(request.angles)
     functions = SensorFunctions.parse(texts, check_coordinate_names(names))
-    return calibrate(table, functions, angles, request.degree, request.shapes, robust=request.robust)
+    both = set(functions.names) & set(request.library.shapes if isinstance(request.library, Library) else ())
+    if both:
+        raise InputError(f"{{{both.pop()}}} stands in a candidate and in a measurement function; rename one")
+    ranges = {name: ends for name, ends in request.shapes.items() if name in functions.names}
+    return calibrate(table, functions, angles, request.degree, ranges, robust=request.robust)
 
 
 def _fast_forces_act(data: Trajectories) -> bool:

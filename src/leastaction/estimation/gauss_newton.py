@@ -29,6 +29,7 @@ from leastaction.estimation.candidates import score
 from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
 from leastaction.estimation.joint import Linearisation, Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
+from leastaction.estimation.sensors import SensorObservations
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -235,8 +236,9 @@ def _moved(
     shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
     points, coefficients, weights = shift.reshape(start[0].shape), start[1].copy(), start[2]
     coefficients[physics.free] += delta[: physics.n_free]
-    if delta.size > physics.n_free:
-        weights = replace(weights, calibration=weights.calibration + delta[physics.n_free :])
+    if isinstance(observations, SensorObservations):
+        step = observations.directions @ delta[physics.n_free :]
+        weights = replace(weights, calibration=weights.calibration + step)
     there = linearise(observations, physics, points, coefficients, weights)
     return (there.control_points, coefficients, weights), there
 

@@ -100,15 +100,25 @@ class SensorFunctions:
             for expr in self.expressions
         ]
         inputs = [*state, sp.Symbol(TIME, real=True), *numbers]
-        function = sp.lambdify(inputs, wanted, modules="numpy", cse=True, dummify=True)
-        object.__setattr__(self, "_function", function)
+        given = {"modules": "numpy", "cse": True, "dummify": True}
+        object.__setattr__(self, "_function", sp.lambdify(inputs, wanted, **given))
+        object.__setattr__(self, "_values", sp.lambdify(inputs, list(self.expressions), **given))
 
     @property
-    def degree(self) -> int:
-        """Highest derivative of a coordinate that occurs."""
-        names = {symbol.name for expr in self.expressions for symbol in expr.free_symbols}
-        suffixes = ("_dot", "_ddot")
-        return max([0, *(k + 1 for k, s in enumerate(suffixes) if any(f"{q}{s}" in names for q in self.coordinates))])
+    def degrees(self) -> tuple[int, ...]:
+        """Highest derivative of a coordinate that occurs in each function."""
+        rates = {f"{q}{end}": nu for q in self.coordinates for nu, end in enumerate(("", "_dot", "_ddot"))}
+        return tuple(max(rates.get(s.name, 0) for s in expr.free_symbols) for expr in self.expressions)
+
+    def values(self, states: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """(n_columns, n_points) values of h; see `evaluate`."""
+        with np.errstate(all="ignore"):
+            found = self._values(*self._inputs(states, times, numbers))  # type: ignore[attr-defined]
+        return np.stack([np.broadcast_to(value, times.shape) for value in found])
+
+    @staticmethod
+    def _inputs(states: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> list[np.ndarray]:
+        return [*states.transpose(0, 2, 1).reshape(-1, times.size), times, *numbers]
 
     def evaluate(
         self, states: np.ndarray, times: np.ndarray, numbers: np.ndarray
@@ -127,9 +137,8 @@ class SensorFunctions:
             (n_columns, n_points), (n_columns, 3, n_dof, n_points), (n_columns, n_numbers, n_points)
         """
         n, points = len(self.coordinates), times.size
-        inputs = [*states.transpose(0, 2, 1).reshape(-1, points), times, *numbers]
         with np.errstate(all="ignore"):
-            found = self._function(*inputs)  # type: ignore[attr-defined]
+            found = self._function(*self._inputs(states, times, numbers))  # type: ignore[attr-defined]
         out = np.empty((len(self.columns), 1 + 3 * n + len(self.names), points))
         for c, row in enumerate(found):
             for k, value in enumerate(row):
@@ -162,6 +171,8 @@ class Sensors:
         Noise of the columns, by a smooth curve through each.
     numbers : (n_numbers,) array
         κ.
+    ranges : mapping of str to (float, float)
+        Where the user expects some of these.
     """
 
     functions: SensorFunctions
@@ -169,15 +180,16 @@ class Sensors:
     direct: list[np.ndarray]
     noise_std: np.ndarray
     numbers: np.ndarray
+    ranges: Mapping[str, tuple[float, float]]
 
     def at(self, numbers: np.ndarray) -> Sensors:
         """The same with other calibration numbers."""
         return replace(self, numbers=numbers)
 
-    def of(self, trials: Sequence[int]) -> Sensors:
-        """The same of some trajectories."""
-        samples, direct = ([values[k] for k in trials] for values in (self.samples, self.direct))
-        return replace(self, samples=samples, direct=direct)
+    def static(self) -> Sensors:
+        """The same with no weight for columns that depend on velocities or accelerations."""
+        moving = np.array(self.functions.degrees) > 0
+        return replace(self, noise_std=np.where(moving, np.inf, self.noise_std))
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,18 +220,19 @@ class SensorObservations(Observations):
     ----------
     calibration : (n_numbers,) array
         κ to begin with; of :meth:`at`, those at that point.
-    held : bool
-        Whether κ stays as it is.
+    directions : (n_numbers, n_directions) array
+        In which κ may move: by default in all.
     """
 
     def __init__(
         self, grid: SplineGrid, times: Sequence[np.ndarray], sensors: Sensors, rates: Sequence[Rate] = ()
     ) -> None:
         super().__init__(grid, times, sensors.direct, rates)
-        self.functions, self.calibration, self.held = sensors.functions, sensors.numbers, False
+        self.functions, self.calibration = sensors.functions, sensors.numbers
+        self.directions = np.eye(len(sensors.functions.names))
         self._times, self._y = np.concatenate(times), np.concatenate(sensors.samples).T
         self._valid = np.isfinite(self._y)
-        designs = [grid.design(times, nu) for nu in range(self.functions.degree + 1)]
+        designs = [grid.design(times, nu) for nu in range(max(self.functions.degrees) + 1)]
         width = grid.degree + 1
         self._first = designs[0].indices[::width]
         self._bases = [design.data.reshape(-1, width) for design in designs]
@@ -228,10 +241,10 @@ class SensorObservations(Observations):
         self.counts = np.concatenate([self.counts, self._valid.sum(axis=1)])
         self.floors = np.concatenate([self.floors, np.where(spread > 0.0, RELATIVE_FLOOR * spread, 1.0)])
 
-    def holding(self) -> SensorObservations:
-        """The same with calibration numbers that stay as they are."""
+    def along(self, directions: np.ndarray) -> SensorObservations:
+        """The same with calibration numbers that move in some directions only."""
         other = copy(self)
-        other.held = True
+        other.directions = directions
         return other
 
     def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> SensorObservations:
@@ -249,7 +262,7 @@ class SensorObservations(Observations):
             rows = sum(
                 basis[good, :, None] * slopes[c, nu].T[good, None, :] for nu, basis in enumerate(self._bases)
             )
-            border = np.column_stack([h[c] - self._y[c], *(() if self.held else own[c])])
+            border = np.column_stack([h[c] - self._y[c], (self.directions.T @ own[c]).T])
             sights.append(_Sight(self._first[good], np.asarray(rows), border[good]))
         here._sights = tuple(sights)
         return here
