@@ -306,6 +306,7 @@ def _given(
             if setup.problem.hidden
             else {}
         ),
+        **({"measure": list(request.measure)} if setup.problem.sensors else {}),
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
         **({} if descent is None else {"adam": asdict(descent)}),
         **({} if grouping is None else {"groups": [grouping.names[place] for place in grouping.places]}),

@@ -13,6 +13,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import find, status_of
 from leastaction.hidden.band import curve_errors
+from leastaction.model.calibration import Calibration
 from leastaction.model.diagnostics import Diagnostics, HiddenMotion, PathPoint, pareto
 from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.model import LagrangianModel
@@ -82,6 +83,28 @@ def assemble_model(
         diagnostics,
         _shapes(fit),
         _groups(fit, unknown),
+        _calibration(fit),
+    )
+
+
+def _calibration(fit: Fit) -> Calibration | None:
+    """The measurement functions of a fit, and its calibration numbers."""
+    sensors, numbers = fit.problem.sensors, fit.weights.calibration
+    if sensors is None or numbers is None:
+        return None
+    functions, n = sensors.functions, len(fit.structure)
+    errors = np.full(numbers.size, np.nan)
+    if fit.joint is not None:
+        errors = np.sqrt(np.clip(np.diag(fit.joint)[n:], 0.0, None))
+    found = zip(functions.names, numbers.tolist(), errors.tolist(), strict=True)
+    noise = fit.weights.noise_std[-len(functions.columns) :].tolist()
+    covariance = fit.joint if fit.joint is not None and np.isfinite(fit.joint).all() else None
+    return Calibration(
+        functions.coordinates,
+        functions.texts,
+        tuple(noise),
+        tuple(ShapeParameter(*number) for number in found),
+        covariance,
     )
 
 

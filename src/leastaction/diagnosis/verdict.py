@@ -13,7 +13,7 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
-from leastaction.diagnosis.hidden import about_hidden
+from leastaction.diagnosis.hidden import about_hidden, about_sensors
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
@@ -104,6 +104,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
+    found += about_sensors(fit, np.sqrt(chi2))
     found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
     if to_its_end and inexact(found):
@@ -371,7 +372,7 @@ def _whiteness(fit: Fit) -> list[Finding]:
     channels = [(name, "position") for name in names]
     sensors = fit.problem.sensors
     channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
-    channels += [(name, "column") for name in (sensors.functions.columns if sensors else ())]
+    channels += [(name, "position") for name in (sensors.functions.columns if sensors else ())]
     for (name, quantity), r, least, sigma in zip(
         channels,
         fit.residuals(),

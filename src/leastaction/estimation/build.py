@@ -13,7 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.columns import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.calibration import Calibrated, calibrate
+from leastaction.estimation.calibration import from_columns
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
@@ -25,11 +25,10 @@ from leastaction.estimation.hidden import (
     with_hidden,
 )
 from leastaction.estimation.problem import Problem
-from leastaction.estimation.sensors import SensorFunctions
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find
-from leastaction.identifiers import TIME, check_coordinate_names, quoted
+from leastaction.identifiers import TIME, quoted
 from leastaction.library import Library, Term, smooth_abs
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -109,7 +108,18 @@ def build_problem(
     InputError, DataError
     """
     trajectories = Trajectories.coerce(trajectories)
-    seen_by = _calibrated(trajectories, request) if request.measure else None
+    seen_by = None
+    if request.measure:
+        seen_by = from_columns(
+            trajectories,
+            request.measure,
+            request.library,
+            request.hidden,
+            request.angles,
+            request.degree,
+            request.shapes,
+            request.robust,
+        )
     if seen_by is not None:
         trajectories = seen_by.trajectories
     trajectories, hidden = with_hidden(trajectories, () if seen_by else request.hidden, request.library)
@@ -171,30 +181,6 @@ def build_problem(
         sensors=None if seen_by is None else seen_by.sensors,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
-
-
-def _calibrated(table: Trajectories, request: Request) -> Calibrated:
-    """Coordinates that follow from measured columns, in the sequence of the library where it has one."""
-    texts = [request.measure] if isinstance(request.measure, str) else list(request.measure)
-    columns = [text.partition("=")[0].strip() for text in texts]
-    if isinstance(request.library, Library):
-        names = request.library.coordinates
-    else:
-        names = (*(name for name in table.coordinates if name not in columns), *request.hidden)
-    unknown = [name for name in table.coordinates if name not in (*columns, *names)]
-    if unknown:
-        raise InputError(
-            f"the data have a column {quoted(unknown[0])} that is neither a coordinate of the library nor "
-            "measured by a function; leave it out"
-        )
-    angles = request.library.angles if isinstance(request.library, Library) else ()
-    angles = angles if request.angles is None else tuple(request.angles)
-    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
-    both = set(functions.names) & set(request.library.shapes if isinstance(request.library, Library) else ())
-    if both:
-        raise InputError(f"{{{both.pop()}}} stands in a candidate and in a measurement function; rename one")
-    ranges = {name: ends for name, ends in request.shapes.items() if name in functions.names}
-    return calibrate(table, functions, angles, request.degree, ranges, robust=request.robust)
 
 
 def _fast_forces_act(data: Trajectories) -> bool:

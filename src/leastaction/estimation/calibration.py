@@ -1,52 +1,47 @@
 """Curves and calibration numbers that explain measured columns, before any law.
 
-The law is that of free masses that white noise pushes, q̈ = w, which makes the curve a smoothing spline whose
-smoothness the likelihood finds. Columns that outnumber the coordinates then determine most calibration numbers
-κ. What they leave open, such as the angle of a camera with the vertical, stays as it was drawn; the law of
-motion determines it later.
+The law is that of free masses that white noise pushes, q̈ = w, which makes the curve a smoothing spline
+whose smoothness the likelihood finds. Columns that outnumber the coordinates then determine most calibration
+numbers κ. What they leave open, such as the angle of a camera with the vertical, stays as it was drawn; the
+law of motion determines it later.
 
-Each draw of κ gives coordinates sample by sample (Levenberg–Marquardt from a grid of angles), and from these
-the joint fit of curve and κ begins. A number that only adds to a column begins at its mean, one that multiplies
-a function of the coordinates about its spread, any other about 0; starts and ranges of the user go first.
+Each draw of κ gives coordinates sample by sample, and from these the joint fit of curve and κ begins. A
+number that only adds to a column begins at its mean, one that multiplies a function of the coordinates about
+its spread, any other about 0. Starts and ranges of the user go first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 import sympy as sp
 
-from leastaction.curve.bspline import uniform_grid
+from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import FEWEST_SAMPLES, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.smoothing import smooth
 from leastaction.data.columns import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
+from leastaction.estimation.by_sample import by_sample, directions, is_seen, misfit, newton_step
 from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.sensors import SensorFunctions, SensorObservations, Sensors
 from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights
 from leastaction.findings import Finding
-from leastaction.identifiers import quoted
-from leastaction.library import make_term, shape_symbol
+from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.library import Library, make_term, shape_symbol
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Calibrated", "calibrate", "directions", "moved", "sizes"]
+__all__ = ["Calibrated", "calibrate", "from_columns", "plausible_sizes"]
 
 _DRAWS = 16  # of calibration numbers, where the user gave no start
 _KEPT = 4  # of these, that curves are fitted to
 _SAMPLES = 600  # of each column, that draws are tried on
 _SCREENED = 60  # of these, that all draws are tried on
-_ANGLES = 12  # equally spaced, at which an angle begins
-_BRANCHES = 4  # values of the coordinates that fit one sample, at most
-_JUMP = 0.1  # rad: between samples, of no concern
-_STEPS = 30  # of the fit of the coordinates, sample by sample
 _SPREAD = 0.5  # natural logarithm: of drawn numbers that multiply
-_OPEN = 1e-6  # of the information of a sample on a number, its coordinates known: less is none
 _OTHERS = 0.5  # standard deviation of drawn numbers of any other kind
 
 
@@ -68,6 +63,47 @@ class Calibrated:
     findings: tuple[Finding, ...]
 
 
+def from_columns(
+    table: Trajectories,
+    measure: Iterable[str],
+    library: Library | Iterable[str],
+    hidden: Iterable[str],
+    angles: Iterable[str] | None,
+    degree: int,
+    shapes: Mapping[str, tuple[float, float]],
+    robust: bool,
+) -> Calibrated:
+    """Coordinates from a table of measured columns, in the sequence of the library where it has one.
+
+    Parameters are those of `leastaction.discover`. Columns on the left of ``measure`` are no coordinates;
+    ``hidden`` names coordinates without a column where the library does not.
+
+    Raises
+    ------
+    InputError, DataError
+    """
+    texts = [measure] if isinstance(measure, str) else list(measure)
+    columns = [text.partition("=")[0].strip() for text in texts]
+    if isinstance(library, Library):
+        names, taken = library.coordinates, tuple(library.shapes)
+        turning = library.angles if angles is None else tuple(angles)
+    else:
+        names, taken = (*(name for name in table.coordinates if name not in columns), *hidden), ()
+        turning = () if angles is None else tuple(angles)
+    unknown = [name for name in table.coordinates if name not in (*columns, *names)]
+    if unknown:
+        raise InputError(
+            f"the data have a column {quoted(unknown[0])} that is neither a coordinate of the library nor "
+            "measured by a function; leave it out"
+        )
+    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
+    for name in functions.names:
+        if name in taken:
+            raise InputError(f"{{{name}}} stands in a candidate and in a measurement function; rename one")
+    ranges = {name: ends for name, ends in shapes.items() if name in functions.names}
+    return calibrate(table, functions, turning, degree, ranges, robust=robust)
+
+
 def calibrate(
     table: Trajectories,
     functions: SensorFunctions,
@@ -76,7 +112,6 @@ def calibrate(
     ranges: Mapping[str, tuple[float, float]],
     *,
     robust: bool = True,
-    seed: int = 0,
 ) -> Calibrated:
     """Find curve and calibration numbers that explain the columns.
 
@@ -93,28 +128,33 @@ def calibrate(
         Where the user expects a number.
     robust : bool
         Leave out outliers of the columns.
-    seed : int
-        Of the draws.
 
     Raises
     ------
     InputError, DataError
     """
-    columns, findings = _columns(table, functions), []
+    findings: list[Finding] = []
+    columns = _columns(table, functions)
     if robust:
         columns, findings = leave_out_outliers(columns, degree)
     knots = lay_knots(columns, degree)
     own = arranged(table, functions.coordinates)
-    noise = np.maximum(knots.smooth.noise_std, 1e-6 * np.nanstd(np.concatenate([t.q for t in columns]), axis=0))
-    sensors = Sensors(functions, [t.q for t in columns], [t.q for t in own], noise, np.zeros(len(functions.names)), ranges)
+    noise = np.maximum(
+        knots.smooth.noise_std, 1e-6 * np.nanstd(np.concatenate([t.q for t in columns]), axis=0)
+    )
+    sensors = Sensors(
+        functions, [t.q for t in columns], [t.q for t in own], noise, np.zeros(len(functions.names)), ranges
+    )
     _check_observed(functions, own)
-    hunt = _Hunt(own, _centred(sensors), np.isin(functions.coordinates, list(angles)), knots.per_second, degree)
-    draws = _draws(sensors, np.random.default_rng(seed))
+    hunt = _Hunt(
+        own, _centred(sensors), np.isin(functions.coordinates, list(angles)), knots.per_second, degree
+    )
+    draws = _draws(sensors, np.random.default_rng(0))
     if len(draws) > 1:
         short = hunt.shortened()
-        fits = [short.fitted(numbers, 4) for numbers in sorted(draws, key=short.misfit)[:_KEPT]]
-        draws = [max(fits, key=lambda fit: fit[1])[0].weights.calibration]
-    fit, _ = hunt.fitted(np.asarray(draws[0]))
+        fits = [short.fitted(numbers, 4) for numbers in sorted(draws, key=short.misfit_of)[:_KEPT]]
+        draws = [np.asarray(max(fits, key=lambda fit: fit[1])[0].weights.calibration)]
+    fit, _ = hunt.fitted(draws[0])
     return Calibrated(hunt.sighted(fit), sensors.at(np.asarray(fit.weights.calibration)), tuple(findings))
 
 
@@ -157,7 +197,7 @@ def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
     open_numbers = [name for name in functions.names if name not in functions.starts]
     out: list[np.ndarray] = []
     for _ in range(_DRAWS if open_numbers else 1):
-        values = []
+        values: list[float] = []
         for name in functions.names:
             if name in functions.starts:
                 values.append(functions.starts[name])
@@ -167,20 +207,21 @@ def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
                 continue
             kind, column = _kind(functions, name)
             if kind == "offset":
-                values.append(mean[column])
-            elif kind == "factor" and functions.degrees[column] and not _seen(sensors).all():
+                values.append(float(mean[column]))
+            elif kind == "factor" and functions.degrees[column] and not is_seen(sensors).all():
                 values.append(1.0)
             elif kind == "factor":
-                values.append(spread[column] * np.sqrt(2.0) * np.exp(_SPREAD * rng.standard_normal()))
+                values.append(float(spread[column] * np.exp(0.35 + _SPREAD * rng.standard_normal())))
             else:
                 values.append(_OTHERS * rng.standard_normal())
         out.append(np.array(values))
     return out
 
 
-def sizes(sensors: Sensors) -> np.ndarray:
+def plausible_sizes(sensors: Sensors) -> np.ndarray:
     """(n_numbers,) by which each number may be off before the law is known."""
-    functions, ranges, out = sensors.functions, sensors.ranges, []
+    functions, ranges = sensors.functions, sensors.ranges
+    out: list[float] = []
     spread = np.nanstd(np.concatenate(sensors.samples), axis=0)
     for name, value in zip(functions.names, sensors.numbers.tolist(), strict=True):
         kind, column = _kind(functions, name)
@@ -189,7 +230,7 @@ def sizes(sensors: Sensors) -> np.ndarray:
         elif name in functions.starts:
             out.append(0.1 * abs(value) or _OTHERS)
         else:
-            out.append({"offset": spread[column], "factor": _SPREAD * abs(value)}.get(kind, _OTHERS))
+            out.append({"offset": float(spread[column]), "factor": _SPREAD * abs(value)}.get(kind, _OTHERS))
     return np.array(out)
 
 
@@ -228,7 +269,7 @@ class _Hunt:
         sensors = replace(self.sensors, samples=samples, direct=[t.q for t in items])
         return replace(self, own=Trajectories(items), sensors=sensors)
 
-    def misfit(self, numbers: np.ndarray) -> float:
+    def misfit_of(self, numbers: np.ndarray) -> float:
         """How badly some samples are explained, each by itself: bounded, in logarithms."""
         total = 0.0
         stride = max(1, sum(t.n_times for t in self.own) // _SCREENED)
@@ -239,19 +280,19 @@ class _Hunt:
         )
         for k, run in enumerate(self.own):
             t = run.t[::stride]
-            q = _by_sample(thin, k, t, numbers, self.angular)
-            total += float(np.log1p(_misfit(thin, k, q, t, numbers)).sum())
+            q = by_sample(thin, k, t, numbers, self.angular)
+            total += float(np.log1p(misfit(thin, k, q, t, numbers)).sum())
         return total
 
     def fitted(self, numbers: np.ndarray, rounds: int = 8) -> tuple[JointFit, float]:
         """Curve and κ from given numbers, and their evidence."""
         times = [t.t for t in self.own]
-        grid = uniform_grid(times, self.per_second, self.degree, 2)
+        grid = self._grid(times)
         observations = SensorObservations(grid, times, self.sensors.at(numbers), self.own.rates)
         names = self.own.coordinates
         masses = EulerLagrange([make_term(f"{n}_dot**2/2", [f"{n}_dot"]) for n in names], names)
         physics = Physics(masses, np.zeros(len(names), dtype=bool), None)
-        q = [_by_sample(self.sensors, k, t, numbers, self.angular) for k, t in enumerate(times)]
+        q = [by_sample(self.sensors, k, t, numbers, self.angular) for k, t in enumerate(times)]
         there = Trajectories([t.changed(q=values) for t, values in zip(self.own, q, strict=True)])
         observations = observations.along(self._determined(self.sensors.at(numbers), there))
         curve, ones = smooth(grid, times, q).control_points, np.ones(len(names))
@@ -262,10 +303,13 @@ class _Hunt:
         fit = fit_weights(observations, physics, Start(curve, ones, weights), max_rounds=rounds)
         return fit, evidence(observations, fit)
 
+    def _grid(self, times: list[np.ndarray]) -> SplineGrid:
+        return uniform_grid(times, self.per_second, self.degree, 2)
+
     def _determined(self, sensors: Sensors, there: Trajectories) -> np.ndarray:
         """(n_numbers, n_directions) changes of κ that the columns determine without a law."""
         free, fixed = directions(sensors, there)
-        scale_open = not _seen(replace(sensors, direct=[t.q for t in self.own])).all()
+        scale_open = not is_seen(replace(sensors, direct=[t.q for t in self.own])).all()
         kinds = [_kind(sensors.functions, name)[0] for name in sensors.functions.names]
         moving = ~np.any(np.concatenate([free, fixed], axis=1), axis=1)
         if scale_open:  # a gain and the size of the motion cannot be told apart
@@ -274,54 +318,16 @@ class _Hunt:
 
     def sighted(self, fit: JointFit) -> Trajectories:
         """The curve at the samples, moved by what the columns say there: coordinates with noise."""
-        numbers, grid = np.asarray(fit.weights.calibration), fit.linearisation.observations.grid  # type: ignore[attr-defined]
-        times = [t.t for t in self.own]
+        numbers, times = np.asarray(fit.weights.calibration), [t.t for t in self.own]
+        grid = self._grid(times)
         parts = [grid.evaluate(fit.control_points, times, nu) for nu in range(3)]
         items: list[Trajectory] = []
         sensors = replace(self.sensors, direct=[t.q for t in self.own])
         for k, run in enumerate(self.own):
             states = np.stack([part[k] for part in parts])
-            step = _newton_step(sensors, k, states, run.t, numbers, 1e-6)
+            step = newton_step(sensors, k, states, run.t, numbers, 1e-6)
             items.append(run.changed(q=states[0] + step))
         return Trajectories(items)
-
-
-def _by_sample(
-    sensors: Sensors, trial: int, times: np.ndarray, numbers: np.ndarray, angular: np.ndarray
-) -> np.ndarray:
-    """(n_times, n_dof) coordinates that fit the samples; rates count as zero.
-
-    Each sample by itself may allow several values of an angle. The path is chosen that jumps least.
-    """
-    sensors = sensors.static()
-    turning = angular & _seen(sensors)
-    axes = [np.arange(_ANGLES) * 2.0 * np.pi / _ANGLES - np.pi if a else np.zeros(1) for a in turning]
-    begins = np.array(list(product(*axes)))
-    shape = (times.size, angular.size)
-    cost = np.stack([_misfit(sensors, trial, np.broadcast_to(q, shape), times, numbers) for q in begins])
-    mesh = cost.reshape(*(axis.size for axis in axes), times.size)
-    for k in range(angular.size):  # local minima on the grid
-        lowest = np.minimum(np.roll(mesh, 1, axis=k), np.roll(mesh, -1, axis=k))
-        cost = np.where((mesh > lowest).reshape(cost.shape), np.inf, cost)
-    first = np.argsort(cost, axis=0, kind="stable")[:_BRANCHES]
-    there = np.isfinite(np.take_along_axis(cost, first, axis=0))
-    first = first[there.any(axis=1)]
-    branches = np.stack([_improved(sensors, trial, begins[row], times, numbers) for row in first])
-    misfit = np.stack([_misfit(sensors, trial, q, times, numbers) for q in branches])
-    return _continued(branches, misfit, angular)
-
-
-def _seen(sensors: Sensors) -> np.ndarray:
-    """(n_dof,) whether a coordinate has samples, or a column that depends on no rate depends on it."""
-    functions = sensors.functions
-    used = {
-        symbol.name
-        for expr, degree in zip(functions.expressions, functions.degrees, strict=True)
-        for symbol in expr.free_symbols
-        if not degree
-    }
-    direct = np.isfinite(np.concatenate(sensors.direct)).any(axis=0)
-    return direct | np.isin(functions.coordinates, list(used))
 
 
 def _centred(sensors: Sensors) -> Sensors:
@@ -329,110 +335,5 @@ def _centred(sensors: Sensors) -> Sensors:
 
     Without it nothing tells its mean. The noise is estimated, and is the spread of the coordinate.
     """
-    unseen = ~_seen(sensors)
+    unseen = ~is_seen(sensors)
     return replace(sensors, direct=[np.where(unseen, 0.0, values) for values in sensors.direct])
-
-
-def _continued(branches: np.ndarray, misfit: np.ndarray, angular: np.ndarray) -> np.ndarray:
-    """(n_times, n_dof) the path of least misfit and jumps, without jumps of 2π (dynamic programming)."""
-    total, origins = np.log1p(misfit[:, 0]), []
-    for k in range(1, branches.shape[1]):
-        step = branches[None, :, k] - branches[:, None, k - 1]
-        step = np.where(angular, (step + np.pi) % (2.0 * np.pi) - np.pi, 0.0)
-        through = total[:, None] + np.log1p(np.sum(step**2, axis=2) / _JUMP**2)
-        origins.append(through.argmin(axis=0))
-        total = through.min(axis=0) + np.log1p(misfit[:, k])
-    path = [int(total.argmin())]
-    for origin in reversed(origins):
-        path.append(int(origin[path[-1]]))
-    out = branches[path[::-1], np.arange(branches.shape[1])]
-    out[:, angular] = np.unwrap(out[:, angular], axis=0)
-    return out
-
-
-def _improved(
-    sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray, steps: int = _STEPS
-) -> np.ndarray:
-    """(n_times, n_dof) coordinates that fit the samples better, each by itself (Levenberg–Marquardt)."""
-    best, damping = q.copy(), np.full(times.size, 1e-3)
-    cost = _misfit(sensors, trial, best, times, numbers)
-    for _ in range(steps):
-        states = np.stack([best, np.zeros_like(best), np.zeros_like(best)])
-        there = best + _newton_step(sensors, trial, states, times, numbers, damping)
-        found = _misfit(sensors, trial, there, times, numbers)
-        better = found < cost
-        best[better], settled = there[better], found >= (1.0 - 1e-6) * cost
-        cost = np.where(better, found, cost)
-        damping = np.where(better, 0.1 * damping, 10.0 * damping)
-        if settled.all():
-            break
-    return best
-
-
-def moved(sensors: Sensors, trajectories: Trajectories, numbers: np.ndarray) -> Trajectories:
-    """Coordinates that the columns give with other calibration numbers, from those near by."""
-    static = sensors.static()
-    return Trajectories(
-        [t.changed(q=_improved(static, k, t.q, t.t, numbers)) for k, t in enumerate(trajectories)]
-    )
-
-
-def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of κ that the columns leave open, whatever the motion, and those that they determine.
-
-    Where each sample has coordinates of its own, what is known of κ is K − Σ BᵀH⁻¹B. Numbers that stand only
-    in columns that depend on velocities are in neither.
-
-    Returns
-    -------
-    pair of (n_numbers, n_directions) arrays
-    """
-    static, size = sensors.static(), len(sensors.functions.names)
-    known, whole = np.zeros((size, size)), np.zeros((size, size))
-    for k, t in enumerate(trajectories):
-        states = np.stack([t.q, np.zeros_like(t.q), np.zeros_like(t.q)])
-        _, slopes, own = sensors.functions.evaluate(states, t.t, sensors.numbers)
-        seen = np.isfinite(sensors.samples[k]) / static.noise_std
-        jacobian, border = slopes[:, 0].transpose(2, 0, 1) * seen[..., None], own.transpose(2, 0, 1) * seen[..., None]
-        direct = np.isfinite(sensors.direct[k])[:, :, None] / np.maximum(np.nanvar(t.q, axis=0), 1e-300) * 1e8
-        matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct * np.eye(t.q.shape[1])
-        cross = np.swapaxes(jacobian, 1, 2) @ border
-        whole += np.einsum("sck,scl->kl", border, border)
-        known += np.einsum("sik,sil->kl", cross, np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ cross)
-    touched = np.diag(whole) > 0.0
-    scale = np.where(touched, 1.0 / np.sqrt(np.where(touched, np.diag(whole), 1.0)), 1.0)
-    (own,) = np.nonzero(touched)
-    index = np.ix_(own, own)
-    values, vectors = np.linalg.eigh((whole - known)[index] * np.outer(scale[own], scale[own]))
-    wide = np.zeros((size, own.size))
-    wide[own] = scale[own, None] * vectors
-    return wide[:, values < _OPEN], wide[:, values >= _OPEN]
-
-
-def _misfit(
-    sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray
-) -> np.ndarray:
-    h = sensors.functions.values(np.stack([q, 0.0 * q, 0.0 * q]), times, numbers)
-    error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
-    return (error**2).sum(axis=1) + np.square(np.nan_to_num(q - sensors.direct[trial])).sum(axis=1)
-
-
-def _newton_step(
-    sensors: Sensors,
-    trial: int,
-    states: np.ndarray,
-    times: np.ndarray,
-    numbers: np.ndarray,
-    damping: np.ndarray | float,
-) -> np.ndarray:
-    """(n_times, n_dof) steps of the coordinates that lower the misfit of each sample."""
-    h, slopes, _ = sensors.functions.evaluate(states, times, numbers)
-    error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
-    seen = np.isfinite(sensors.samples[trial]) / sensors.noise_std
-    jacobian = slopes[:, 0].transpose(2, 0, 1) * seen[:, :, None]
-    direct = np.isfinite(sensors.direct[trial])
-    matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct[:, :, None] * np.eye(states.shape[2])
-    gradient = np.einsum("sci,sc->si", jacobian, error) + np.nan_to_num(states[0] - sensors.direct[trial])
-    diagonal = np.einsum("sii->si", matrix)
-    ridge = np.reshape(damping, (-1, 1)) * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
-    return -np.linalg.solve(matrix + ridge[:, :, None] * np.eye(states.shape[2]), gradient[..., None])[..., 0]

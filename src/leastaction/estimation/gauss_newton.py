@@ -232,11 +232,11 @@ def _moved(
     shift: np.ndarray,
     delta: np.ndarray,
 ) -> tuple[tuple[np.ndarray, np.ndarray, Weights], Linearised]:
-    """Curve, coefficients and calibration after a step, and the problem there; ``shift`` becomes the curve."""
+    """Curve, coefficients and weights after a step, and the problem there; ``shift`` becomes the curve."""
     shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
     points, coefficients, weights = shift.reshape(start[0].shape), start[1].copy(), start[2]
     coefficients[physics.free] += delta[: physics.n_free]
-    if isinstance(observations, SensorObservations):
+    if isinstance(observations, SensorObservations) and weights.calibration is not None:
         step = observations.directions @ delta[physics.n_free :]
         weights = replace(weights, calibration=weights.calibration + step)
     there = linearise(observations, physics, points, coefficients, weights)

@@ -101,11 +101,11 @@ class Observations:
         gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
-    def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> Observations:  # noqa: ARG002
+    def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> Observations:
         """Itself: the samples are linear in the control points, and there is nothing to calibrate."""
         return self
 
-    def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:  # noqa: ARG002
+    def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:
         """The normal equations as they are: there is nothing to calibrate."""
         return normal
 

@@ -61,7 +61,7 @@ class Problem:
     hidden : tuple of int
         Coordinates without a single measured position.
     sensors : Sensors or None
-        Measured columns that are functions of the coordinates. The trajectories then hold the coordinates that
+        Measured columns that are functions of the coordinates. The trajectories then hold coordinates that
         follow from these columns, to begin with; what is fitted are the columns.
     """
 

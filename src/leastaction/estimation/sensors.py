@@ -11,9 +11,11 @@ banded; the second adds a column for each number to the border of the coefficien
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -24,7 +26,7 @@ from leastaction.errors import InputError
 from leastaction.estimation.elimination import NormalEquations
 from leastaction.estimation.observations import RELATIVE_FLOOR, Observations
 from leastaction.identifiers import TIME, check_coordinate_names, quoted
-from leastaction.library.parser import parse_expression, shape_symbol
+from leastaction.library.parser import format_expression, parse_expression, shape_symbol
 
 __all__ = ["SensorFunctions", "SensorObservations", "Sensors"]
 
@@ -92,17 +94,27 @@ class SensorFunctions:
         names = sorted(symbols, key=lambda name: re.search(rf"\{{\s*{name}\W", order).start())  # type: ignore[union-attr]
         return cls(tuple(columns), tuple(expressions), tuple(coordinates), tuple(names), starts)
 
-    def __post_init__(self) -> None:
-        state = [sp.Symbol(f"{q}{rate}", real=True) for rate in ("", "_dot", "_ddot") for q in self.coordinates]
+    @cached_property
+    def _compiled(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """h of every column; and h, its slopes in q, q̇, q̈ and in κ, column after column."""
+        rates = ("", "_dot", "_ddot")
+        state = [sp.Symbol(f"{q}{rate}", real=True) for rate in rates for q in self.coordinates]
         numbers = [shape_symbol(name) for name in self.names]
-        wanted = [
-            [expr, *(sp.diff(expr, s) for s in state), *(sp.diff(expr, s) for s in numbers)]
-            for expr in self.expressions
-        ]
         inputs = [*state, sp.Symbol(TIME, real=True), *numbers]
-        given = {"modules": "numpy", "cse": True, "dummify": True}
-        object.__setattr__(self, "_function", sp.lambdify(inputs, wanted, **given))
-        object.__setattr__(self, "_values", sp.lambdify(inputs, list(self.expressions), **given))
+        wanted: list[sp.Expr] = []
+        for expr in self.expressions:
+            wanted += [expr, *(sp.diff(expr, s) for s in (*state, *numbers))]
+        values, slopes = (
+            sp.lambdify(inputs, list(w), modules="numpy", cse=True, dummify=True)
+            for w in (self.expressions, wanted)
+        )
+        return values, slopes
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """The functions as text, without start values."""
+        pairs = zip(self.columns, self.expressions, strict=True)
+        return tuple(f"{column} = {format_expression(expr)}" for column, expr in pairs)
 
     @property
     def degrees(self) -> tuple[int, ...]:
@@ -112,13 +124,15 @@ class SensorFunctions:
 
     def values(self, states: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """(n_columns, n_points) values of h; see `evaluate`."""
-        with np.errstate(all="ignore"):
-            found = self._values(*self._inputs(states, times, numbers))  # type: ignore[attr-defined]
-        return np.stack([np.broadcast_to(value, times.shape) for value in found])
+        return self._evaluated(0, states, times, numbers)
 
-    @staticmethod
-    def _inputs(states: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> list[np.ndarray]:
-        return [*states.transpose(0, 2, 1).reshape(-1, times.size), times, *numbers]
+    def _evaluated(
+        self, which: int, states: np.ndarray, times: np.ndarray, numbers: np.ndarray
+    ) -> np.ndarray:
+        inputs = [*states.transpose(0, 2, 1).reshape(-1, times.size), times, *numbers]
+        with np.errstate(all="ignore"):
+            found: list[np.ndarray | float] = self._compiled[which](*inputs)
+        return np.stack([np.broadcast_to(np.asarray(value), times.shape) for value in found])
 
     def evaluate(
         self, states: np.ndarray, times: np.ndarray, numbers: np.ndarray
@@ -137,12 +151,7 @@ class SensorFunctions:
             (n_columns, n_points), (n_columns, 3, n_dof, n_points), (n_columns, n_numbers, n_points)
         """
         n, points = len(self.coordinates), times.size
-        with np.errstate(all="ignore"):
-            found = self._function(*self._inputs(states, times, numbers))  # type: ignore[attr-defined]
-        out = np.empty((len(self.columns), 1 + 3 * n + len(self.names), points))
-        for c, row in enumerate(found):
-            for k, value in enumerate(row):
-                out[c, k] = value
+        out = self._evaluated(1, states, times, numbers).reshape(len(self.columns), -1, points)
         return out[:, 0], out[:, 1 : 1 + 3 * n].reshape(-1, 3, n, points), out[:, 1 + 3 * n :]
 
 
@@ -228,7 +237,8 @@ class SensorObservations(Observations):
         self, grid: SplineGrid, times: Sequence[np.ndarray], sensors: Sensors, rates: Sequence[Rate] = ()
     ) -> None:
         super().__init__(grid, times, sensors.direct, rates)
-        self.functions, self.calibration = sensors.functions, sensors.numbers
+        self.functions = sensors.functions
+        self.calibration: np.ndarray | None = sensors.numbers
         self.directions = np.eye(len(sensors.functions.names))
         self._times, self._y = np.concatenate(times), np.concatenate(sensors.samples).T
         self._valid = np.isfinite(self._y)
@@ -250,13 +260,14 @@ class SensorObservations(Observations):
     def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> SensorObservations:
         """The same, linearised about a curve and calibration numbers."""
         here = copy(self)
-        if calibration is not None:
-            here.calibration = calibration
+        numbers = self.calibration if calibration is None else calibration
+        assert numbers is not None
+        here.calibration = numbers
         local = control_points[self._first[:, None] + np.arange(self.grid.degree + 1)]
         states = np.zeros((3, self._times.size, self.n_dof))
         for nu, basis in enumerate(self._bases):
             states[nu] = np.einsum("sa,sai->si", basis, local)
-        h, slopes, own = self.functions.evaluate(states, self._times, here.calibration)
+        h, slopes, own = self.functions.evaluate(states, self._times, numbers)
         sights: list[_Sight] = []
         for c, good in enumerate(self._valid):
             rows = sum(

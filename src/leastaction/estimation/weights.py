@@ -95,8 +95,8 @@ def start_weights(
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
     linear = observations.coordinates.size  # channels behind these see several coordinates at once
-    counts = np.bincount(observations.coordinates, observations.counts[:linear])
-    counts = counts + observations.counts[linear:].sum() / n
+    counts: np.ndarray = np.bincount(observations.coordinates, observations.counts[:linear])
+    counts = counts + float(observations.counts[linear:].sum()) / n
     few = counts <= len(observations.grid.spaces)  # a hidden coordinate counts as any other
     counts = np.where(few, max(counts.max(), 1), counts)
     weighed = at.equation > _NOTHING

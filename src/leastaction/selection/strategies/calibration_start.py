@@ -1,16 +1,16 @@
 """Calibration numbers that the measured columns leave open: those with which the weak form holds best.
 
-Columns alone do not tell the angle of a camera with the vertical, or the zero of an encoder; the law does. Along
-the open directions of κ, coordinates follow from the columns sample by sample, and the smallest generalised
-eigenvalue
+Columns alone do not tell the angle of a camera with the vertical, or the zero of an encoder; the law does.
+Along the open directions of κ, coordinates follow from the columns sample by sample, and the smallest
+generalised eigenvalue
 
     ρ(κ) = min over λ of λᵀ R λ / λᵀ S λ
 
 of squared row residuals R and the size S of the rows says how well any law of the library holds. It does not
 depend on units or on the scale of L. Many starts are tried, and the best are improved by Gauss–Newton.
 
-Cost: 30 to 200 weak forms of one width, 1 to 10 s. Skipped where the columns leave nothing open. Without it the
-joint fit begins at numbers that were drawn, and ends in wrong laws where these are far off.
+Cost: 30 to 200 weak forms of one width, 1 to 10 s. Skipped where the columns leave nothing open. Without it
+the joint fit begins at numbers that were drawn, and ends in wrong laws where these are far off.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from scipy.optimize import least_squares
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories
-from leastaction.estimation.calibration import directions, moved, sizes
+from leastaction.estimation.by_sample import directions, moved
+from leastaction.estimation.calibration import plausible_sizes
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.sensors import Sensors
@@ -64,7 +65,9 @@ def run(search: Search) -> Search:
 
     search = search.posed(sighted)
     scales = lay_knots(data, search.problem.degree)
-    return replace(search, grid=Grid.lay(search.problem, scales.per_second), curve=scales.smooth, scales=scales)
+    return replace(
+        search, grid=Grid.lay(search.problem, scales.per_second), curve=scales.smooth, scales=scales
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,7 @@ class _Profile:
         """The profile about the motion of a search."""
         problem = search.problem
         assert problem.sensors is not None
-        unit = 1.0 / np.sqrt(((free / sizes(problem.sensors)[:, None]) ** 2).sum(axis=0))
+        unit = 1.0 / np.sqrt(((free / plausible_sizes(problem.sensors)[:, None]) ** 2).sum(axis=0))
         known = problem.completed(np.full(len(problem.candidates), np.nan))
         form = weak_form(search.grid, search.curve, problem.candidates, known, (1.0,))
         return cls(search, problem.sensors, free * unit, form)
