@@ -90,13 +90,13 @@ def from_columns(
     else:
         names, taken = (*(name for name in table.coordinates if name not in columns), *hidden), ()
         turning = () if angles is None else tuple(angles)
+    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
     unknown = [name for name in table.coordinates if name not in (*columns, *names)]
     if unknown:
         raise InputError(
             f"the data have a column {quoted(unknown[0])} that is neither a coordinate of the library nor "
             "measured by a function; leave it out"
         )
-    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
     for name in functions.names:
         if name in taken:
             raise InputError(f"{{{name}}} stands in a candidate and in a measurement function; rename one")
@@ -205,13 +205,14 @@ def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
             if name in ranges:
                 values.append(rng.uniform(*ranges[name]))
                 continue
-            kind, column = _kind(functions, name)
+            kind, column, shared = _kind(functions, name)
             if kind == "offset":
                 values.append(float(mean[column]))
             elif kind == "factor" and functions.degrees[column] and not is_seen(sensors).all():
                 values.append(1.0)
             elif kind == "factor":
-                values.append(float(spread[column] * np.exp(0.35 + _SPREAD * rng.standard_normal())))
+                size = float(np.sqrt(2.0) * spread[column]) ** (1.0 / shared)
+                values.append(size * float(np.exp(_SPREAD * rng.standard_normal())))
             else:
                 values.append(_OTHERS * rng.standard_normal())
         out.append(np.array(values))
@@ -224,7 +225,7 @@ def plausible_sizes(sensors: Sensors) -> np.ndarray:
     out: list[float] = []
     spread = np.nanstd(np.concatenate(sensors.samples), axis=0)
     for name, value in zip(functions.names, sensors.numbers.tolist(), strict=True):
-        kind, column = _kind(functions, name)
+        kind, column, _ = _kind(functions, name)
         if name in ranges:
             out.append(0.5 * (ranges[name][1] - ranges[name][0]))
         elif name in functions.starts:
@@ -234,21 +235,22 @@ def plausible_sizes(sensors: Sensors) -> np.ndarray:
     return np.array(out)
 
 
-def _kind(functions: SensorFunctions, name: str) -> tuple[str, int]:
-    """How a number enters the first column that holds it alone in its kind, and that column."""
+def _kind(functions: SensorFunctions, name: str) -> tuple[str, int, int]:
+    """How a number enters, the column where it does so most simply, and how many numbers multiply there."""
     symbol = shape_symbol(name)
-    found: list[tuple[str, int]] = []
+    found: list[tuple[str, int, int]] = []
     for c, expr in enumerate(functions.expressions):
         slope = sp.diff(expr, symbol)
         if slope == 0:
             continue
         states = {s for s in slope.free_symbols if not s.name.startswith("{")}
         if symbol in slope.free_symbols:
-            found.append(("other", c))
+            found.append(("other", c, 1))
         else:
-            found.append(("factor" if states else "offset", c))
+            others = [s for s in slope.free_symbols if s not in states and slope.subs(s, 0) == 0]
+            found.append(("factor" if states else "offset", c, 1 + len(others)))
     order = {"offset": 0, "factor": 1, "other": 2}
-    return min(found, key=lambda pair: order[pair[0]])
+    return min(found, key=lambda one: order[one[0]])
 
 
 @dataclass(frozen=True, eq=False)
