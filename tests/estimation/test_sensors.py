@@ -115,6 +115,13 @@ def test_a_coordinate_that_nothing_shows_is_refused() -> None:
         la.discover(filmed(1.0, seconds=1.0), library, KNOWN, measure=CAMERA)
 
 
+def test_groups_and_adam_are_refused() -> None:
+    data = filmed(1.0, seconds=1.0)
+    for more in ({"groups": ["a", "b"]}, {"method": "adam"}):
+        with pytest.raises(InputError, match="measurement functions do not go with"):
+            la.discover(data, LIBRARY, KNOWN, measure=CAMERA, **more)
+
+
 def test_a_column_of_few_samples_is_refused() -> None:
     short = la.Trajectories([run.rows(slice(0, 10)) for run in filmed(1.0, amplitudes=(0.9,))])
     with pytest.raises(DataError, match="10 samples"):

@@ -109,6 +109,10 @@ class Observations:
         """The normal equations as they are: there is nothing to calibrate."""
         return normal
 
+    def gram(self, channel: int) -> np.ndarray:
+        """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
+        return self._channels[channel].gram
+
     def traces(self, inverse_rows: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
         """(n_channels,) degrees of freedom that each channel uses: tr(H⁻¹NᵀN) / σ²."""
         pairs = zip(self._channels, noise_std, strict=False)
