@@ -212,7 +212,7 @@ def _unexplained_little(
 
 def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling looks like noise to any smoother."""
-    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.completed_data()], axis=0))
+    spread = np.sqrt(np.mean([np.var(curve, axis=0) for curve in fit.curves()], axis=0))
     noise = np.where(np.isnan(fit.position_std), 0.0, noise)
     return [
         find("looks-like-noise", name, share=part)

@@ -168,4 +168,5 @@ def newton_step(
     diagonal = np.einsum("sii->si", matrix)
     ridge = np.reshape(damping, (-1, 1)) * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
     matrix += ridge[:, :, None] * np.eye(states.shape[2])
-    return np.asarray(-np.linalg.solve(matrix, gradient[..., None])[..., 0])
+    step: np.ndarray = np.linalg.solve(matrix, gradient[..., None])
+    return -step[..., 0]
