@@ -166,7 +166,7 @@ def newton_step(
     matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct[:, :, None] * np.eye(states.shape[2])
     gradient = np.einsum("sci,sc->si", jacobian, error) + np.nan_to_num(states[0] - sensors.direct[trial])
     diagonal = np.einsum("sii->si", matrix)
-    ridge = np.reshape(damping, (-1, 1)) * diagonal + 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
-    matrix += ridge[:, :, None] * np.eye(states.shape[2])
-    step: np.ndarray = np.linalg.solve(matrix, gradient[..., None])
-    return -step[..., 0]
+    least = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    ridge: np.ndarray = np.asarray(damping).reshape(-1, 1) * diagonal + least
+    matrix = matrix + ridge[:, :, None] * np.eye(states.shape[2])
+    return -np.asarray(np.linalg.solve(np.asarray(matrix), np.asarray(gradient)[..., None]))[..., 0]
