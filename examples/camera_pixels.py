@@ -10,7 +10,6 @@ strong is the friction, and by how much is the camera tilted?
 import matplotlib.pyplot as plt
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import least_squares
 
 import leastaction as la
 
@@ -44,42 +43,46 @@ films = [film(1.2, 0.0), film(-0.8, 1.0)]
 print(films[0][:5])
 
 # %%
-# **From pixels to an angle.** The bob moves on a circle. Fit the circle; its centre is the pivot. The angle
-# is measured from the vertical *of the picture*. The data will tell whether that is the vertical of the
-# laboratory.
+# **What the camera measures.** The bob is at the end of a link that turns about the pivot. Pivot, length in
+# pixels and roll are numbers in braces: they are estimated together with the law. `leastaction.measure` has
+# the functions ready.
 
-bob = np.concatenate(films)
-bob = bob[np.isfinite(bob).all(axis=1)]
-circle = least_squares(lambda c: np.hypot(*(bob - c[:2]).T) - c[2], [320.0, 100.0, 300.0])
-column, row, radius = circle.x
-print(f"pivot at ({column:.2f}, {row:.2f}), radius {radius:.2f} pixels")
-
-angles = [np.arctan2(pixels[:, 0] - column, pixels[:, 1] - row) for pixels in films]
-data = la.Trajectories(la.Trajectory(t, theta, coordinates=["theta"]) for theta in angles)
+measure = la.measure.camera(["theta"], [("u", "v")])
+print("\n".join(measure))
+data = la.Trajectories(la.Trajectory(t, pixels, coordinates=["u", "v"]) for pixels in films)
 print(data)
 
 # %%
-# **From the angle to the law.** L is known up to a factor. With ½ for ``theta_dot**2`` it is L / (m l²), so
-# the coefficient of ``cos(theta)`` is g / l.
+# **The law.** The columns are pixels, and the library is written in the angle. L is known up to a factor.
+# With ½ for ``theta_dot**2`` it is L / (m l²), so the coefficient of ``cos(theta)`` is g / l. No start values
+# are needed.
 
 library = la.Library(
-    ["theta_dot**2", "theta_dot**2*cos(theta)", "cos(theta)", "sin(theta)", "cos(2*theta)", "theta**2"],
+    ["theta_dot**2", "theta_dot**2*cos(theta)", "cos(theta)", "cos(2*theta)", "theta**2"],
     ["theta"],
     angles=["theta"],
 )
-model = la.discover(data, library, {"theta_dot**2": 0.5}, dissipation=["theta_dot**2/2", "abs(theta_dot)"])
+model = la.discover(
+    data,
+    library,
+    {"theta_dot**2": 0.5},
+    dissipation=["theta_dot**2/2", "abs(theta_dot)"],
+    measure=measure,
+)
 print(model.format_table())
 
 # %%
-# Gravity acts along the vertical of the laboratory: g/l · cos(θ − δ) = g/l · (cos δ cos θ + sin δ sin θ).
-# Both the length and the roll of the camera are estimated, with standard errors.
+# Gravity acts along the vertical of the laboratory, where the candidates have their zero. So the law tells
+# the roll of the camera, and g/l tells the length. Rounding to whole pixels counts as noise of the columns.
 
-found = {term.expression: term.coefficient for term in model.terms}
-strength = np.hypot(found["cos(theta)"], found["sin(theta)"])
-roll = np.arctan2(found["sin(theta)"], found["cos(theta)"])
-table = model.table()
-length = 9.81 / strength
-print(f"length {length:.4f} m (true {LENGTH}), roll {np.rad2deg(roll):.2f}° (true {np.rad2deg(ROLL):.2f}°)")
+found = {number.name: number for number in model.calibration.numbers}
+strength = next(term for term in model.terms if term.expression == "cos(theta)")
+roll, column, row, radius = (found[name].value for name in ("tilt", "x0", "y0", "l1"))
+print(f"length {9.81 / strength.coefficient:.4f} m (true {LENGTH})")
+error = np.rad2deg(found["tilt"].standard_error)
+print(f"roll {np.rad2deg(roll):.3f}° ± {error:.3f}° (true {np.rad2deg(ROLL):.1f}°)")
+print(f"pivot at ({column:.2f}, {row:.2f}), {radius / (9.81 / strength.coefficient):.1f} pixels per metre")
+print("noise of the columns:", np.round(model.calibration.noise_std, 2), "pixels")
 print("\n".join(f"- {note}" for note in model.diagnostics.notes))
 
 # %%
@@ -96,18 +99,17 @@ left.plot(*plumb.T, color="tab:red", label="vertical that the law found")
 left.legend(fontsize=8, loc="lower center")
 left.set(xlim=(0, 640), ylim=(480, 0), aspect="equal", xlabel="column (pixels)", ylabel="row (pixels)")
 
-fine = np.linspace(0.0, 20.0, 12_001)
-curve = model.diagnostics.curve([fine, fine])[0][:, 0]
+fine = np.linspace(0.0, t[-1], 12_001)
+curve = model.calibration.evaluate(model.diagnostics.curve([fine, fine])[0])[:, 0]
 inside, shown = (t > 15.4) & (t < 15.85), (fine > 15.4) & (fine < 15.85)
-half = 0.5 / radius
-right.plot(t[inside], angles[0][inside], "o", ms=5, color="0.45", label="from the pixels")
+right.plot(t[inside], films[0][inside, 0], "o", ms=5, color="0.45", label="column, whole pixels")
 right.plot(fine[shown], curve[shown], color="tab:blue", label="fitted curve, half a pixel either way")
-right.fill_between(fine[shown], curve[shown] - half, curve[shown] + half, color="tab:blue", alpha=0.2, lw=0)
-right.set(xlabel="t (s)", ylabel="angle in the picture (rad)")
-right.legend(fontsize=9, loc="upper center")
+right.fill_between(fine[shown], curve[shown] - 0.5, curve[shown] + 0.5, color="tab:blue", alpha=0.2, lw=0)
+right.set(xlabel="t (s)", ylabel="column (pixels)")
+right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** Convert recordings into coordinates with as little processing as possible. Do not filter,
-# and do not difference frames. Unknown geometry (the pivot) must be determined first. A constant offset of an
-# angle may remain: it appears in the law as a sine next to the cosine.
+# **What to learn.** Convert recordings as little as possible. Do not filter, and do not difference frames.
+# Write down what a sensor measures, with a name in braces for each number that you do not know, and let the
+# law tell them. If ``sin(theta)`` is a candidate, too, the law could absorb the roll.

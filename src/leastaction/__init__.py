@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from leastaction import delay as delay
     from leastaction import experiment as experiment
     from leastaction import io, metrics, systems
+    from leastaction import measure as measure
     from leastaction import units as units
     from leastaction.api import discover
     from leastaction.curve.motion import smooth
@@ -96,7 +97,7 @@ _HOMES = {
 
 # Modules for particular needs are reached by their name, but are not in the list below.
 _MODULES = frozenset(
-    {"arms", "casadi", "control", "delay", "experiment", "io", "metrics", "systems", "units"}
+    {"arms", "casadi", "control", "delay", "experiment", "io", "measure", "metrics", "systems", "units"}
 )
 
 __all__ = [

@@ -51,6 +51,7 @@ def discover(
     force_offset: Iterable[str] | Mapping[str, float] = (),
     prescribed: Iterable[str] = (),
     hidden: Iterable[str] = (),
+    measure: Iterable[str] = (),
     robust: bool = True,
     degree: int | None = None,
     relevance: float = 0.05,
@@ -107,6 +108,12 @@ def discover(
         them. Their motion is estimated together with the coefficients (``diagnostics.hidden_motion``). Offer
         few candidates, and fix by a known coefficient what the choice of such a coordinate leaves open (the
         finding ``hidden-gauge`` says it). See :doc:`/hidden`.
+    measure : iterable of str
+        Columns that are functions of the coordinates, such as ``"u = {s}*(x + {l}*sin(theta)) + {u0}"``: a
+        column, and an expression in coordinates, velocities ``x_dot``, accelerations ``x_ddot``, and
+        calibration numbers in braces. These are estimated (``model.calibration``). ``{s=800}`` gives a start
+        value, `shapes` a range. Such a column is no coordinate; coordinates without a column of their own are
+        those of the library, or `hidden`. See :doc:`/measure`.
     robust : bool
         Leave out isolated samples more than five standard deviations off a smooth motion (glitches of a
         camera, lost counts); a note says how many. Heavy-tailed noise, with more than 5 % of the samples out
@@ -183,7 +190,8 @@ def discover(
     prescribed, hidden = _texts(prescribed), _texts(hidden)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
     sizes = _lengths(lengths or {}, trajectories.coordinates)
-    _refuse_together(slow, grouping, descent, hidden)
+    measure = _texts(measure)
+    _refuse_together(slow, grouping, descent, hidden, measure)
     request = Request(
         library,
         known or {},
@@ -195,9 +203,10 @@ def discover(
         robust=robust and not descent,
         shapes=dict(shapes or {}),
         hidden=hidden,
+        measure=measure,
     )
     with employ(workers) as crew:
-        whole = bool(descent or slow or request.hidden)
+        whole = bool(descent or slow or request.hidden or request.measure)
         setup = _set_up(trajectories, request, positions_alone=descent, whole=whole).computed_by(crew)
         search = begin_search(
             setup,
@@ -256,7 +265,11 @@ def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bo
 
 
 def _refuse_together(
-    slow: Mapping[int, float], grouping: Grouping | None, descent: bool, hidden: Sequence[str]
+    slow: Mapping[int, float],
+    grouping: Grouping | None,
+    descent: bool,
+    hidden: Sequence[str],
+    measure: Sequence[str],
 ) -> None:
     """Refuse arguments that no method takes together."""
     others = {
@@ -267,6 +280,8 @@ def _refuse_together(
     given = [what for what, there in others.items() if there]
     if hidden and given:
         raise InputError(f"hidden coordinates cannot be estimated with {given[0]}; leave one of the two out")
+    if measure and given:
+        raise InputError(f"measurement functions do not go with {given[0]}; leave one of the two out")
     if grouping is not None and len(given) > 1:
         what = next(other for other in given if other != "groups")
         raise InputError(f"groups cannot be compared with {what}; leave one of the two out")
@@ -311,6 +326,7 @@ def _given(
             if setup.problem.hidden
             else {}
         ),
+        **({"measure": list(request.measure)} if setup.problem.sensors else {}),
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
         **({} if descent is None else {"adam": asdict(descent)}),
         **({} if grouping is None else {"groups": [grouping.names[place] for place in grouping.places]}),

@@ -15,6 +15,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import Finding, find, status_of
 from leastaction.hidden.band import curve_errors
+from leastaction.model.calibration import Calibration
 from leastaction.model.diagnostics import Diagnostics, HiddenMotion, PathPoint, pareto
 from leastaction.model.gravity import gravity_findings
 from leastaction.model.groups import GroupDifference, Groups
@@ -40,6 +41,22 @@ def assemble_model(
     timings: dict[str, float],
 ) -> LagrangianModel:
     """The model of a search's fit; ``options`` and ``timings`` are kept as they are."""
+    model = _without_outlook(setup, search, verdict, alternatives, options, timings)
+    findings = [*model.fit.findings, *gravity_findings(model, options.get("lengths", {}))]
+    if status_of(findings) == "ok":
+        findings += _reach(model, search.scales.period)
+    return replace(model, fit=replace(model.fit, status=status_of(findings), findings=tuple(findings)))
+
+
+def _without_outlook(
+    setup: Setup,
+    search: Search,
+    verdict: Verdict,
+    alternatives: Sequence[Alternative],
+    options: dict,
+    timings: dict[str, float],
+) -> LagrangianModel:
+    """The model, before what it says of gravity and of forecasts is added to its findings."""
     fit, grid = search.found, search.found.grid
     density = fit.weights.physics.copy()
     density[list(setup.problem.prescribed)] = np.nan
@@ -52,7 +69,6 @@ def assemble_model(
         *(find("rate-noise", name, quantity=quantity, noise=x) for (quantity, name), x in noise.items()),
     )
     points = _points(fit, alternatives)
-    status = status_of(findings)
     diagnostics = Diagnostics(
         fit.problem.trajectories,
         grid.spline,
@@ -72,13 +88,13 @@ def assemble_model(
     )
     terms = _terms(fit)
     unknown = bool(np.isnan(fit.covariance).any())
-    model = LagrangianModel(
+    return LagrangianModel(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
         None if unknown else _covariance(fit),
         fit.position_std,
-        FitSummary(status, verdict.chi2_per_sample, density.tolist(), findings=findings),
+        FitSummary(status_of(findings), verdict.chi2_per_sample, density.tolist(), findings=findings),
         {
             "version": _version(),
             "options": options,
@@ -90,22 +106,39 @@ def assemble_model(
         diagnostics,
         _shapes(fit),
         _groups(fit, unknown),
-    )
-    more = gravity_findings(model, options.get("lengths", {}))
-    status = status_of((*findings, *more))
-    more += _reach(model, diagnostics, search.scales.period) if status == "ok" else []
-    return (
-        replace(model, fit=replace(model.fit, status=status, findings=(*findings, *more))) if more else model
+        _calibration(fit),
     )
 
 
-def _reach(model: LagrangianModel, found: Diagnostics, period: float) -> list[Finding]:
+def _calibration(fit: Fit) -> Calibration | None:
+    """The measurement functions of a fit, and its calibration numbers."""
+    sensors, numbers = fit.problem.sensors, fit.weights.calibration
+    if sensors is None or numbers is None:
+        return None
+    functions, n = sensors.functions, len(fit.structure)
+    errors = np.full(numbers.size, np.nan)
+    if fit.joint is not None:
+        errors = np.sqrt(np.clip(np.diag(fit.joint)[n:], 0.0, None))
+    found = zip(functions.names, numbers.tolist(), errors.tolist(), strict=True)
+    noise = fit.weights.noise_std[-len(functions.columns) :].tolist()
+    covariance = fit.joint if fit.joint is not None and np.isfinite(fit.joint).all() else None
+    return Calibration(
+        functions.coordinates,
+        functions.texts,
+        tuple(noise),
+        tuple(ShapeParameter(*number) for number in found),
+        covariance,
+    )
+
+
+def _reach(model: LagrangianModel, period: float) -> list[Finding]:
     """For how long forecasts stay near the motion, by what the fit leaves open.
 
     Forecasts run along the fitted curve, as if it was the motion.  Their bands hold the standard errors of
     the coefficients, the equation errors, and the error of a start that is found in a period of samples.
     """
-    if model.n_dof > _MOST_COORDINATES or found.hidden_motion:
+    found = model.diagnostics
+    if found is None or model.n_dof > _MOST_COORDINATES or found.hidden_motion or model.calibration:
         return []
     data = [t.changed(q=q, **_NO_RATES) for t, q in zip(found.trajectories, found.curve(), strict=True)]
     own = model.own_trials(len(data))
@@ -205,7 +238,7 @@ def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
     names = fit.problem.coordinates
     noise = fit.weights.noise_std[len(names) :].tolist()
     channels = [(rate.quantity, names[rate.coordinate]) for rate in fit.problem.trajectories.rates]
-    return dict(zip(channels, noise, strict=True))
+    return dict(zip(channels, noise, strict=False))
 
 
 def _path(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:

@@ -110,6 +110,10 @@ def refit(model: LagrangianModel, point: PathPoint, progress: Progress | None = 
     before = model.diagnostics
     if before is None:
         raise InputError("the model has no diagnostics: a model from a file cannot be refitted")
+    if model.calibration is not None:
+        raise InputError(
+            "a model with calibrated columns cannot be refitted; call discover with the terms of this point"
+        )
     clock = Clock(progress)
     clock.start("prepare")
     setup = _setup(model, before, point)

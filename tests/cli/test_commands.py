@@ -747,6 +747,24 @@ def discover(*more: str):
     return CliRunner().invoke(program, ["discover", "run.csv", *options, "--output", "out", *more])
 
 
+def test_a_column_is_calibrated(tmp_path):
+    rng = np.random.default_rng(0)
+    t = np.linspace(0.0, 8.0, 401)
+    y = 3.0 + 2.0 * np.cos(1.5 * t) + 0.01 * rng.standard_normal(t.size)  # x'' = -2.25 x
+    file, terms, out = (tmp_path / name for name in ("run.csv", "terms.txt", "out"))
+    file.write_text("t,y\n" + "\n".join(f"{a},{b}" for a, b in zip(t, y, strict=True)))
+    terms.write_text("x_dot**2\nx**2\n")
+    options = ["--coordinates", "y", "--hidden", "x", "--library", terms, "--known", "x_dot**2=0.5"]
+    measure = ["--measure", "y = 2*x + {b}"]
+    result = run("discover", file, *options, *measure, "--output", out)
+    assert "calibration numbers:" in result.output
+    (number,) = json.loads((out / "model.json").read_text())["calibration"]["numbers"]
+    assert abs(number["value"] - 3.0) < 4.0 * number["standard_error"]
+    wrong = run("discover", file, *options, "--measure", "z = x", "--output", out, code=2)
+    assert "--measure" in wrong.output
+    assert "has no column" in wrong.output
+
+
 @pytest.mark.usefixtures("morse")
 def test_a_number_is_found_and_shown():
     result = discover(*MORSE, "--shape", "a=0.1..10")

@@ -209,6 +209,7 @@ def discover(
             force_offset=offsets,
             prescribed=_moved_by_others(options, prescribed),
             hidden=options.hidden,
+            measure=options.measure,
             robust=not keep_outliers,
             method=method,
             seed=seed,

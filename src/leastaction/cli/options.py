@@ -39,6 +39,7 @@ class DataOptions:
     time_unit: str | None = None
     units: dict[str, str] | str = "SI"
     hidden: tuple[str, ...] = ()
+    measure: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, given: Mapping[str, Any], default: Sequence[str] = ()) -> DataOptions:
@@ -80,7 +81,12 @@ class DataOptions:
             units = _units(given.get("units") or "SI")
         files, time, trial = tuple(given["data"]), given["time"], given["trial"]
         inputs = names[len(names) - len(moved) :]
-        said = (given.get("time_unit"), units, unseen)
+        functions = tuple(given.get("measure") or ())
+        with blame("--measure"):
+            for column in measured_columns(functions):
+                if column not in names:
+                    raise InputError(f"{quoted(column)} has no column; name it in --coordinates")
+        said = (given.get("time_unit"), units, unseen, functions)
         return cls(files, columns, time, trial, driving, turning, rates[0], rates[1], delay, inputs, *said)
 
     @property
@@ -90,8 +96,9 @@ class DataOptions:
 
     @property
     def all_names(self) -> tuple[str, ...]:
-        """Names of the coordinates of the law, hidden ones last."""
-        return (*self.coordinates, *self.hidden)
+        """Names of the coordinates of the law, those without a column last."""
+        sensors = measured_columns(self.measure)
+        return (*(name for name in self.coordinates if name not in sensors), *self.hidden)
 
     def in_order_of(self, names: Sequence[str]) -> DataOptions:
         """Return the same with the coordinates in another order."""
@@ -130,6 +137,11 @@ class DataOptions:
 
         with blame("--force-delay"):
             return shift_forces(data, self.force_delay)
+
+
+def measured_columns(functions: Iterable[str]) -> tuple[str, ...]:
+    """Columns on the left of measurement functions."""
+    return tuple(text.partition("=")[0].strip() for text in functions)
 
 
 def _by_name(text: str) -> dict[str, str]:
@@ -183,9 +195,16 @@ _HIDDEN = click.option(
     help="Coordinates without a sensor: they occur in the candidates and have no column. Their motion is "
     "estimated, too. Needs a library of few terms (FILE).",
 )
+_MEASURE = click.option(
+    "--measure",
+    multiple=True,
+    metavar="COLUMN=EXPR",
+    help="A column that measures a function of the coordinates, which --hidden names, e.g. "
+    "'u={u0}+{s}*sin(theta)'. Numbers in braces are estimated; {s=500} gives a start. Repeatable.",
+)
 _DATA_PARAMETERS = (
     *("data", "coordinates", "time", "time_unit", "units", "trial", "forces", "force_delay", "angles"),
-    *("velocity", "acceleration", "input", "hidden"),
+    *("velocity", "acceleration", "input", "hidden", "measure"),
 )
 
 
@@ -259,7 +278,7 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
             help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
         ),
         *_COLUMNS,
-        *((_INPUT, _HIDDEN) if coordinates_required else ()),
+        *((_INPUT, _HIDDEN, _MEASURE) if coordinates_required else ()),
     )
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:

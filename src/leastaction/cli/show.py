@@ -187,10 +187,11 @@ def show_model(
         for term in (*model.terms, *model.dissipation)
     ]
     headings = {len(model.terms) + 1: "friction, psi:"} if model.dissipation else {}
-    if model.shapes:
-        headings[len(rows)] = "shape parameters:"
-    numbers = (shape.as_term() for shape in model.shapes)
-    rows += [(number.written, with_error(number), interval_text(number), "") for number in numbers]
+    calibrated = model.calibration.numbers if model.calibration else ()
+    for heading, shapes in (("shape parameters:", model.shapes), ("calibration numbers:", calibrated)):
+        headings |= {len(rows): heading} if shapes else {}
+        numbers = (shape.as_term() for shape in shapes)
+        rows += [(number.written, with_error(number), interval_text(number), "") for number in numbers]
     for heading, differences in _differences(model):
         headings[len(rows)] = heading
         rows += [(d.expression, with_error(d), interval_text(d), z_text(d.z)) for d in differences]

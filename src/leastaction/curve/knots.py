@@ -108,7 +108,8 @@ def _hides_motion(smoothed: Smooth, times: list[np.ndarray], values: list[np.nda
         past: FloatArray = np.column_stack([last, before])
         size = float(np.mean(now**2))
         unforeseen = float(np.mean((now - past @ np.linalg.lstsq(past, now, rcond=None)[0]) ** 2))
-        variance = float(np.mean([np.nanvar(q[:, i]) for q in values]))
+        seen = [q[np.isfinite(q[:, i]), i] for q in values]
+        variance = float(np.mean([np.var(part) for part in seen if part.size]))  # of trials with this sensor
         if size > CURVE.much_left**2 * variance and unforeseen < (1.0 - CURVE.foreseen) * size:
             return True
     return False

@@ -1,16 +1,42 @@
-"""What is known of coordinates without a sensor."""
+"""What is known of coordinates without a sensor, and of sensors that measure functions of coordinates."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.calibration import plausible_sizes
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.hidden.band import curve_errors
 from leastaction.hidden.gauge import open_changes, reflections
 from leastaction.selection.search_state import Search
 
-__all__ = ["about_hidden"]
+__all__ = ["about_hidden", "about_sensors"]
+
+
+def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
+    """Calibration numbers that are open, and columns that the model does not explain.
+
+    Parameters
+    ----------
+    fit : Fit
+    residual_ratio : (n_channels,) array
+        Residuals of each channel over its noise, those of columns last.
+    """
+    sensors, numbers = fit.problem.sensors, fit.weights.calibration
+    if sensors is None or numbers is None:
+        return []
+    columns, names = sensors.functions.columns, sensors.functions.names
+    ratios = zip(columns, residual_ratio[-len(columns) :].tolist(), strict=True)
+    out = [find("column-unexplained", c, residual_ratio=x) for c, x in ratios if x > DIAGNOSIS.noise_ratio]
+    if fit.joint is not None and np.isfinite(fit.joint).all():
+        errors = np.sqrt(np.clip(np.diag(fit.joint)[len(fit.structure) :], 0.0, None))
+        wide = plausible_sizes(sensors.at(numbers))
+        out += [
+            find("calibration-open", n, error=e) for n, e, w in zip(names, errors, wide, strict=True) if e > w
+        ]
+    return out
 
 
 def about_hidden(search: Search) -> list[Finding]:

@@ -13,7 +13,7 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
-from leastaction.diagnosis.hidden import about_hidden
+from leastaction.diagnosis.hidden import about_hidden, about_sensors
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
@@ -57,7 +57,9 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     names = fit.problem.coordinates
     floor = fit.grid.observations.noise_floor
     noise = np.maximum(smooth.noise_std, floor)
-    every = np.maximum([*smooth.noise_std, *smooth.rate_std], fit.grid.observations.floors)
+    sensors = fit.problem.sensors
+    columns = () if sensors is None else sensors.noise_std
+    every = np.maximum([*smooth.noise_std, *smooth.rate_std, *columns], fit.grid.observations.floors)
     counts = fit.grid.observations.counts
     chi2 = fit.linearisation.squares / np.maximum(counts, 1) / every**2
     share, rms = fit.equation_error()
@@ -103,6 +105,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
     if not search.knots_settled and fit.converged:
         found.append(find("knots-not-settled"))
+    found += about_sensors(fit, np.sqrt(chi2))
     found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
     if to_its_end and inexact(found):
@@ -214,7 +217,7 @@ def _unexplained_little(
 
 def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
     """Motion that is too fast for the sampling rate is taken for noise."""
-    spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fit.completed_data()], axis=0))
+    spread = np.sqrt(np.mean([np.var(curve, axis=0) for curve in fit.curves()], axis=0))
     noise = np.where(np.isnan(fit.position_std), 0.0, noise)
     return [
         find("looks-like-noise", name, share=part)
@@ -366,7 +369,7 @@ def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
         find(
             "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
         )
-        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=True)
+        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=False)
         if value > DIAGNOSIS.noise_ratio**2
     ]
 
@@ -377,10 +380,12 @@ def _whiteness(fit: Fit) -> list[Finding]:
     # an unconstrained curve follows the noise
     loose = [names[i] for i in fit.problem.prescribed]
     channels = [(name, "position") for name in names]
+    sensors = fit.problem.sensors
     channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
+    channels += [(name, "position") for name in (sensors.functions.columns if sensors else ())]
     for (name, quantity), r, least, sigma in zip(
         channels,
-        observations.residuals(fit.control_points),
+        fit.residuals(),
         observations.floors,
         fit.weights.noise_std,
         strict=True,

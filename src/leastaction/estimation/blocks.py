@@ -61,6 +61,8 @@ class BlockedObservations(InBlocks):
         Of the `Observations` of each block.
     """
 
+    calibration: np.ndarray | None = None
+
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         super().__init__(grid, recipes, counts, crew)
         self.blocks = tuple(crew.task(observed, recipe) for recipe in recipes)

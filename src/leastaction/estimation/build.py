@@ -13,6 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.columns import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
+from leastaction.estimation.calibration import from_columns
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
@@ -57,6 +58,7 @@ class Request:
     robust: bool = True
     shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     hidden: Iterable[str] = ()
+    measure: Iterable[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +107,22 @@ def build_problem(
     ------
     InputError, DataError
     """
-    trajectories, hidden = with_hidden(Trajectories.coerce(trajectories), request.hidden, request.library)
+    trajectories = Trajectories.coerce(trajectories)
+    seen_by = None
+    if request.measure:
+        seen_by = from_columns(
+            trajectories,
+            request.measure,
+            request.library,
+            request.hidden,
+            request.angles,
+            request.degree,
+            request.shapes,
+            request.robust,
+        )
+    if seen_by is not None:
+        trajectories = seen_by.trajectories
+    trajectories, hidden = with_hidden(trajectories, () if seen_by else request.hidden, request.library)
     library = _library(request.library, trajectories.coordinates)
     check_hidden_terms(library, [trajectories.coordinates[i] for i in hidden])
     angles = library.angles if request.angles is None else tuple(request.angles)
@@ -129,7 +146,9 @@ def build_problem(
     findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
     trajectories = trajectories.unwrap(turning)
     seen = arranged(trajectories, measured)
-    if request.robust:
+    if seen_by is not None:
+        findings += seen_by.findings
+    elif request.robust:
         seen, left_out = leave_out_outliers(seen, request.degree, most_samples)
         findings += left_out
     trajectories = anchored(joined(seen, trajectories), library, hidden)
@@ -144,7 +163,9 @@ def build_problem(
     library = library.reduced(keep=list(known), prescribed=[library.coordinates[i] for i in places])
     terms = (*library.terms, *library.dissipation)
     coefficients = _coefficients(terms, known)
-    ranges = shape_ranges(terms, states, request.shapes)
+    of_sensors = () if seen_by is None else seen_by.sensors.functions.names
+    given = {name: ends for name, ends in request.shapes.items() if name not in of_sensors}
+    ranges = shape_ranges(terms, states, given)
     numbers = {name: where.at(_FIRST) for name, where in ranges.items()}
     candidates = EulerLagrange([term.at(numbers) for term in terms], library.coordinates, places)
     problem = Problem(
@@ -157,6 +178,7 @@ def build_problem(
         forms=tuple(form for form in library.dropped if form.length is not None and form.combination),
         between="band-limited" if _fast_forces_act(searched) else "slow",
         hidden=hidden,
+        sensors=None if seen_by is None else seen_by.sensors,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.elimination import BandedFactor, CurveFactor
+from leastaction.estimation.elimination import BandedFactor, CurveFactor, NormalEquations
 from leastaction.estimation.intervals import by_interval, points_at
 from leastaction.estimation.joint import Linearisation, Weights
 from leastaction.estimation.volume import Volume, volume_term
@@ -121,7 +121,32 @@ def score(
     factor = BandedFactor.of(normal.rows)
     border = CandidateBorder(at, weights, curve[0], candidates)
     volume = volume_term(at.observations.grid, columns, *curve, candidates)
-    return Scores(schur_complement(border, factor, curve_gradient), volume, factor, curve_gradient, border)
+    schur = schur_complement(border, factor, curve_gradient)
+    calibration = slice(1 + at.physics.n_free, None)
+    if normal.border[:, calibration].size:
+        schur -= _calibrated(border, factor, normal, calibration)
+    return Scores(schur, volume, factor, curve_gradient, border)
+
+
+def _calibrated(
+    border: CandidateBorder, factor: BandedFactor, normal: NormalEquations, calibration: slice
+) -> np.ndarray:
+    """(1 + n, 1 + n): what calibration numbers, which follow, take off the Schur complement.
+
+    With B their border, K their corner and Z = H⁻¹B: RᵀS⁻¹R for S = K − BᵀZ and R = [g_κ − Zᵀg_P, −ZᵀC].
+    """
+    own = normal.border[:, calibration]
+    gradient, inner = normal.gradient[calibration.start - 1 :], slice(calibration.start - 1, None)
+    follow = factor.backward(factor.forward(own.copy()))
+    matrix = normal.corner[inner, inner] - own.T @ follow
+    reach = np.zeros((len(matrix), 1 + len(border.candidates)))
+    grid, n = border.linearisation.observations.grid, border.control_points.shape[1]
+    for chunk, jacobian, columns in border.stretches():
+        local = grid.local_control_points(follow.reshape(grid.n_ctrl, n, -1), chunk)
+        seen = jacobian @ local.reshape(len(jacobian), jacobian.shape[2], -1)
+        reach -= np.einsum("mqk,mqc->kc", seen, columns)
+    reach[:, 0] = gradient - follow.T @ normal.border[:, 0]
+    return reach.T @ np.linalg.pinv(matrix, rcond=1e-12, hermitian=True) @ reach
 
 
 def schur_complement(border: CandidateBorder, factor: BandedFactor, curve_gradient: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from leastaction.estimation.gauss_newton import JointFit, Quadratic, score_candi
 from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Weights
 from leastaction.estimation.protocols import Linearised
+from leastaction.estimation.sensors import SensorObservations
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -84,6 +85,8 @@ class Fit:
         Log marginal likelihood, up to a constant of data and grid.
     shapes : ShapeEstimate or None
         Shape parameters and their errors, where they were fitted; None: there are none, or they were held.
+    joint : (n_members + n_numbers,) * 2 array or None
+        Covariance of the members' coefficients and of the calibration numbers of sensors, if there are any.
     """
 
     grid: Grid
@@ -98,6 +101,7 @@ class Fit:
     n_steps: int
     evidence: float
     shapes: ShapeEstimate | None = None
+    joint: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -116,6 +120,7 @@ class Fit:
             solution.status,
             solution.n_steps,
             evidence,
+            joint=solution.joint,
         )
 
     @property
@@ -151,9 +156,15 @@ class Fit:
     @property
     def position_std(self) -> np.ndarray:
         """(n_dof,) noise of the positions; NaN where there are none."""
-        out = self.weights.position_std.copy()
-        out[list(self.problem.hidden)] = np.nan
-        return out
+        counts = self.grid.observations.counts[: self.problem.trajectories.n_dof]
+        return np.where(counts > 0, self.weights.position_std, np.nan)
+
+    def residuals(self) -> list[np.ndarray]:
+        """Samples less what the curve gives for them, channel by channel, valid samples only."""
+        seen = self.grid.observations
+        if isinstance(seen, SensorObservations):
+            seen = seen.at(self.control_points, self.weights.calibration)
+        return seen.residuals(self.control_points)
 
     @property
     def start(self) -> Start:

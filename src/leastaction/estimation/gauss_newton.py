@@ -29,6 +29,7 @@ from leastaction.estimation.candidates import score
 from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
 from leastaction.estimation.joint import Linearisation, Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
+from leastaction.estimation.sensors import SensorObservations
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -44,6 +45,7 @@ __all__ = [
 ]
 
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
+_LEAST_DAMPING = 1e-10  # the same: what nothing determines stays where it is
 _SAMPLES = 1e5  # more of them share a tolerance: to 0.01 for 10⁷ samples took more than 15 steps
 _MOST_IDLE = 3  # steps in turn that gain less than the tolerance
 _RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of equations that a curve does not find to at once
@@ -69,6 +71,8 @@ class JointFit:
     n_steps : int
     factor : CurveFactor or None
         Of H there; None when it is not positive definite, or was not formed.
+    joint : (n_free + n_numbers,) * 2 array or None
+        Covariance of the free coefficients and of the calibration numbers of sensors, where there are any.
     """
 
     control_points: np.ndarray
@@ -80,6 +84,7 @@ class JointFit:
     status: str
     n_steps: int
     factor: CurveFactor | None = None
+    joint: np.ndarray | None = None
 
     @property
     def converged(self) -> bool:
@@ -153,12 +158,13 @@ def fit_joint(
     if not np.isfinite(cost):
         return _fitted(coefficients, here, None, weights, "not finite", 0)
     in_all = tolerance * shared(observations)
-    moved = partial(_moved, observations, physics, weights)
+    least = 0.0 if weights.calibration is None else _LEAST_DAMPING
+    moved = partial(_moved, observations, physics)
     normal, here = here.normal(weights), here.lean()
     while step < max_steps:
         step += 1
         try:
-            shift, delta, predicted, own = _step(normal, damping)
+            shift, delta, predicted, own = _step(normal, damping, least)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -166,19 +172,19 @@ def fit_joint(
                 break
             continue
         normal = normal.lean()
-        new_points, new_coefficients, there = moved((control_points, coefficients), shift, delta)
+        new, there = moved((control_points, coefficients, weights), shift, delta)
         risen = there.cost(weights) - cost
         if not damping and risen > 0.0:
-            least = risen + ESTIMATION.correction_saves * predicted
-            correction = _correction(there.normal(weights), least, ESTIMATION.correction_moves * own)
+            wanted = risen + ESTIMATION.correction_saves * predicted
+            correction = _correction(there.normal(weights), wanted, ESTIMATION.correction_moves * own)
             if correction is not None:
                 step += 1
                 del there
-                new_points, new_coefficients, there = moved((new_points, new_coefficients), *correction)
+                new, there = moved(new, *correction)
         new_cost = there.cost(weights)
         if np.isfinite(new_cost) and new_cost <= cost + 1e-9 * abs(cost):
             idle = idle + 1 if cost - new_cost < in_all else 0
-            control_points, coefficients, cost = new_points, new_coefficients, new_cost
+            (control_points, coefficients, weights), cost = new, new_cost
             normal, here = there.normal(weights), there.lean()
             del there
             damping = damping / 10.0 if damping > 1e-6 else 0.0
@@ -203,13 +209,13 @@ def shared(observations: Measurements) -> float:
     return max(1.0, float(observations.counts.sum()) / _SAMPLES)
 
 
-def _step(normal: System, damping: float) -> tuple[np.ndarray, np.ndarray, float, float]:
+def _step(normal: System, damping: float, least: float = 0.0) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Steps of curve and coefficients, how much they should lower the cost, and the coefficients' own part.
 
     Raises LinAlgError when they are not finite.
     """
     quadratic = normal.eliminate(damping)
-    matrix = quadratic.matrix + damping * np.diag(np.diag(quadratic.matrix))
+    matrix = quadratic.matrix + max(damping, least) * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = quadratic.curve_step(delta)
     np.negative(shift, out=shift)
@@ -222,17 +228,19 @@ def _step(normal: System, damping: float) -> tuple[np.ndarray, np.ndarray, float
 def _moved(
     observations: Measurements,
     physics: Physics,
-    weights: Weights,
-    start: tuple[np.ndarray, np.ndarray],
+    start: tuple[np.ndarray, np.ndarray, Weights],
     shift: np.ndarray,
     delta: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, Linearised]:
-    """Curve and coefficients after a step, and the problem linearised there; ``shift`` becomes the curve."""
+) -> tuple[tuple[np.ndarray, np.ndarray, Weights], Linearised]:
+    """Curve, coefficients and weights after a step, and the problem there; ``shift`` becomes the curve."""
     shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
-    points, coefficients = shift.reshape(start[0].shape), start[1].copy()
-    coefficients[physics.free] += delta
+    points, coefficients, weights = shift.reshape(start[0].shape), start[1].copy(), start[2]
+    coefficients[physics.free] += delta[: physics.n_free]
+    if isinstance(observations, SensorObservations) and weights.calibration is not None:
+        step = observations.directions @ delta[physics.n_free :]
+        weights = replace(weights, calibration=weights.calibration + step)
     there = linearise(observations, physics, points, coefficients, weights)
-    return there.control_points, coefficients, there
+    return (there.control_points, coefficients, weights), there
 
 
 def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, np.ndarray] | None:
@@ -261,16 +269,21 @@ def _fitted(
     """
     # the weights are estimated too: what the log-determinant term seems to know of the scale, they forget
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
-    covariance, factor = np.full(known_scale.shape, np.nan), None
+    n = len(known_scale)
+    joint, factor = np.full(known_scale.shape, np.nan), None
     if normal is not None:
         try:
             quadratic = normal.eliminate()
-            covariance, factor = symmetric_inverse(quadratic.matrix - known_scale), quadratic.factor
+            matrix, factor = quadratic.matrix.copy(), quadratic.factor
+            matrix[:n, :n] -= known_scale
+            joint = symmetric_inverse(matrix)
         except np.linalg.LinAlgError:
             status = "not finite"
     log_h = np.nan if factor is None else factor.logdet
-    points = here.control_points
-    return JointFit(points, coefficients, covariance, here, log_h, weights, status, steps, factor)
+    solution = JointFit(
+        here.control_points, coefficients, joint[:n, :n], here, log_h, weights, status, steps, factor
+    )
+    return solution if len(joint) == n else replace(solution, joint=joint)
 
 
 def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:

@@ -23,6 +23,7 @@ from leastaction.estimation.intervals import first_points
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.protocols import Measurements
+from leastaction.estimation.sensors import SensorObservations
 from leastaction.estimation.streamed import is_long
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
@@ -63,7 +64,11 @@ class Grid:
         # interval they would lock: a spline that meets both must be smoother than the motion
         n_quadrature = 1 if problem.prescribed else 2
         spline = uniform_grid(times, knots_per_second, problem.degree, n_quadrature)
-        observations = observe(spline, times, [t.q for t in data], data.rates, problem.crew)
+        observations: Measurements
+        if problem.sensors is None:
+            observations = observe(spline, times, [t.q for t in data], data.rates, problem.crew)
+        else:
+            observations = SensorObservations(spline, times, problem.sensors, data.rates)
         forces = _forces(spline, problem, [t.forces for t in data])
         return cls(problem, knots_per_second, spline, observations, forces)
 

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from leastaction.estimation.elimination import BandedFactor, NormalEquations, trace_product
+from leastaction.estimation.elimination import BandedFactor, NormalEquations
 from leastaction.estimation.intervals import by_interval, local_jacobian, points_at
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
@@ -46,13 +46,15 @@ class Weights:
 
     The first n_dof channels are the positions; ``physics`` and ``slack`` have shape (n_dof,). ``slack``
     vanishes when the equations hold exactly, and where a coordinate has none. ``force_density`` is the
-    spectral density of the noise of the given forces.
+    spectral density of the noise of the given forces. ``calibration`` holds the calibration numbers κ of the
+    sensors, which a fit moves together with the curve; None where all sensors measure coordinates.
     """
 
     noise_std: np.ndarray
     physics: np.ndarray
     slack: np.ndarray
     force_density: np.ndarray | float = 0.0
+    calibration: np.ndarray | None = None
 
     @property
     def volume(self) -> np.ndarray:
@@ -224,17 +226,18 @@ class Linearisation(Costs):
             moments += scaled.T @ scaled
         self.observations.add_gram(rows, weights.noise_std)
         border[:, :, 0] += self.data_part(weights)
-        return NormalEquations(
+        normal = NormalEquations(
             rows,
             border.reshape(-1, k),
             moments[1:, 0] - weights.volume @ self.at_mass.slope,
             moments[1:, 1:] + self.mean(weights.volume) * self.at_mass.corner,
         )
+        return self.observations.joined(normal, weights.noise_std)
 
     def data_part(self, weights: Weights) -> np.ndarray:
         """(n_ctrl, n_dof) half gradient of the data's part of the cost in the control points."""
         n = self.equation.size
-        scaled = self.data_gradient / weights.noise_std**2
+        scaled = self.data_gradient / weights.noise_std[: self.data_gradient.shape[1]] ** 2
         out = scaled[:, :n].copy()
         for i, more in zip(self.observations.coordinates[n:], scaled.T[n:], strict=True):
             out[:, i] += more
@@ -263,12 +266,7 @@ class Linearisation(Costs):
             When H is not positive definite.
         """
         inverse = (factor or BandedFactor.of(self.normal(weights).rows)).inverse_rows()
-        seen = self.observations
-        used = [
-            trace_product(inverse, i, seen.gram(c)) / weights.noise_std[c] ** 2
-            for c, i in enumerate(seen.coordinates)
-        ]
-        return self.traces(weights, inverse), np.array(used)
+        return self.traces(weights, inverse), self.observations.traces(inverse, weights.noise_std)
 
     def scored(self, score: Callable[..., Any], *given: Any) -> Any:
         """Apply a function of the linearisation; where it is in blocks, to each of them, and add up."""
@@ -295,16 +293,23 @@ class Linearisation(Costs):
 
 
 def linearise(
-    observations: Observations, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
+    observations: Observations,
+    physics: Physics,
+    control_points: np.ndarray,
+    coefficients: np.ndarray,
+    calibration: np.ndarray | None = None,
 ) -> Linearisation:
-    """Linearise the joint problem at (P, λ).
+    """Linearise the joint problem at (P, λ, κ).
 
     Parameters
     ----------
     control_points : (n_ctrl, n_dof) array
     coefficients : (n_columns,) array
         Known ones included.
+    calibration : (n_numbers,) array, optional
+        Calibration numbers of sensors; by default those that the observations begin with.
     """
+    observations = observations.at(control_points, calibration)
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
     numbers = grid.total * grid.n_quadrature * n * ((grid.degree + 1) * n + 1 + physics.n_free)

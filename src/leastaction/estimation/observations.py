@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from leastaction.curve.bspline import SplineGrid
 from leastaction.curve.smoothing import banded_gram
 from leastaction.data.trajectories import Rate
+from leastaction.estimation.elimination import NormalEquations, trace_product
 
 __all__ = ["Observations", "counts_and_floors"]
 
@@ -39,7 +40,11 @@ class Observations:
     floors, noise_floor : (n_channels,) and (n_dof,) arrays
         No sensor is better than a millionth of its range; below that rounding and the data's own
         integration errors would count as physics.
+    calibration : None
+        There is nothing to calibrate.
     """
+
+    calibration: np.ndarray | None = None
 
     def __init__(
         self,
@@ -80,17 +85,30 @@ class Observations:
 
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """−Nᵀ(y − N P), (n_ctrl, n_channels), and Σ (y − N P)² of each channel."""
-        residuals = self.residuals(control_points)
+        residuals = Observations.residuals(self, control_points)  # of these channels alone
         gradient = [-(c.design.T @ r) for c, r in zip(self._channels, residuals, strict=True)]
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
+
+    def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> Observations:
+        """Itself: the samples are linear in the control points, and there is nothing to calibrate."""
+        return self
+
+    def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:
+        """The normal equations as they are: there is nothing to calibrate."""
+        return normal
 
     def gram(self, channel: int) -> np.ndarray:
         """NᵀN of a channel in lower banded storage, (degree + 1, n_ctrl)."""
         return self._channels[channel].gram
 
+    def traces(self, inverse_rows: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
+        """(n_channels,) degrees of freedom that each channel uses: tr(H⁻¹NᵀN) / σ²."""
+        pairs = zip(self._channels, noise_std, strict=False)
+        return np.array([trace_product(inverse_rows, c.coordinate, c.gram) / sigma**2 for c, sigma in pairs])
+
     def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
         """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        for c, sigma in zip(self._channels, noise_std, strict=True):
+        for c, sigma in zip(self._channels, noise_std, strict=False):
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
 
 

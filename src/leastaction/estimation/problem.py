@@ -21,6 +21,7 @@ from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.forces import Between
+from leastaction.estimation.sensors import Sensors
 from leastaction.estimation.shape_ranges import ShapeRange
 from leastaction.library import Dropped, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -59,6 +60,9 @@ class Problem:
         (:mod:`leastaction.estimation.forces`).
     hidden : tuple of int
         Coordinates without a single measured position.
+    sensors : Sensors or None
+        Measured columns that are functions of the coordinates. The trajectories then hold coordinates that
+        follow from these columns, to begin with; what is fitted are the columns.
     """
 
     trajectories: Trajectories
@@ -72,6 +76,7 @@ class Problem:
     forms: tuple[Dropped, ...] = ()
     between: Between = "slow"
     hidden: tuple[int, ...] = ()
+    sensors: Sensors | None = None
 
     def __post_init__(self) -> None:
         known = np.array(self.known, dtype=float)

@@ -63,6 +63,7 @@ class Measurements(Protocol):
     coordinates: np.ndarray
     floors: np.ndarray
     noise_floor: np.ndarray
+    calibration: np.ndarray | None
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]: ...
 
@@ -90,5 +91,6 @@ def linearise(
     leads on what is far from its best curve (see ``control_points`` of the result).
     """
     if isinstance(observations, Observations):
-        return joint.linearise(observations, physics, control_points, coefficients)
+        calibration = None if weights is None else weights.calibration
+        return joint.linearise(observations, physics, control_points, coefficients, calibration)
     return cast(_InBlocks, observations).linearise(physics, control_points, coefficients, weights)

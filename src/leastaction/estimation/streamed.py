@@ -78,6 +78,8 @@ class _Passed(NamedTuple):
 class StreamedObservations(InBlocks):
     """Observations that are made anew, block by block, whenever they are needed; see `Observations`."""
 
+    calibration: np.ndarray | None = None
+
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         super().__init__(grid, recipes, counts, crew)
         # on a cluster samples are sent, and laid on the splines, once: the memory is not this machine's

@@ -94,13 +94,15 @@ def start_weights(
     n = observations.n_dof
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
-    counts = np.bincount(observations.coordinates, observations.counts)
+    linear = observations.coordinates.size  # channels behind these see several coordinates at once
+    counts: np.ndarray = np.bincount(observations.coordinates, observations.counts[:linear])
+    counts = counts + float(observations.counts[linear:].sum()) / n
     few = counts <= len(observations.grid.spaces)  # a hidden coordinate counts as any other
     counts = np.where(few, max(counts.max(), 1), counts)
     weighed = at.equation > _NOTHING
     ratio = counts / np.where(weighed, at.equation, 1.0)
     ratio[~weighed] = ratio[weighed].min() if weighed.any() else 1.0
-    return Weights(noise_std, ratio, slack)
+    return Weights(noise_std, ratio, slack, calibration=observations.calibration)
 
 
 def update_weights(observations: Measurements, fit: JointFit) -> Weights:

@@ -162,6 +162,18 @@ CODES: dict[str, Message] = {
     "hidden-motion-open": Message(
         "warning", templates.hidden_motion_open, "record more of the motion that {subject} acts on"
     ),
+    # columns that are functions of the coordinates
+    "column-unexplained": Message(
+        "warning",
+        "model and measurement function do not explain the column {subject} (residual {residual_ratio:.2f} "
+        "times the noise)",
+        "check the function, or give start values of its numbers, such as {{s=800}}",
+    ),
+    "calibration-open": Message(
+        "warning",
+        "the data do not determine the calibration number {subject} (standard error {error:.2g})",
+        "give it as a number, leave out a candidate that does the same, or offer fewer numbers",
+    ),
     # the data
     "rate-unexplained": Message(
         "warning",

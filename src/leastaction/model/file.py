@@ -22,10 +22,13 @@ Schema 2, where ``null`` stands for "not available"::
                                  "difference": number, "standard_error": number or null}, ...],
                 "trials": [text, ...],      the group of each; optional
                 "covariance": [[...], ...]},       of the free coefficients, then of the differences; optional
+     "calibration": {"functions": [text, ...], "noise_std": [number, ...],     of measured columns
+                     "numbers": [{"name": text, "value": number, "standard_error": number or null}, ...],
+                     "covariance": [[...], ...]},       of the free coefficients, then of these; optional
      "covariance": [[...], ...]}        of the free coefficients, terms before dissipation, then shapes
 
-``shapes``, ``groups`` and ``covariance`` may be left out; a term may have a ``"template"``, its expression
-with shape parameters in braces.
+``shapes``, ``groups``, ``calibration`` and ``covariance`` may be left out; a term may have a ``"template"``,
+its expression with shape parameters in braces.
 
 ``fit.warnings`` repeats the findings of that severity in sentences, and ``fit.statements`` says what they
 leave of structure, equations and forecast, for scripts that want no more; neither is read.  In schema 1 the
@@ -49,6 +52,7 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_array, is_collection, is_list, is_mapping, is_scalar
+from leastaction.model.calibration import Calibration
 from leastaction.model.groups import Groups
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter, as_float
 
@@ -87,6 +91,8 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
         document["shapes"] = [_encode_shape(shape) for shape in model.shapes]
     if model.groups is not None:
         document["groups"] = model.groups.to_dict()
+    if model.calibration is not None:
+        document["calibration"] = model.calibration.to_dict()
     if model.covariance is not None:
         document["covariance"] = model.covariance.tolist()
     return document
@@ -242,7 +248,7 @@ def fields(document: Any) -> dict[str, Any]:
     if not is_mapping(document) or "schema" not in document:
         raise InputError("this is not a leastaction model: expected an object with the entry 'schema'")
     _check_schema(document["schema"])
-    _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes", "groups"))
+    _check_entries(document, "the model", _REQUIRED, ("covariance", "shapes", "groups", "calibration"))
     coordinates = _list(document["coordinates"], "coordinates", _MAX_COORDINATES)
     for i, name in enumerate(coordinates):
         _text(name, f"coordinates[{i}]")
@@ -258,6 +264,9 @@ def fields(document: Any) -> dict[str, Any]:
         "fit": _fit(document["fit"], document["schema"]),
         "provenance": plain_json(provenance, "provenance"),
         "shapes": _shapes(document.get("shapes", [])),
+        "calibration": None
+        if document.get("calibration") is None
+        else Calibration.from_dict(document["calibration"], tuple(coordinates)),
         "groups": None
         if document.get("groups") is None
         else Groups.from_dict(document["groups"], 2 * MAX_TERMS),

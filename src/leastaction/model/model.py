@@ -19,6 +19,7 @@ from leastaction.mechanics.equations import Mechanics
 from leastaction.model import checks
 from leastaction.model import file as model_file
 from leastaction.model import text as model_text
+from leastaction.model.calibration import Calibration
 from leastaction.model.constants import SimpleConstants, find_simple_constants
 from leastaction.model.groups import Grouped, Groups
 from leastaction.model.linear import Resting
@@ -60,8 +61,8 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Data, curve and trade-off curve of the discovery. Not saved.
     shapes : sequence of ShapeParameter
         Estimated numbers inside terms. The expressions already contain them.
-    groups : Groups, optional
-        Differences between groups of trials. The terms are those of the first group; see `of_group`.
+    groups, calibration : Groups and Calibration, optional
+        Differences between groups of trials (`of_group`), and columns that are functions of the coordinates.
 
     Raises
     ------
@@ -90,6 +91,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
     diagnostics: Diagnostics | None = None
     shapes: tuple[ShapeParameter, ...] = ()
     groups: Groups | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         for name, value in checks.checked_fields(self).items():

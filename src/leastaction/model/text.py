@@ -153,7 +153,7 @@ def rows(model: LagrangianModel) -> list[tuple[str, ...]]:
     out: list[tuple[str, ...]] = [_HEADER]
     for kind, term in _estimates(model):
         error = f"{term.standard_error:.2g}" if term.standard_error > 0 else "known" if term.known else ""
-        z = "" if kind == "shape" else z_text(term.z)
+        z = "" if kind in ("shape", "calibration") else z_text(term.z)
         out.append((term.written, kind, coefficient_text(term), error, interval_text(term), z))
     return out
 
@@ -163,6 +163,9 @@ def _estimates(model: LagrangianModel) -> Iterator[tuple[str, ModelTerm]]:
     yield from (("lagrangian", term) for term in model.terms)
     yield from (("dissipation", term) for term in model.dissipation)
     yield from (("shape", shape.as_term()) for shape in model.shapes)
+    yield from (
+        ("calibration", n.as_term()) for n in (model.calibration.numbers if model.calibration else ())
+    )
     yield from (("difference", d.as_term()) for d in (model.groups.differences if model.groups else ()))
 
 

@@ -63,10 +63,14 @@ def coefficient_groups(model: LagrangianModel, notation: Notation) -> list[dict[
 
 
 def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
-    """Rows of the shape parameters, in the columns of coefficients."""
-    numbers = [shape.as_term() for shape in model.shapes]
-    rows = [{**_coefficient_row(t, notation, f"shape{k}"), "z": ""} for k, t in enumerate(numbers)]
-    return [{"symbol": "", "name": "shape parameters", "rows": rows}] if rows else []
+    """Rows of shape parameters and calibration numbers, in the columns of coefficients."""
+    calibrated = model.calibration.numbers if model.calibration else ()
+    out: list[dict[str, Any]] = []
+    for name, numbers in (("shape parameters", model.shapes), ("calibration numbers", calibrated)):
+        terms = enumerate(number.as_term() for number in numbers)
+        rows = [{**_coefficient_row(t, notation, f"{name[:5]}{k}"), "z": ""} for k, t in terms]
+        out += [{"symbol": "", "name": name, "rows": rows}] if rows else []
+    return out
 
 
 def _differences(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:

@@ -17,6 +17,7 @@ from leastaction.findings import find
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import (
     all_data,
+    calibration_start,
     coarse_restart,
     exact_equations,
     feeding_friction,
@@ -79,6 +80,7 @@ def run_search(search: Search) -> Search:
         for strategy in WITH_HIDDEN:
             search = _attempt(strategy.run, search)
         return search
+    search = _attempt(calibration_start.run, search)
     found = force_bias.run(search, find_on_data)
     found = _attempt(partial(force_sampling.run, again=find_on_data), found)
     return _attempt(simulation_error.run, found)

@@ -1,0 +1,172 @@
+"""Coordinates from measured columns, each sample by itself, and what that leaves open of the calibration.
+
+For given calibration numbers κ the coordinates of a sample minimise Σ_c (y_c − h_c(q; κ))² / σ_c², by
+Levenberg–Marquardt from a grid of angles. Columns that depend on velocities have no weight here.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from leastaction.data.trajectories import Trajectories
+from leastaction.estimation.sensors import Sensors
+
+__all__ = ["by_sample", "directions", "is_seen", "misfit", "moved", "newton_step"]
+
+_ANGLES = 12  # equally spaced, at which an angle begins
+_BRANCHES = 4  # values of the coordinates that fit one sample, at most
+_JUMP = 0.1  # rad: between samples, of no concern
+_STEPS = 30  # of the fit of the coordinates, sample by sample
+_EXACT = 1e8  # of the information of the columns: what samples of the coordinate itself count for
+_OPEN = 1e-6  # of the information of a sample on a number, its coordinates known: less is none
+
+
+def by_sample(
+    sensors: Sensors, trial: int, times: np.ndarray, numbers: np.ndarray, angular: np.ndarray
+) -> np.ndarray:
+    """(n_times, n_dof) coordinates that fit the samples; rates count as zero.
+
+    Each sample by itself may allow several values of an angle. The path is chosen that jumps least.
+    """
+    sensors = sensors.static()
+    turning = angular & is_seen(sensors)
+    axes = [np.arange(_ANGLES) * 2.0 * np.pi / _ANGLES - np.pi if a else np.zeros(1) for a in turning]
+    begins = np.array(list(product(*axes)))
+    shape = (times.size, angular.size)
+    cost = np.stack([misfit(sensors, trial, np.broadcast_to(q, shape), times, numbers) for q in begins])
+    mesh = cost.reshape(*(axis.size for axis in axes), times.size)
+    for k in range(angular.size):  # local minima on the grid
+        lowest = np.minimum(np.roll(mesh, 1, axis=k), np.roll(mesh, -1, axis=k))
+        cost = np.where((mesh > lowest).reshape(cost.shape), np.inf, cost)
+    first = np.argsort(cost, axis=0, kind="stable")[:_BRANCHES]
+    there = np.isfinite(np.take_along_axis(cost, first, axis=0))
+    first = first[there.any(axis=1)]
+    branches = np.stack([_improved(sensors, trial, begins[row], times, numbers) for row in first])
+    return _continued(
+        branches, np.stack([misfit(sensors, trial, q, times, numbers) for q in branches]), angular
+    )
+
+
+def is_seen(sensors: Sensors) -> np.ndarray:
+    """(n_dof,) whether a coordinate has samples, or a column that depends on no rate depends on it."""
+    functions = sensors.functions
+    used = {
+        symbol.name
+        for expr, degree in zip(functions.expressions, functions.degrees, strict=True)
+        for symbol in expr.free_symbols
+        if not degree
+    }
+    direct = np.isfinite(np.concatenate(sensors.direct)).any(axis=0)
+    return direct | np.isin(functions.coordinates, list(used))
+
+
+def _continued(branches: np.ndarray, cost: np.ndarray, angular: np.ndarray) -> np.ndarray:
+    """(n_times, n_dof) the path of least misfit and jumps, without jumps of 2π (dynamic programming)."""
+    origins: list[np.ndarray] = []
+    total = np.log1p(cost[:, 0])
+    for k in range(1, branches.shape[1]):
+        step = branches[None, :, k] - branches[:, None, k - 1]
+        step = np.where(angular, (step + np.pi) % (2.0 * np.pi) - np.pi, 0.0)
+        through = total[:, None] + np.log1p(np.sum(step**2, axis=2) / _JUMP**2)
+        origins.append(through.argmin(axis=0))
+        total = through.min(axis=0) + np.log1p(cost[:, k])
+    path = [int(total.argmin())]
+    for origin in reversed(origins):
+        path.append(int(origin[path[-1]]))
+    out = branches[path[::-1], np.arange(branches.shape[1])]
+    out[:, angular] = np.unwrap(out[:, angular], axis=0)
+    return out
+
+
+def _improved(
+    sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray, steps: int = _STEPS
+) -> np.ndarray:
+    """(n_times, n_dof) coordinates that fit the samples better, each by itself (Levenberg–Marquardt)."""
+    best, damping = q.copy(), np.full(times.size, 1e-3)
+    cost = misfit(sensors, trial, best, times, numbers)
+    for _ in range(steps):
+        states = np.stack([best, np.zeros_like(best), np.zeros_like(best)])
+        there = best + newton_step(sensors, trial, states, times, numbers, damping)
+        found = misfit(sensors, trial, there, times, numbers)
+        better = found < cost
+        best[better], settled = there[better], found >= (1.0 - 1e-6) * cost
+        cost = np.where(better, found, cost)
+        damping = np.where(better, 0.1 * damping, 10.0 * damping)
+        if settled.all():
+            break
+    return best
+
+
+def moved(sensors: Sensors, trajectories: Trajectories, numbers: np.ndarray) -> Trajectories:
+    """Coordinates that the columns give with other calibration numbers, from those near by."""
+    static = sensors.static()
+    return Trajectories(
+        [t.changed(q=_improved(static, k, t.q, t.t, numbers)) for k, t in enumerate(trajectories)]
+    )
+
+
+def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of κ that the columns leave open, whatever the motion, and those that they determine.
+
+    Where each sample has coordinates of its own, what is known of κ is K − Σ BᵀH⁻¹B. Numbers that stand only
+    in columns that depend on velocities are in neither.
+
+    Returns
+    -------
+    pair of (n_numbers, n_directions) arrays
+    """
+    static, size = sensors.static(), len(sensors.functions.names)
+    known, whole = np.zeros((size, size)), np.zeros((size, size))
+    for k, t in enumerate(trajectories):
+        states = np.stack([t.q, np.zeros_like(t.q), np.zeros_like(t.q)])
+        _, slopes, own = sensors.functions.evaluate(states, t.t, sensors.numbers)
+        seen = np.isfinite(sensors.samples[k]) / static.noise_std
+        jacobian = slopes[:, 0].transpose(2, 0, 1) * seen[..., None]
+        border = own.transpose(2, 0, 1) * seen[..., None]
+        matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
+        known_size = _EXACT * np.einsum("sii->si", matrix) + 1.0
+        direct = np.where(np.isfinite(sensors.direct[k]), known_size, 0.0)
+        matrix += direct[:, :, None] * np.eye(t.q.shape[1])
+        cross = np.swapaxes(jacobian, 1, 2) @ border
+        whole += np.einsum("sck,scl->kl", border, border)
+        known += np.einsum("sik,sil->kl", cross, np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ cross)
+    touched = np.diag(whole) > 0.0
+    scale = np.where(touched, 1.0 / np.sqrt(np.where(touched, np.diag(whole), 1.0)), 1.0)
+    (own,) = np.nonzero(touched)
+    index = np.ix_(own, own)
+    values, vectors = np.linalg.eigh((whole - known)[index] * np.outer(scale[own], scale[own]))
+    wide = np.zeros((size, own.size))
+    wide[own] = scale[own, None] * vectors
+    return wide[:, values < _OPEN], wide[:, values >= _OPEN]
+
+
+def misfit(sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+    """(n_times,) squared deviations of all columns, over their noise."""
+    h = sensors.functions.values(np.stack([q, 0.0 * q, 0.0 * q]), times, numbers)
+    error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
+    return (error**2).sum(axis=1) + np.square(np.nan_to_num(q - sensors.direct[trial])).sum(axis=1)
+
+
+def newton_step(
+    sensors: Sensors,
+    trial: int,
+    states: np.ndarray,
+    times: np.ndarray,
+    numbers: np.ndarray,
+    damping: np.ndarray | float,
+) -> np.ndarray:
+    """(n_times, n_dof) steps of the coordinates that lower the misfit of each sample."""
+    h, slopes, _ = sensors.functions.evaluate(states, times, numbers)
+    error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
+    seen = np.isfinite(sensors.samples[trial]) / sensors.noise_std
+    jacobian = slopes[:, 0].transpose(2, 0, 1) * seen[:, :, None]
+    direct = np.isfinite(sensors.direct[trial])
+    matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct[:, :, None] * np.eye(states.shape[2])
+    gradient = np.einsum("sci,sc->si", jacobian, error) + np.nan_to_num(states[0] - sensors.direct[trial])
+    diagonal = np.einsum("sii->si", matrix)
+    least = 1e-9 * diagonal.max(axis=1, keepdims=True) + 1e-300
+    ridge: np.ndarray = np.asarray(damping).reshape(-1, 1) * diagonal + least
+    matrix = matrix + ridge[:, :, None] * np.eye(states.shape[2])
+    return -np.asarray(np.linalg.solve(np.asarray(matrix), np.asarray(gradient)[..., None]))[..., 0]

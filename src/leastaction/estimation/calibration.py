@@ -1,0 +1,341 @@
+"""Curves and calibration numbers that explain measured columns, before any law.
+
+The law is that of free masses that white noise pushes, q̈ = w, which makes the curve a smoothing spline
+whose smoothness the likelihood finds. Columns that outnumber the coordinates then determine most calibration
+numbers κ. What they leave open, such as the angle of a camera with the vertical, stays as it was drawn; the
+law of motion determines it later.
+
+Each draw of κ gives coordinates sample by sample, and from these the joint fit of curve and κ begins. A
+number that only adds to a column begins at its mean, one that multiplies a function of the coordinates about
+its spread, any other about 0. Starts and ranges of the user go first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import sympy as sp
+
+from leastaction.curve.bspline import SplineGrid, uniform_grid
+from leastaction.curve.knots import FEWEST_SAMPLES, lay_knots
+from leastaction.curve.outliers import leave_out_outliers
+from leastaction.curve.smoothing import smooth
+from leastaction.data.columns import arranged
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import DataError, InputError
+from leastaction.estimation.by_sample import by_sample, directions, is_seen, misfit, newton_step
+from leastaction.estimation.gauss_newton import JointFit
+from leastaction.estimation.joint import Physics
+from leastaction.estimation.sensors import SensorFunctions, SensorObservations, Sensors
+from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights
+from leastaction.findings import Finding
+from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.library import Library, make_term, shape_symbol
+from leastaction.mechanics.euler_lagrange import EulerLagrange
+
+__all__ = ["Calibrated", "calibrate", "from_columns", "plausible_sizes"]
+
+_DRAWS = 16  # of calibration numbers, where the user gave no start
+_KEPT = 4  # of these, that curves are fitted to
+_SAMPLES = 600  # of each column, that draws are tried on
+_SCREENED = 60  # of these, that all draws are tried on
+_SPREAD = 0.5  # natural logarithm: of drawn numbers that multiply
+_OTHERS = 0.5  # standard deviation of drawn numbers of any other kind
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """What the columns alone determine.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Coordinates that follow from the columns, sample by sample, with the columns' noise.
+    sensors : Sensors
+        With calibration numbers to begin with.
+    findings : tuple of Finding
+    """
+
+    trajectories: Trajectories
+    sensors: Sensors
+    findings: tuple[Finding, ...]
+
+
+def from_columns(
+    table: Trajectories,
+    measure: Iterable[str],
+    library: Library | Iterable[str],
+    hidden: Iterable[str],
+    angles: Iterable[str] | None,
+    degree: int,
+    shapes: Mapping[str, tuple[float, float]],
+    robust: bool,
+) -> Calibrated:
+    """Coordinates from a table of measured columns, in the sequence of the library where it has one.
+
+    Parameters are those of `leastaction.discover`. Columns on the left of ``measure`` are no coordinates;
+    ``hidden`` names coordinates without a column where the library does not.
+
+    Raises
+    ------
+    InputError, DataError
+    """
+    texts = [measure] if isinstance(measure, str) else list(measure)
+    columns = [text.partition("=")[0].strip() for text in texts]
+    if isinstance(library, Library):
+        names, taken = library.coordinates, tuple(library.shapes)
+        turning = library.angles if angles is None else tuple(angles)
+    else:
+        names, taken = (*(name for name in table.coordinates if name not in columns), *hidden), ()
+        turning = () if angles is None else tuple(angles)
+    functions = SensorFunctions.parse(texts, check_coordinate_names(names))
+    unknown = [name for name in table.coordinates if name not in (*columns, *names)]
+    if unknown:
+        raise InputError(
+            f"the data have a column {quoted(unknown[0])} that is neither a coordinate of the library nor "
+            "measured by a function; leave it out"
+        )
+    for name in functions.names:
+        if name in taken:
+            raise InputError(f"{{{name}}} stands in a candidate and in a measurement function; rename one")
+    ranges = {name: ends for name, ends in shapes.items() if name in functions.names}
+    return calibrate(table, functions, turning, degree, ranges, robust=robust)
+
+
+def calibrate(
+    table: Trajectories,
+    functions: SensorFunctions,
+    angles: Sequence[str],
+    degree: int,
+    ranges: Mapping[str, tuple[float, float]],
+    *,
+    robust: bool = True,
+) -> Calibrated:
+    """Find curve and calibration numbers that explain the columns.
+
+    Parameters
+    ----------
+    table : Trajectories
+        The columns, and coordinates that are measured themselves.
+    functions : SensorFunctions
+    angles : sequence of str
+        Coordinates that are angles.
+    degree : int
+        Of the splines.
+    ranges : mapping of str to (float, float)
+        Where the user expects a number.
+    robust : bool
+        Leave out outliers of the columns.
+
+    Raises
+    ------
+    InputError, DataError
+    """
+    findings: list[Finding] = []
+    columns = _columns(table, functions)
+    if robust:
+        columns, findings = leave_out_outliers(columns, degree)
+    knots = lay_knots(columns, degree)
+    own = arranged(table, functions.coordinates)
+    noise = np.maximum(
+        knots.smooth.noise_std, 1e-6 * np.nanstd(np.concatenate([t.q for t in columns]), axis=0)
+    )
+    sensors = Sensors(
+        functions, [t.q for t in columns], [t.q for t in own], noise, np.zeros(len(functions.names)), ranges
+    )
+    _check_observed(functions, own)
+    hunt = _Hunt(
+        own, _centred(sensors), np.isin(functions.coordinates, list(angles)), knots.per_second, degree
+    )
+    draws = _draws(sensors, np.random.default_rng(0))
+    if len(draws) > 1:
+        short = hunt.shortened()
+        fits = [short.fitted(numbers, 4) for numbers in sorted(draws, key=short.misfit_of)[:_KEPT]]
+        draws = [np.asarray(max(fits, key=lambda fit: fit[1])[0].weights.calibration)]
+    fit, _ = hunt.fitted(draws[0])
+    return Calibrated(hunt.sighted(fit), sensors.at(np.asarray(fit.weights.calibration)), tuple(findings))
+
+
+def _columns(table: Trajectories, functions: SensorFunctions) -> Trajectories:
+    """The measured columns; refuses those that there are not, or that say nothing."""
+    for name in functions.columns:
+        if name not in table.coordinates:
+            raise InputError(
+                f"measure names {quoted(name)}, which is no column of the data; the columns are "
+                f"{', '.join(table.coordinates)}"
+            )
+    columns = arranged(table.without_rates(), functions.columns)
+    columns = Trajectories([t.changed(forces=None) for t in columns])
+    for i, name in enumerate(functions.columns):
+        count = sum(int(np.isfinite(t.q[:, i]).sum()) for t in columns)
+        if count < FEWEST_SAMPLES:
+            raise DataError(
+                f"column {quoted(name)} has {count} samples; at least {FEWEST_SAMPLES} are needed"
+            )
+    return columns
+
+
+def _check_observed(functions: SensorFunctions, own: Trajectories) -> None:
+    """Refuse coordinates that nothing depends on."""
+    used = {symbol.name for expr in functions.expressions for symbol in expr.free_symbols}
+    for i, name in enumerate(functions.coordinates):
+        seen = any(np.isfinite(t.q[:, i]).any() for t in own)
+        if not seen and not used & {name, f"{name}_dot", f"{name}_ddot"}:
+            raise InputError(
+                f"{quoted(name)} has no samples and occurs in no measurement function; add a column that "
+                "depends on it, or leave it out of the library"
+            )
+
+
+def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
+    """Calibration numbers to begin with; one set where the user gave all of them."""
+    functions, ranges = sensors.functions, sensors.ranges
+    stacked = np.concatenate(sensors.samples)
+    mean, spread = np.nanmean(stacked, axis=0), np.nanstd(stacked, axis=0)
+    open_numbers = [name for name in functions.names if name not in functions.starts]
+    out: list[np.ndarray] = []
+    for _ in range(_DRAWS if open_numbers else 1):
+        values: list[float] = []
+        for name in functions.names:
+            if name in functions.starts:
+                values.append(functions.starts[name])
+                continue
+            if name in ranges:
+                values.append(rng.uniform(*ranges[name]))
+                continue
+            kind, column, shared = _kind(functions, name)
+            if kind == "offset":
+                values.append(float(mean[column]))
+            elif kind == "factor" and functions.degrees[column] and not is_seen(sensors).all():
+                values.append(1.0)
+            elif kind == "factor":
+                size = float(np.sqrt(2.0) * spread[column]) ** (1.0 / shared)
+                values.append(size * float(np.exp(_SPREAD * rng.standard_normal())))
+            else:
+                values.append(_OTHERS * rng.standard_normal())
+        out.append(np.array(values))
+    return out
+
+
+def plausible_sizes(sensors: Sensors) -> np.ndarray:
+    """(n_numbers,) by which each number may be off before the law is known."""
+    functions, ranges = sensors.functions, sensors.ranges
+    out: list[float] = []
+    spread = np.nanstd(np.concatenate(sensors.samples), axis=0)
+    for name, value in zip(functions.names, sensors.numbers.tolist(), strict=True):
+        kind, column, _ = _kind(functions, name)
+        if name in ranges:
+            out.append(0.5 * (ranges[name][1] - ranges[name][0]))
+        elif name in functions.starts:
+            out.append(0.1 * abs(value) or _OTHERS)
+        else:
+            out.append({"offset": float(spread[column]), "factor": _SPREAD * abs(value)}.get(kind, _OTHERS))
+    return np.array(out)
+
+
+def _kind(functions: SensorFunctions, name: str) -> tuple[str, int, int]:
+    """How a number enters, the column where it does so most simply, and how many numbers multiply there."""
+    symbol = shape_symbol(name)
+    found: list[tuple[str, int, int]] = []
+    for c, expr in enumerate(functions.expressions):
+        slope = sp.diff(expr, symbol)
+        if slope == 0:
+            continue
+        states = {s for s in slope.free_symbols if not s.name.startswith("{")}
+        if symbol in slope.free_symbols:
+            found.append(("other", c, 1))
+        else:
+            others = [s for s in slope.free_symbols if s not in states and slope.subs(s, 0) == 0]
+            found.append(("factor" if states else "offset", c, 1 + len(others)))
+    order = {"offset": 0, "factor": 1, "other": 2}
+    return min(found, key=lambda one: order[one[0]])
+
+
+@dataclass(frozen=True, eq=False)
+class _Hunt:
+    """Data, sensors, and the grid that curves are looked for on."""
+
+    own: Trajectories
+    sensors: Sensors
+    angular: np.ndarray
+    per_second: float
+    degree: int
+
+    def shortened(self) -> _Hunt:
+        """The same on the beginnings of the recordings."""
+        most = max(FEWEST_SAMPLES, _SAMPLES // len(self.own))
+        items = [t.rows(slice(0, min(most, t.n_times))) for t in self.own]
+        samples = [values[:most] for values in self.sensors.samples]
+        sensors = replace(self.sensors, samples=samples, direct=[t.q for t in items])
+        return replace(self, own=Trajectories(items), sensors=sensors)
+
+    def misfit_of(self, numbers: np.ndarray) -> float:
+        """How badly some samples are explained, each by itself: bounded, in logarithms."""
+        total = 0.0
+        stride = max(1, sum(t.n_times for t in self.own) // _SCREENED)
+        thin = replace(
+            self.sensors,
+            samples=[values[::stride] for values in self.sensors.samples],
+            direct=[values[::stride] for values in self.sensors.direct],
+        )
+        for k, run in enumerate(self.own):
+            t = run.t[::stride]
+            q = by_sample(thin, k, t, numbers, self.angular)
+            total += float(np.log1p(misfit(thin, k, q, t, numbers)).sum())
+        return total
+
+    def fitted(self, numbers: np.ndarray, rounds: int = 8) -> tuple[JointFit, float]:
+        """Curve and κ from given numbers, and their evidence."""
+        times = [t.t for t in self.own]
+        grid = self._grid(times)
+        observations = SensorObservations(grid, times, self.sensors.at(numbers), self.own.rates)
+        names = self.own.coordinates
+        masses = EulerLagrange([make_term(f"{n}_dot**2/2", [f"{n}_dot"]) for n in names], names)
+        physics = Physics(masses, np.zeros(len(names), dtype=bool), None)
+        q = [by_sample(self.sensors, k, t, numbers, self.angular) for k, t in enumerate(times)]
+        there = Trajectories([t.changed(q=values) for t, values in zip(self.own, q, strict=True)])
+        observations = observations.along(self._determined(self.sensors.at(numbers), there))
+        curve, ones = smooth(grid, times, q).control_points, np.ones(len(names))
+        weights = start_weights(observations, physics, ones, curve, ones)
+        noise = weights.noise_std.copy()
+        noise[noise.size - self.sensors.noise_std.size :] = self.sensors.noise_std
+        weights = replace(weights, noise_std=noise)
+        fit = fit_weights(observations, physics, Start(curve, ones, weights), max_rounds=rounds)
+        return fit, evidence(observations, fit)
+
+    def _grid(self, times: list[np.ndarray]) -> SplineGrid:
+        return uniform_grid(times, self.per_second, self.degree, 2)
+
+    def _determined(self, sensors: Sensors, there: Trajectories) -> np.ndarray:
+        """(n_numbers, n_directions) changes of κ that the columns determine without a law."""
+        free, fixed = directions(sensors, there)
+        scale_open = not is_seen(replace(sensors, direct=[t.q for t in self.own])).all()
+        kinds = [_kind(sensors.functions, name)[0] for name in sensors.functions.names]
+        moving = ~np.any(np.concatenate([free, fixed], axis=1), axis=1)
+        if scale_open:  # a gain and the size of the motion cannot be told apart
+            moving &= np.array(kinds) == "offset"
+        return np.concatenate([fixed, np.eye(moving.size)[:, moving]], axis=1)
+
+    def sighted(self, fit: JointFit) -> Trajectories:
+        """The curve at the samples, moved by what the columns say there: coordinates with noise."""
+        numbers, times = np.asarray(fit.weights.calibration), [t.t for t in self.own]
+        grid = self._grid(times)
+        parts = [grid.evaluate(fit.control_points, times, nu) for nu in range(3)]
+        items: list[Trajectory] = []
+        sensors = replace(self.sensors, direct=[t.q for t in self.own])
+        for k, run in enumerate(self.own):
+            states = np.stack([part[k] for part in parts])
+            step = newton_step(sensors, k, states, run.t, numbers, 1e-6)
+            items.append(run.changed(q=states[0] + step))
+        return Trajectories(items)
+
+
+def _centred(sensors: Sensors) -> Sensors:
+    """The same where each coordinate that only rates tell of is measured as zero, with much noise.
+
+    Without it nothing tells its mean. The noise is estimated, and is the spread of the coordinate.
+    """
+    unseen = ~is_seen(sensors)
+    return replace(sensors, direct=[np.where(unseen, 0.0, values) for values in sensors.direct])
