@@ -187,10 +187,8 @@ def discover(
     clock.start("prepare")
     trajectories = Trajectories.coerce(trajectories)
     grouping = None if groups is None else Grouping.of(groups, trajectories)
-    prescribed, hidden = _texts(prescribed), _texts(hidden)
+    prescribed, hidden, measure = _texts(prescribed), _texts(hidden), _texts(measure)
     constant, slow = _offsets(force_offset, trajectories.coordinates, prescribed)
-    sizes = _lengths(lengths or {}, trajectories.coordinates)
-    measure = _texts(measure)
     _refuse_together(slow, grouping, descent, hidden, measure)
     request = Request(
         library,
@@ -204,23 +202,21 @@ def discover(
         shapes=dict(shapes or {}),
         hidden=hidden,
         measure=measure,
+        lengths=_lengths(lengths or {}, (*trajectories.coordinates, *hidden)),
     )
     with employ(workers) as crew:
-        whole = bool(descent or slow or request.hidden or request.measure)
-        setup = _set_up(trajectories, request, positions_alone=descent, whole=whole).computed_by(crew)
+        setup = _set_up(trajectories, request, descent, bool(slow)).computed_by(crew)
         search = begin_search(
             setup,
             slow,
             relevance=relevance,
             seed=seed,
-            # data at fault: searching longer does not help
-            thorough=not doubtful(setup.findings),
+            thorough=not doubtful(setup.findings),  # where data are at fault, a longer search does not help
             report=clock.report,
         )
         _check_columns(setup, search.grid)
         search = _search(setup, search, grouping, settings if descent else None)
         given = _given(method, request, setup, search, settings if descent else None, grouping)
-        given |= {"lengths": sizes} if sizes else {}
         return _concluded(setup, search, given, clock)
 
 
@@ -248,15 +244,17 @@ def _concluded(setup: Setup, search: Search, given: dict[str, Any], clock: Clock
     return assemble_model(setup, search, verdict, shown, given, clock.timings)
 
 
-def _set_up(trajectories: Trajectories, request: Request, *, positions_alone: bool, whole: bool) -> Setup:
+def _set_up(trajectories: Trajectories, request: Request, descent: bool, slow: bool) -> Setup:
     """The problem, and what is to be said of it and its data before any search.
 
-    With ``whole`` the search is not on pieces of long recordings: a slow force is wanted at all times.
+    Descent takes positions alone.  Pieces of long recordings are not enough for it, for a slow force, which
+    is wanted at all times, and for coordinates without a column.
     """
     read = trajectories.findings
-    unused = trajectories.rates if positions_alone else ()
-    if positions_alone:
+    unused = trajectories.rates if descent else ()
+    if descent:
         trajectories = trajectories.without_rates()
+    whole = bool(descent or slow or request.hidden or request.measure)
     setup = build_problem(trajectories, request, None if whole else ENOUGH_SAMPLES)
     findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
     if unused:
@@ -328,6 +326,7 @@ def _given(
         ),
         **({"measure": list(request.measure)} if setup.problem.sensors else {}),
         "shapes": {name: list(map(float, ends)) for name, ends in request.shapes.items()},
+        **({"lengths": dict(request.lengths)} if request.lengths else {}),
         **({} if descent is None else {"adam": asdict(descent)}),
         **({} if grouping is None else {"groups": [grouping.names[place] for place in grouping.places]}),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -225,10 +226,8 @@ def discover(
         forecast = _forecast(model, held_out, groups)
         progress("report", {})
         write_outputs(folder, model, forecast, command_line(ctx))
-    if as_json:
-        _print_json(folder, model, forecast)
-    else:
-        _show(folder, model, forecast, None if quiet else links)
+    tell = _print_json if as_json else partial(_show, lengths=None if quiet else links)
+    tell(folder, model, forecast)
 
 
 def _numbers(

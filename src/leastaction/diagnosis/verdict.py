@@ -79,17 +79,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     ]
     off = any(share[i] > SELECTION.holds for i in unexplained)
     causes = _likely_causes(search, effects, off) if look_for_causes else []
-    found += [
-        find(
-            "equations-off",
-            names[i],
-            equation_error=share[i],
-            residual_ratio=np.sqrt(chi2[i]),
-            cause_named=bool(causes),
-            may_be_prescribed=len(names) - len(fit.problem.candidates.prescribed) >= 2,
-        )
-        for i in unexplained
-    ]
+    found += [_equation_off(fit, i, share[i], chi2[i], bool(causes)) for i in unexplained]
     found += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
@@ -115,6 +105,19 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
     return Verdict(tuple(found), float(np.mean(chi2[counts > 0])), rms)
+
+
+def _equation_off(fit: Fit, i: int, share: float, chi2: float, cause_named: bool) -> Finding:
+    """One equation that does not hold, or whose residuals are more than noise."""
+    names = fit.problem.coordinates
+    return find(
+        "equations-off",
+        names[i],
+        equation_error=share,
+        residual_ratio=np.sqrt(chi2),
+        cause_named=cause_named,
+        may_be_prescribed=len(names) - len(fit.problem.candidates.prescribed) >= 2,
+    )
 
 
 def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]:
@@ -383,13 +386,8 @@ def _whiteness(fit: Fit) -> list[Finding]:
     sensors = fit.problem.sensors
     channels += [(names[rate.coordinate], rate.quantity) for rate in fit.problem.trajectories.rates]
     channels += [(name, "position") for name in (sensors.functions.columns if sensors else ())]
-    for (name, quantity), r, least, sigma in zip(
-        channels,
-        fit.residuals(),
-        observations.floors,
-        fit.weights.noise_std,
-        strict=True,
-    ):
+    numbers = fit.residuals(), observations.floors, fit.weights.noise_std
+    for (name, quantity), r, least, sigma in zip(channels, *numbers, strict=True):
         if r.size < 3:  # a hidden coordinate leaves no residuals
             continue
         lag = float(r[1:] @ r[:-1] / max(r @ r, 1e-300))

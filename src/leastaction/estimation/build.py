@@ -13,7 +13,7 @@ from leastaction.curve.outliers import leave_out_outliers
 from leastaction.data.columns import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.calibration import from_columns
+from leastaction.estimation.calibration import Calibrated, from_columns
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
@@ -59,6 +59,7 @@ class Request:
     shapes: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     hidden: Iterable[str] = ()
     measure: Iterable[str] = ()
+    lengths: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,21 +109,9 @@ def build_problem(
     InputError, DataError
     """
     trajectories = Trajectories.coerce(trajectories)
-    seen_by = None
-    if request.measure:
-        seen_by = from_columns(
-            trajectories,
-            request.measure,
-            request.library,
-            request.hidden,
-            request.angles,
-            request.degree,
-            request.shapes,
-            request.robust,
-        )
-    if seen_by is not None:
-        trajectories = seen_by.trajectories
-    trajectories, hidden = with_hidden(trajectories, () if seen_by else request.hidden, request.library)
+    seen_by = _seen_by_sensors(trajectories, request)
+    columns, absent = (trajectories, request.hidden) if seen_by is None else (seen_by.trajectories, ())
+    trajectories, hidden = with_hidden(columns, absent, request.library)
     library = _library(request.library, trajectories.coordinates)
     check_hidden_terms(library, [trajectories.coordinates[i] for i in hidden])
     angles = library.angles if request.angles is None else tuple(request.angles)
@@ -134,16 +123,10 @@ def build_problem(
     trajectories, unused_forces = _without_forces_on(places, trajectories)
     library = _with_offsets(library.with_dissipation(request.dissipation), request.force_offset)
     known = _resolve_known(library, dict(request.known or {}))
-    if not known and not trajectories.driven:
-        raise InputError(
-            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
-            "coefficient of at least one term, e.g. known={'"
-            + library.terms[0].text
-            + "': 1.0}, which sets the units of L"
-        )
+    _check_scale(trajectories, library, known)
     findings, turning = _about_angles(trajectories, angles)
-    findings += unused_forces
-    findings += [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
+    jumps = [find("undeclared-angle", name, jumps=count) for name, count in turning.items()]
+    findings += [*unused_forces, *jumps]
     trajectories = trajectories.unwrap(turning)
     seen = arranged(trajectories, measured)
     if seen_by is not None:
@@ -181,6 +164,25 @@ def build_problem(
         sensors=None if seen_by is None else seen_by.sensors,
     )
     return Setup(problem, problem.on(searched), library, scales, (*findings, *smoothed))
+
+
+def _seen_by_sensors(trajectories: Trajectories, request: Request) -> Calibrated | None:
+    """The coordinates of measured columns that are functions of them, where there are such."""
+    if not request.measure:
+        return None
+    whose = request.library, request.hidden, request.angles
+    return from_columns(trajectories, request.measure, *whose, request.degree, request.shapes, request.robust)
+
+
+def _check_scale(trajectories: Trajectories, library: Library, known: Mapping[Term, float]) -> None:
+    """Refuse a problem without forces and known coefficients."""
+    if not known and not trajectories.driven:
+        raise InputError(
+            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
+            "coefficient of at least one term, e.g. known={'"
+            + library.terms[0].text
+            + "': 1.0}, which sets the units of L"
+        )
 
 
 def _fast_forces_act(data: Trajectories) -> bool:

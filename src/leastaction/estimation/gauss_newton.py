@@ -158,13 +158,12 @@ def fit_joint(
     if not np.isfinite(cost):
         return _fitted(coefficients, here, None, weights, "not finite", 0)
     in_all = tolerance * shared(observations)
-    least = 0.0 if weights.calibration is None else _LEAST_DAMPING
     moved = partial(_moved, observations, physics)
     normal, here = here.normal(weights), here.lean()
     while step < max_steps:
         step += 1
         try:
-            shift, delta, predicted, own = _step(normal, damping, least)
+            shift, delta, predicted, own = _step(normal, damping, weights)
         except np.linalg.LinAlgError:
             damping = max(10.0 * damping, 1e-8)
             if damping > _LARGEST_DAMPING:
@@ -209,12 +208,15 @@ def shared(observations: Measurements) -> float:
     return max(1.0, float(observations.counts.sum()) / _SAMPLES)
 
 
-def _step(normal: System, damping: float, least: float = 0.0) -> tuple[np.ndarray, np.ndarray, float, float]:
+def _step(
+    normal: System, damping: float, weights: Weights | None = None
+) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Steps of curve and coefficients, how much they should lower the cost, and the coefficients' own part.
 
     Raises LinAlgError when they are not finite.
     """
     quadratic = normal.eliminate(damping)
+    least = 0.0 if weights is None or weights.calibration is None else _LEAST_DAMPING
     matrix = quadratic.matrix + max(damping, least) * np.diag(np.diag(quadratic.matrix))
     delta = -symmetric_inverse(matrix) @ quadratic.gradient
     shift = quadratic.curve_step(delta)
