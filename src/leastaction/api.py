@@ -202,7 +202,7 @@ def discover(
         shapes=dict(shapes or {}),
         hidden=hidden,
         measure=measure,
-        lengths=_lengths(lengths or {}, (*trajectories.coordinates, *hidden)),
+        lengths=checked_lengths(lengths or {}, (*trajectories.coordinates, *hidden)),
     )
     with employ(workers) as crew:
         setup = _set_up(trajectories, request, descent, bool(slow)).computed_by(crew)
@@ -373,16 +373,6 @@ def _offsets(
             )
     slow = {coordinates.index(name): float(x) for name, x in given.items() if x < np.inf}
     return [name for name, x in given.items() if x == np.inf], slow
-
-
-def _lengths(given: Mapping[str, float], coordinates: tuple[str, ...]) -> dict[str, float]:
-    for name in given:
-        if name not in coordinates:
-            raise InputError(
-                f"a length is given for {name!r}, which is not a coordinate; the coordinates are "
-                f"{', '.join(coordinates)}"
-            )
-    return checked_lengths(given)
 
 
 def _check_columns(setup: Setup, grid: Grid) -> None:

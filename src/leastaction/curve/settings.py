@@ -4,7 +4,7 @@ Each value says its unit, where it comes from, and what happens at half and at t
 at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8 set-ups that
 no rule was made for, four right and four wrong ones (30 where other findings are spoken of), and outliers
 on six recordings. What concerns fast motion was tried on five resonators at nine samples a period
-(`tests/selection/test_machines.py`), too, all of which get the right structure. "No effect": no structure
+(`tests/selection/test_search.py`), too, all of which get the right structure. "No effect": no structure
 and no finding changes.
 """
 

@@ -5,9 +5,8 @@ term must find.  So L is tried with a sum of bumps added,
 
     δL = Σ_k a_k exp(−Σ_i ((q_i − c_ki) / w_i)²),    or q̇_i² times such a sum, or both,
 
-with centres over the recorded motion.  All a_k are free.  The quadratic model of the likelihood about the fit
-says how far −2 log L falls (for the true law, χ² with as many degrees of freedom), and what the best a_k, and
-those nearly as good, would make of the accelerations.
+with centres over the recorded motion and all a_k free.  The quadratic model of the likelihood about the fit
+says how far −2 log L falls (for the true law χ²), and what the best a_k would make of the accelerations.
 """
 
 from __future__ import annotations

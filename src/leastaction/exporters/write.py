@@ -14,9 +14,7 @@ from leastaction.model.model import LagrangianModel
 
 __all__ = ["export"]
 
-
 _Path: TypeAlias = "str | os.PathLike[str] | None"
-
 
 _PLAIN = {
     "sympy": sympy.write,

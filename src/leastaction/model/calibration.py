@@ -123,11 +123,8 @@ class Calibration:
             }
             for n in self.numbers
         ]
-        out: dict[str, Any] = {
-            "functions": [*self.functions],
-            "noise_std": [*self.noise_std],
-            "numbers": numbers,
-        }
+        out: dict[str, Any] = {"functions": [*self.functions], "noise_std": [*self.noise_std]}
+        out["numbers"] = numbers
         return out if self.covariance is None else {**out, "covariance": self.covariance.tolist()}
 
     @classmethod

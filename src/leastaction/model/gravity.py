@@ -17,7 +17,7 @@ by a factor k changes it by k²), that the length is not in metres, or that the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -187,9 +187,14 @@ def _best(model: LagrangianModel, lengths: Mapping[str, float]) -> dict[str, Gra
     return best
 
 
-def checked_lengths(lengths: Mapping[str, Any]) -> dict[str, float]:
-    """Lengths as numbers; InputError for one that is not positive."""
+def checked_lengths(lengths: Mapping[str, Any], coordinates: Sequence[str] = ()) -> dict[str, float]:
+    """Lengths as numbers; InputError for one that is not positive, or not of one of the coordinates."""
     for name, value in lengths.items():
+        if coordinates and name not in coordinates:
+            raise InputError(
+                f"a length is given for {name!r}, which is not a coordinate; the coordinates are "
+                f"{', '.join(coordinates)}"
+            )
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < value < math.inf:
             raise InputError(f"the length of {quoted(name)} is {value!r}; expected metres, such as 0.3")
     return {name: float(value) for name, value in lengths.items()}
