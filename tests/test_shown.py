@@ -19,7 +19,7 @@ from leastaction.model.groups import GroupDifference, Groups
 from leastaction.model.mathml import Notation
 from leastaction.model.model import FitSummary, ModelTerm
 from leastaction.shown import Card, Display, Panel, Series, Typeset
-from report_helpers import Page, spring
+from page_helpers import Page, spring
 
 HOSTILE = '<script>alert("1")</script>'
 T = np.linspace(0.0, 4.0, 201)

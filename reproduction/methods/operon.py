@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from pyoperon.sklearn import SymbolicRegressor
 
-from reproduction.methods.udsr import GIVEN, STRIDE, acceleration_of, choose, names, samples
+from reproduction.methods._symbolic import GIVEN, STRIDE, acceleration_of, choose, names, samples
 from reproduction.problem import Answer, Problem
 
 TITLE = "Operon"

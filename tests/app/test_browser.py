@@ -15,8 +15,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-import app_helpers
 import leastaction as la
+import page_helpers
 
 pytestmark = pytest.mark.browser
 
@@ -48,7 +48,7 @@ def chromium() -> str:
 @pytest.fixture(scope="module")
 def address(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A server of its own, as a user starts it; the address with the token."""
-    with app_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
+    with page_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
         yield printed
 
 
@@ -117,7 +117,7 @@ def open_tab(chromium: str, address: str, tmp_path: Path):
 def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     tab = open_tab()
     page = tab.page
-    path = app_helpers.driven_pendulum(tmp_path / "swing.csv")
+    path = page_helpers.driven_pendulum(tmp_path / "swing.csv")
     page.locator("input[type=file]").set_input_files(path)
     tab.see("What was measured")
     page.locator(".figure svg").first.wait_for()
@@ -158,7 +158,7 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     page.locator("input[type=file]").set_input_files(tmp_path / "mine.leastaction")
     tab.see("find the Lagrangian again to see its result")
     page.locator("input[type=file]").set_input_files(
-        [app_helpers.driven_pendulum(tmp_path / f"run{k}.csv") for k in (2, 10)]
+        [page_helpers.driven_pendulum(tmp_path / f"run{k}.csv") for k in (2, 10)]
     )
     tab.see("run2.csv and 1 more")
     tab.see("6 trials, 30 s")
@@ -282,15 +282,15 @@ def test_a_link_of_another_site_opens_the_app_if_the_browser_has_been_let_in(ope
 
 
 def test_the_server_answers_to_this_computer_only(address):
-    cookie = app_helpers.cookie_for(address)
-    _, headers, page = app_helpers.ask(address.partition("?")[0], cookie=cookie)
+    cookie = page_helpers.cookie_for(address)
+    _, headers, page = page_helpers.ask(address.partition("?")[0], cookie=cookie)
     policy = headers["content-security-policy"]
     assert "default-src 'self'" in policy
     assert "http" not in policy
     assert "<html" in page
     assert "https://" not in page
-    assert app_helpers.ask(address, host="evil.example")[0] == 400
-    assert app_helpers.ask(address, "POST", content_length="999999999")[0] == 413
+    assert page_helpers.ask(address, host="evil.example")[0] == 400
+    assert page_helpers.ask(address, "POST", content_length="999999999")[0] == 413
     port = urlsplit(address).port
     others = [info[4][0] for info in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
     for host in {host for host in others if not host.startswith("127.")}:
@@ -300,14 +300,14 @@ def test_the_server_answers_to_this_computer_only(address):
 
 def test_a_browser_that_leaves_before_its_answer_is_no_fault(address):
     # what the server logs is looked at when it ends
-    place, cookie = urlsplit(address), app_helpers.cookie_for(address)
+    place, cookie = urlsplit(address), page_helpers.cookie_for(address)
     home = f"http://{place.netloc}/"
-    (script, *_) = re.findall(r'src="(/[^"]+)"', app_helpers.ask(home, cookie=cookie)[2])
+    (script, *_) = re.findall(r'src="(/[^"]+)"', page_helpers.ask(home, cookie=cookie)[2])
     for _ in range(50):
         with socket.create_connection((place.hostname, place.port)) as connection:
             lines = f"GET {script} HTTP/1.1", f"Host: {place.netloc}", f"Cookie: {cookie}"
             connection.sendall("\r\n".join([*lines, "", ""]).encode())
-    assert app_helpers.ask(home, cookie=cookie)[0] == 200
+    assert page_helpers.ask(home, cookie=cookie)[0] == 200
 
 
 def test_a_port_in_use_is_one_line(address):
@@ -322,7 +322,7 @@ def test_a_port_in_use_is_one_line(address):
 # -------------------------------------------------------------- for everybody: axe-core
 def findings_of_axe(page, grave: tuple[str, ...] = ("serious", "critical")) -> list[str]:
     """What axe-core finds on a page, with the first element of each kind."""
-    source = app_helpers.axe_source()
+    source = page_helpers.axe_source()
     if source is None:
         pytest.skip("no axe-core found; npm install axe-core, or pip install axe-playwright-python")
     page.evaluate(source)
@@ -357,7 +357,7 @@ def test_axe_finds_nothing_serious_in_the_app(open_tab, size, scheme):
 def test_axe_finds_nothing_serious_in_a_report(chromium, tmp_path):
     from playwright.sync_api import sync_playwright
 
-    from report_helpers import spring
+    from page_helpers import spring
 
     la.write_report(spring(friction=0.1), tmp_path / "report.html")
     with sync_playwright() as playwright:

@@ -12,9 +12,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-import app_helpers
-from app_helpers import ASKED, SOCKET, UPGRADE, ask, parts_of
+import page_helpers
 from leastaction import InputError, LagrangianModel
+from page_helpers import ASKED, SOCKET, UPGRADE, ask, parts_of
 
 with warnings.catch_warnings():
     # What other packages say about each other while they are imported is not ours to mend.
@@ -321,7 +321,7 @@ def test_the_page_says_what_was_done_to_the_data():
 def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
     async def script(user) -> None:
         session = await open_candidates(user, "single")
-        session.open_upload("run.csv", app_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
+        session.open_upload("run.csv", page_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
         user.find(marker="step-candidates").click()
         await user.should_see("Unknown constant force")
         user.find(marker="offsets-theta").click()
@@ -418,7 +418,7 @@ def test_a_free_port_is_found_and_a_taken_one_named():
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A server as a user starts it; the address with the token."""
-    with app_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
+    with page_helpers.running_app(tmp_path_factory.mktemp("server")) as printed:
         yield printed
 
 

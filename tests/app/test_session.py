@@ -12,8 +12,8 @@ from dataclasses import replace
 
 import pytest
 
-import app_helpers
 import leastaction as la
+import page_helpers
 from leastaction import InputError
 from leastaction.app import files as _files
 from leastaction.app import session as _session
@@ -62,16 +62,16 @@ def session():
 
 
 def test_a_job_reports_and_returns(worker):
-    job = wait(worker.start(app_helpers.count_to, 5))
+    job = wait(worker.start(page_helpers.count_to, 5))
     assert (job.state, job.result, job.stage, job.details) == ("done", 5, "count", {"terms": 4.0})
     assert [name for name, _ in job.stages] == ["count"]
     first = worker._process.pid
-    assert wait(worker.start(app_helpers.count_to, 2)).result == 2
+    assert wait(worker.start(page_helpers.count_to, 2)).result == 2
     assert worker._process.pid == first
 
 
 def test_cancel_stops_the_process_at_once_and_the_next_job_runs(worker):
-    job = worker.start(app_helpers.sleep, 600.0)
+    job = worker.start(page_helpers.sleep, 600.0)
     while job.stage != "asleep":
         time.sleep(0.02)
     process = worker._process
@@ -81,23 +81,23 @@ def test_cancel_stops_the_process_at_once_and_the_next_job_runs(worker):
     assert job.state == "cancelled"
     assert not worker.busy
     assert not process.is_alive()
-    assert wait(worker.start(app_helpers.count_to, 3)).result == 3
+    assert wait(worker.start(page_helpers.count_to, 3)).result == 3
     assert job.state == "cancelled"
 
 
 def test_a_new_job_replaces_the_old_one(worker):
-    first = worker.start(app_helpers.sleep, 600.0)
-    second = wait(worker.start(app_helpers.count_to, 1))
+    first = worker.start(page_helpers.sleep, 600.0)
+    second = wait(worker.start(page_helpers.count_to, 1))
     assert (first.state, second.state) == ("cancelled", "done")
 
 
 @pytest.mark.parametrize(
     ("function", "arguments", "text"),
     [
-        (app_helpers.fail, ("no such\ncolumn",), "no such column"),
-        (app_helpers.break_down, (), "a fault of leastaction itself: KeyError"),
-        (app_helpers.die, (), "stopped unexpectedly"),
-        (app_helpers.count_to, (lambda: None,), "a fault of leastaction itself"),
+        (page_helpers.fail, ("no such\ncolumn",), "no such column"),
+        (page_helpers.break_down, (), "a fault of leastaction itself: KeyError"),
+        (page_helpers.die, (), "stopped unexpectedly"),
+        (page_helpers.count_to, (lambda: None,), "a fault of leastaction itself"),
     ],
 )
 def test_failures_are_one_line(worker, function, arguments, text):
@@ -105,7 +105,7 @@ def test_failures_are_one_line(worker, function, arguments, text):
     assert job.state == "failed"
     assert text in job.message
     assert "\n" not in job.message
-    assert wait(worker.start(app_helpers.count_to, 1)).result == 1
+    assert wait(worker.start(page_helpers.count_to, 1)).result == 1
 
 
 # session
@@ -197,7 +197,7 @@ def test_every_export_is_in_the_archive():
 
 
 def test_from_upload_to_download(session, tmp_path):
-    path = app_helpers.driven_pendulum(tmp_path / "my run.csv")
+    path = page_helpers.driven_pendulum(tmp_path / "my run.csv")
     session.open_upload("my run.csv", path.read_bytes())
     assert list(session.roles.values()) == [TRIAL, TIME, ANGLE, FORCE + "theta"]
     assert session.title == "my_run.csv"
@@ -374,7 +374,7 @@ def test_uploads_are_limited(session, monkeypatch):
 
 
 def test_other_roles_bring_other_candidates_only_if_they_must(session, tmp_path):
-    path = app_helpers.driven_pendulum(tmp_path / "run.csv")
+    path = page_helpers.driven_pendulum(tmp_path / "run.csv")
     session.open_upload("run.csv", path.read_bytes())
     session.choice.size = "compact"
     session.roles["theta"] = COORDINATE

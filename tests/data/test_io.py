@@ -506,7 +506,7 @@ def test_discover_and_validate_take_rates(pendulum):
     code, text = invoke("discover", *common, *rates, "--library", pendulum / "terms.txt", "--output", found)
     assert code == 0, text
     assert "note: velocity of theta: noise 0.0" in text
-    assert "note: acceleration of theta: noise 0." in text
+    assert "acceleration of theta: noise 0." in text
     report = re.sub("<[^>]*>", "", (found / "report.html").read_text(encoding="utf-8"))
     assert "velocity of θ: noise 0.0" in report
     code, text = invoke("validate", found / "model.json", *common, *rates)

@@ -237,7 +237,7 @@ def test_the_band_is_that_of_the_full_inverse(pendulum) -> None:
     spline, times = fit.grid.spline, [t.t for t in fit.problem.trajectories]
     found = curve_errors(fit, [HIDDEN, 0], times)
     for k in range(len(times)):
-        normal = band._normal_of(fit, k)
+        normal = band.normal_of(fit, k)
         n_ctrl, n, width = normal.rows.shape
         dense = np.zeros((n_ctrl * n, n_ctrl * n + width))
         for p in range(n_ctrl):

@@ -17,7 +17,7 @@ from leastaction.model.diagnostics import Diagnostics
 from leastaction.model.gravity import gravity_findings
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.model.text import outcome, simple_lines, symmetry_lines
-from report_helpers import spring
+from page_helpers import spring
 
 ALL = (*systems.names(), *systems.further_names())
 PHI = ("cyclic", "phi + c")

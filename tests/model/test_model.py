@@ -20,7 +20,7 @@ from leastaction.findings import Finding, find
 from leastaction.model.file import MAX_BYTES, MAX_TERMS, load
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.model.notation import rounded
-from report_helpers import spring as spring_with_curve
+from page_helpers import spring as spring_with_curve
 
 
 def model_of(system, dissipation=()):

@@ -17,7 +17,7 @@ from leastaction.report.axes import HALF, THIRD, Axes
 from leastaction.report.svg import COLOURS, corners, dot_path, line_path, number
 from leastaction.report.text import in_powers
 from leastaction.report.ticks import Folded, Linear, Ticks, folded
-from report_helpers import Figure, pieces
+from page_helpers import Figure, pieces
 
 _DIGIT = 0.051  # px: half of the last digit that is written
 

@@ -27,7 +27,7 @@ from leastaction.model.mathml import number_parts
 from leastaction.model.term import FitSummary, ModelTerm
 from leastaction.report.text import percent
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
-from report_helpers import Page, spring
+from page_helpers import Page, spring
 
 HOSTILE = '</title><script>alert(1)</script>"><img src=x onerror=alert(2)>$\\frac{1}{$'
 

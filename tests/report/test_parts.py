@@ -39,7 +39,7 @@ from leastaction.report.tables import motion_rows, pareto_rows, path_rows, symme
 from leastaction.report.text import plain
 from leastaction.report.verdict import in_symbols, verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
-from report_helpers import Page, spring
+from page_helpers import Page, spring
 
 
 @pytest.mark.parametrize(

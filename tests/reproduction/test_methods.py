@@ -17,8 +17,7 @@ from click.testing import CliRunner
 import leastaction as la
 from leastaction import systems
 from reproduction._execute import execute
-from reproduction.methods import adam, load, xlsindy
-from reproduction.methods import udsr as symbolic
+from reproduction.methods import _symbolic, adam, load, xlsindy
 from reproduction.methods.energy import Normal, best_supports
 from reproduction.methods.rk4_sindy import Dictionary
 from reproduction.problem import Case, acceleration_of, pose
@@ -341,7 +340,7 @@ def test_the_repaired_variant_finds_what_variation_finds(udsr):
 
 
 def test_training_goes_on_for_the_seconds_given(udsr):
-    (inputs, targets), _ = symbolic.samples(pendulum(), given=True)
+    (inputs, targets), _ = _symbolic.samples(pendulum(), given=True)
     done = [udsr._regress(inputs, targets[:, 0], udsr._settings(pendulum(), s)) for s in (0.1, 0.5)]
     assert [d["steps"] for d in done] == [1, 2]  # of 0.3 s each
     assert [member["reward"] for member in done[0]["front"]] == [0.3, 0.4]
@@ -430,29 +429,29 @@ def test_the_package_itself_finds_the_pendulum(monkeypatch):
 
 def test_given_rates_are_exact_without_noise():
     problem = pose(Case("double_pendulum", 0.0, "udsr", trajectories=2))
-    (inputs, targets), (unseen, wanted) = symbolic.samples(problem, given=True)
+    (inputs, targets), (unseen, wanted) = _symbolic.samples(problem, given=True)
     first, last = problem.truth
-    assert inputs == pytest.approx(np.hstack([first.q, first.qdot, first.forces])[:: symbolic.STRIDE])
-    assert targets == pytest.approx(first.qddot[:: symbolic.STRIDE])
+    assert inputs == pytest.approx(np.hstack([first.q, first.qdot, first.forces])[:: _symbolic.STRIDE])
+    assert targets == pytest.approx(first.qddot[:: _symbolic.STRIDE])
     assert unseen == pytest.approx(np.hstack([last.q, last.qdot, last.forces]))
     assert wanted == pytest.approx(last.qddot)
-    assert symbolic.names(problem)[-1] == "f_theta2"
-    assert len(symbolic.names(problem)) == inputs.shape[1] == 6
+    assert _symbolic.names(problem)[-1] == "f_theta2"
+    assert len(_symbolic.names(problem)) == inputs.shape[1] == 6
 
 
 def test_a_single_trajectory_is_judged_by_its_last_fifth():
     problem = pose(Case("single_pendulum", 0.1, "udsr", trajectories=1))
     for given in (False, True):
-        (inputs, targets), (unseen, wanted) = symbolic.samples(problem, given)
+        (inputs, targets), (unseen, wanted) = _symbolic.samples(problem, given)
         assert len(unseen) == len(wanted) == pytest.approx(0.2 * len(problem.truth[0].t), abs=1)
-        assert len(inputs) == len(targets) == -(-(len(problem.truth[0].t) - len(unseen)) // symbolic.STRIDE)
+        assert len(inputs) == len(targets) == -(-(len(problem.truth[0].t) - len(unseen)) // _symbolic.STRIDE)
 
 
 def test_the_shortest_of_the_best_is_chosen():
     target = np.array([0.0, 1.0, 2.0])
     predictions = [target + 0.5, target + 0.1, target + 0.1005, np.full(3, np.nan)]
-    assert symbolic.choose(predictions, [1, 5, 3, 2], target)[0] == 2
-    assert symbolic.choose(predictions, [1, 5, 7, 2], target) == (1, pytest.approx(0.1 / target.std()))
+    assert _symbolic.choose(predictions, [1, 5, 3, 2], target)[0] == 2
+    assert _symbolic.choose(predictions, [1, 5, 7, 2], target) == (1, pytest.approx(0.1 / target.std()))
 
 
 def test_ours_from_names_alone():
