@@ -301,7 +301,7 @@ def app() -> None:
     from PIL import Image
     from playwright.sync_api import sync_playwright
 
-    import app_helpers  # of tests/
+    import page_helpers  # of tests/
 
     def shoot(page, name: str, text: str) -> None:
         page.get_by_text(text).first.wait_for(timeout=120_000)
@@ -314,7 +314,7 @@ def app() -> None:
 
     with (
         TemporaryDirectory() as folder,
-        app_helpers.running_app(Path(folder)) as address,
+        page_helpers.running_app(Path(folder)) as address,
         sync_playwright() as playwright,
     ):
         browser = playwright.chromium.launch(

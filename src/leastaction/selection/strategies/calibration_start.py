@@ -30,8 +30,7 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.sensors import Sensors
 from leastaction.selection.search_state import Search
-from leastaction.selection.weak_form import WeakForm
-from leastaction.selection.weak_proposals import weak_form
+from leastaction.selection.weak_form import WeakForm, weak_form
 
 __all__ = ["run"]
 
