@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 
@@ -41,22 +41,6 @@ def assemble_model(
     timings: dict[str, float],
 ) -> LagrangianModel:
     """The model of a search's fit; ``options`` and ``timings`` are kept as they are."""
-    model = _without_outlook(setup, search, verdict, alternatives, options, timings)
-    findings = [*model.fit.findings, *gravity_findings(model, options.get("lengths", {}))]
-    if status_of(findings) == "ok":
-        findings += _reach(model, search.scales.period)
-    return replace(model, fit=replace(model.fit, status=status_of(findings), findings=tuple(findings)))
-
-
-def _without_outlook(
-    setup: Setup,
-    search: Search,
-    verdict: Verdict,
-    alternatives: Sequence[Alternative],
-    options: dict,
-    timings: dict[str, float],
-) -> LagrangianModel:
-    """The model, before what it says of gravity and of forecasts is added to its findings."""
     fit, grid = search.found, search.found.grid
     density = fit.weights.physics.copy()
     density[list(setup.problem.prescribed)] = np.nan
@@ -88,7 +72,7 @@ def _without_outlook(
     )
     terms = _terms(fit)
     unknown = bool(np.isnan(fit.covariance).any())
-    return LagrangianModel(
+    model = LagrangianModel(
         setup.library.coordinates,
         tuple(term for kind, term in terms if kind == "lagrangian"),
         tuple(term for kind, term in terms if kind == "dissipation"),
@@ -108,6 +92,15 @@ def _without_outlook(
         _groups(fit, unknown),
         _calibration(fit),
     )
+    return _with_outlook(model, options.get("lengths", {}), search.scales.period)
+
+
+def _with_outlook(model: LagrangianModel, lengths: Mapping[str, float], period: float) -> LagrangianModel:
+    """The model with findings that need one: on gravity, and on how far it forecasts."""
+    findings = [*model.fit.findings, *gravity_findings(model, lengths)]
+    if status_of(findings) == "ok":
+        findings += _reach(model, period)
+    return replace(model, fit=replace(model.fit, status=status_of(findings), findings=tuple(findings)))
 
 
 def _calibration(fit: Fit) -> Calibration | None:
@@ -236,9 +229,9 @@ def _terms(fit: Fit) -> list[tuple[str, ModelTerm]]:
 def _rate_noise(fit: Fit) -> dict[tuple[str, str], float]:
     """(``"velocity"`` or ``"acceleration"``, coordinate) → noise of what was measured."""
     names = fit.problem.coordinates
-    noise = fit.weights.noise_std[len(names) :].tolist()
     channels = [(rate.quantity, names[rate.coordinate]) for rate in fit.problem.trajectories.rates]
-    return dict(zip(channels, noise, strict=False))
+    noise = fit.weights.noise_std[len(names) : len(names) + len(channels)].tolist()
+    return dict(zip(channels, noise, strict=True))
 
 
 def _path(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:

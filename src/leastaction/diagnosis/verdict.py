@@ -367,12 +367,12 @@ def _zero_offsets(fit: Fit) -> list[Finding]:
 
 
 def _unexplained_rates(fit: Fit, chi2: np.ndarray) -> list[Finding]:
-    names = fit.problem.trajectories.coordinates
+    names, rates = fit.problem.trajectories.coordinates, fit.problem.trajectories.rates
     return [
         find(
             "rate-unexplained", names[rate.coordinate], quantity=rate.quantity, residual_ratio=np.sqrt(value)
         )
-        for rate, value in zip(fit.problem.trajectories.rates, chi2[len(names) :], strict=False)
+        for rate, value in zip(rates, chi2[len(names) : len(names) + len(rates)], strict=True)
         if value > DIAGNOSIS.noise_ratio**2
     ]
 

@@ -103,12 +103,12 @@ class Observations:
 
     def traces(self, inverse_rows: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
         """(n_channels,) degrees of freedom that each channel uses: tr(H⁻¹NᵀN) / σ²."""
-        pairs = zip(self._channels, noise_std, strict=False)
+        pairs = zip(self._channels, noise_std, strict=True)
         return np.array([trace_product(inverse_rows, c.coordinate, c.gram) / sigma**2 for c, sigma in pairs])
 
     def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
         """Add NᵀN / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        for c, sigma in zip(self._channels, noise_std, strict=False):
+        for c, sigma in zip(self._channels, noise_std, strict=True):
             rows[:, c.coordinate, c.coordinate :: self.n_dof] += c.gram.T / sigma**2
 
 

@@ -290,7 +290,7 @@ class SensorObservations(Observations):
 
     def add_gram(self, rows: np.ndarray, noise_std: np.ndarray) -> None:
         """Add JᵀJ / σ² of every channel to (n_ctrl, n_dof, …) block rows."""
-        super().add_gram(rows, noise_std)
+        super().add_gram(rows, noise_std[: self.coordinates.size])
         n, width = self.n_dof, self.grid.degree + 1
         first, scaled, _ = self._scaled(noise_std)
         for a in range(width):
@@ -320,8 +320,8 @@ class SensorObservations(Observations):
 
     def traces(self, inverse_rows: np.ndarray, noise_std: np.ndarray) -> np.ndarray:
         """(n_channels,) degrees of freedom that each channel uses."""
-        out = [*super().traces(inverse_rows, noise_std), *(0.0 for _ in self._sights)]
         n, begin = self.n_dof, self.coordinates.size
+        out = [*super().traces(inverse_rows, noise_std[:begin]), *(0.0 for _ in self._sights)]
         for chunk in self.grid.chunks(_CHUNK):
             local = self.grid.local_gram(inverse_rows, chunk)
             for a in range(0, local.shape[1], n):  # each pair of different control points counts twice

@@ -64,10 +64,10 @@ def left_out(fit: Fit, horizon: float) -> tuple[float, float] | None:
 
     To first order: with the system A_k Δλ = −g_k of each trial, its curve eliminated, the coefficients
     without trial k differ by −(Σ_j A_j)⁻¹ Σ_j g_j over the other trials.  None where that is not to be had:
-    of one trial, of many, and of groups, shape parameters and hidden coordinates.
+    of one trial, of many, and of groups, shape parameters, hidden coordinates and measurement functions.
     """
     data, problem = fit.completed_data(), fit.problem
-    special = len(laws(fit)) > 1 or fit.shapes is not None or problem.hidden
+    special = len(laws(fit)) > 1 or fit.shapes is not None or problem.hidden or problem.sensors is not None
     if special or not 2 <= len(data) <= _MOST_TRIALS or data.n_samples > _JUDGED:
         return None
     try:
