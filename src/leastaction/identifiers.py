@@ -15,6 +15,7 @@ __all__ = [
     "RESERVED_NAMES",
     "TIME",
     "check_coordinate_names",
+    "measured_columns",
     "names_in_terms",
     "quoted",
     "split_name",
@@ -37,6 +38,11 @@ RESERVED_NAMES = frozenset({"pi", TIME, "E", "I"})
 _ASCII_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 _MAX_LENGTH = 64
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
+def measured_columns(functions: Iterable[str]) -> tuple[str, ...]:
+    """Columns on the left of measurement functions, such as u of ``"u = {s}*x"``."""
+    return tuple(text.partition("=")[0].strip() for text in functions)
 
 
 def quoted(value: object, limit: int = 40) -> str:

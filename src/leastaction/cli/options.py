@@ -14,7 +14,7 @@ from leastaction.cli.show import warn
 from leastaction.cli.text import complete_file
 from leastaction.cli.values import blame, column_map, name_list, number, pairs
 from leastaction.errors import DataWarning, InputError
-from leastaction.identifiers import quoted
+from leastaction.identifiers import measured_columns, quoted
 
 if TYPE_CHECKING:
     from leastaction import Trajectories
@@ -137,11 +137,6 @@ class DataOptions:
 
         with blame("--force-delay"):
             return shift_forces(data, self.force_delay)
-
-
-def measured_columns(functions: Iterable[str]) -> tuple[str, ...]:
-    """Columns on the left of measurement functions."""
-    return tuple(text.partition("=")[0].strip() for text in functions)
 
 
 def _by_name(text: str) -> dict[str, str]:

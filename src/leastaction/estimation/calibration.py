@@ -31,7 +31,7 @@ from leastaction.estimation.joint import Physics
 from leastaction.estimation.sensors import SensorFunctions, SensorObservations, Sensors
 from leastaction.estimation.weights import Start, evidence, fit_weights, start_weights
 from leastaction.findings import Finding
-from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.identifiers import check_coordinate_names, measured_columns, quoted
 from leastaction.library import Library, make_term, shape_symbol
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -83,7 +83,7 @@ def from_columns(
     InputError, DataError
     """
     texts = [measure] if isinstance(measure, str) else list(measure)
-    columns = [text.partition("=")[0].strip() for text in texts]
+    columns = measured_columns(texts)
     if isinstance(library, Library):
         names, taken = library.coordinates, tuple(library.shapes)
         turning = library.angles if angles is None else tuple(angles)
