@@ -521,6 +521,14 @@ SMALL = 20 * 2 * 4 * 6
 """Numbers in the Jacobian of 20 knot intervals of two coordinates: a block holds one of the trials or two."""
 
 
+def assert_refused_in_one_line(read: Callable[..., object], given: object, words: str) -> None:
+    """A reader refuses what it is given, with a message of one line that holds some words."""
+    with pytest.raises(la.InputError) as caught:
+        read(given)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def assert_same(one, other, tolerance: float = 1e-6):
     """Terms, coefficients within a millionth of a standard error, and the verdict."""
     assert [t.expression for t in one.terms] == [t.expression for t in other.terms]
