@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from leastaction.cli.text import counted, in_options, one_line
+from leastaction.findings import STATED
 from leastaction.findings.wording import fill
 
 if TYPE_CHECKING:
@@ -274,7 +275,7 @@ def _notes(model: LagrangianModel) -> Iterator[str]:
     """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
     from leastaction.findings import sentence
 
-    notes = [f for f in model.fit.findings if f.severity == "note" and f.code != "forecasts"]
+    notes = [f for f in model.fit.findings if f.severity == "note" and f.code not in STATED]
     smooth = any("sqrt(" in term.written for term in (*model.terms, *model.dissipation))
     if not smooth:
         notes = [f for f in notes if f.code != "friction-smoothed"]
