@@ -305,10 +305,10 @@ _always = ExitStack()  # what a child never leaves
 def _large_arguments() -> AbstractContextManager[Any]:
     """Dask warns of arguments above 10 MB; data of a block are sent once, and are larger."""
     try:
-        import dask.config
+        config = import_module("dask.config")
     except ImportError:  # something else with the methods of its client
         return nullcontext()
-    return dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})
+    return config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})
 
 
 def _quietly(function: Callable[..., Any], *given: Any) -> Any:
