@@ -244,7 +244,11 @@ def test_the_law_follows_the_verdict_which_holds_every_reservation(tmp_path):
 def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
     findings = [
         find("late-forces", delay=0.02, half_a_sample=False, gain=90.0),
-        find("forecasts", horizon=0.5, error=0.031, worst=0.062, trials=3),
+        find(
+            "forecasts",
+            **{"horizon": 0.5, "error": 0.01, "worst": 0.02, "trials": 3},
+            **{"left_out": 0.031, "worst_left_out": 0.062},
+        ),
     ]
     page = Page(written(tmp_path, replace(spring(), fit=FitSummary("usable", 2.0, [1.0], findings=findings))))
     verdict = next(c for c in page.root.one("main").children if not isinstance(c, str))
@@ -254,7 +258,9 @@ def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
     )
     said = [li.text for li in verdict.one(class_="statements").all("li")]
     assert said[0] == "Structure: determined"
-    assert said[2].startswith("Forecast: simulations over 0.5 s are off by 3.1 % of the spread, 6.2 % in")
+    assert said[2].startswith(
+        "Forecast: simulations over 0.5 s of trials left out of the fit are off by 3.1 %"
+    )
 
 
 def test_units_known_terms_and_friction(tmp_path):

@@ -60,6 +60,12 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
         raise InputError(
             f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
         )
+    spectrum = model.fit.error_spectrum
+    if spectrum and len(spectrum[0]) != 1 + len(coordinates):
+        raise InputError(
+            f"fit: error_spectrum has rows of {len(spectrum[0])} numbers; expected a frequency and one "
+            f"for each of {', '.join(coordinates)}"
+        )
     _check_provenance(model.provenance)
     _check_groups(model.groups, n_free)
     return {

@@ -10,6 +10,7 @@ Schema 2, where ``null`` stands for "not available"::
      "noise_std": [number or null for each coordinate],
      "fit": {"status": "ok", "usable" or "doubtful", "chi2_per_sample": number or null,
              "physics_weight": [number or null for each coordinate, or nothing],
+             "error_spectrum": [[frequency, number for each coordinate], ...],       optional
              "findings": [{"code": text, "severity": "warning" or "note", "subject": [text, ...],
                            "values": {text: number, text, null or a list of these},
                            "message": text, "remedy": text}, ...],
@@ -71,6 +72,7 @@ _REQUIRED = ("schema", "coordinates", "terms", "dissipation", "noise_std", "fit"
 
 def encode(model: LagrangianModel) -> dict[str, Any]:
     """Return the model as plain dictionaries, lists, text and finite numbers."""
+    spectrum = model.fit.error_spectrum
     document = {
         "schema": SCHEMA,
         "coordinates": list(model.coordinates),
@@ -82,6 +84,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
             "chi2_per_sample": _number_or_none(model.fit.chi2_per_sample),
             "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
             "findings": [finding.to_dict() for finding in model.fit.findings],
+            **({"error_spectrum": [[*row] for row in spectrum]} if spectrum else {}),
             "warnings": list(model.fit.warnings),
             "statements": model.fit.statements,
         },
@@ -354,7 +357,9 @@ def _term(value: Any, place: str) -> ModelTerm:
 
 def _fit(value: Any, schema: int) -> FitSummary:
     required = ("status", "chi2_per_sample", "physics_weight", "warnings")
-    _check_entries(value, "fit", required if schema == 1 else (*required, "findings"), ("statements",))
+    _check_entries(
+        value, "fit", required if schema == 1 else (*required, "findings"), ("statements", "error_spectrum")
+    )
     warnings = [
         _text(w, f"fit.warnings[{i}]")
         for i, w in enumerate(_list(value["warnings"], "fit.warnings", MAX_TERMS))
@@ -366,6 +371,7 @@ def _fit(value: Any, schema: int) -> FitSummary:
         _numbers(value["physics_weight"], "fit.physics_weight"),
         warnings if schema == 1 else None,
         [Finding.from_dict(item, f"fit.findings[{i}]") for i, item in enumerate(found)],
+        _list(value.get("error_spectrum", []), "fit.error_spectrum", MAX_TERMS),
     )
 
 

@@ -10,7 +10,7 @@ import sympy as sp
 from leastaction.identifiers import names_in_terms
 from leastaction.library import make_term, shape_symbol
 from leastaction.mechanics.equations import Mechanics
-from leastaction.simulation.law import Openness
+from leastaction.simulation.law import Openness, Spectrum
 
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
@@ -57,7 +57,9 @@ def openness_of(model: LagrangianModel) -> Openness | None:
     density = np.zeros(model.n_dof)
     density[free] = 1.0 / weights[free]
     law = _parametric(model)
-    return Openness(law.acceleration, values_of(model), principal(covariance_of(model)), density)
+    rows = np.array(model.fit.error_spectrum)
+    spectrum = Spectrum(rows[:, 0], rows[:, 1:]) if rows.size else Spectrum.white(density)
+    return Openness(law.acceleration, values_of(model), principal(covariance_of(model)), spectrum)
 
 
 def _parametric(model: LagrangianModel) -> Mechanics:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import sympy as sp
@@ -260,6 +260,10 @@ class FitSummary(Shown):
     findings : sequence of Finding
         Results of all checks: codes and figures for programs, sentences for people. `warnings` and `notes`
         derive from them.
+    error_spectrum : sequence of sequences of float, optional
+        Spectral density of the equation error over bands of frequencies, for the bands of forecasts: rows of
+        a frequency in Hz, the first zero, and of each coordinate's density from there to the next row.
+        Empty: the error counts as white.
 
     Examples
     --------
@@ -274,6 +278,7 @@ class FitSummary(Shown):
     chi2_per_sample: float
     physics_weight: tuple[float, ...]
     findings: tuple[Finding, ...]
+    error_spectrum: tuple[tuple[float, ...], ...]
 
     def __init__(
         self,
@@ -282,6 +287,7 @@ class FitSummary(Shown):
         physics_weight: Iterable[float] = (),
         warnings: Iterable[str] | None = None,
         findings: Iterable[Finding] = (),
+        error_spectrum: Iterable[Iterable[float]] = (),
     ) -> None:
         if status not in get_args(Status):
             raise InputError(f"fit: the status is {quoted(status)}; expected 'ok', 'usable' or 'doubtful'")
@@ -298,6 +304,7 @@ class FitSummary(Shown):
                 as_float(w, "fit: a physics weight", missing=True, least=0.0) for w in weights
             ),
             "findings": found,
+            "error_spectrum": _spectrum(error_spectrum),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -342,6 +349,17 @@ class FitSummary(Shown):
         return Card(f"fit: {self.status}", lines, notes=notes)
 
 
+def _spectrum(value: Iterable[Iterable[object]]) -> tuple[tuple[float, ...], ...]:
+    label, expected = "fit: error_spectrum", "rows of a frequency and a density for each coordinate"
+    rows = [_items(row, label, expected) for row in _items(value, label, expected)]
+    numbers = tuple(tuple(as_float(x, label, least=0.0) for x in row) for row in rows)
+    begins = [row[0] for row in numbers if row]
+    rising = all(a < b for a, b in pairwise(begins)) and begins[:1] in ([], [0.0])
+    if not rising or len({len(row) for row in numbers}) > 1 or len(begins) < len(numbers):
+        raise InputError(f"{label} is not a table; expected {expected}, the frequencies rising from zero")
+    return numbers
+
+
 def _findings(value: Iterable[object]) -> tuple[Finding, ...]:
     found: list[Finding] = []
     for item in _items(value, "fit: findings", "findings"):
@@ -360,7 +378,7 @@ def _of_texts(value: Iterable[object]) -> tuple[Finding, ...]:
     return tuple(Finding.of_text(text) for text in texts)
 
 
-def _items(value: Iterable[object], label: str, expected: str) -> list[object]:
+def _items(value: Iterable[Any], label: str, expected: str) -> list[Any]:
     if isinstance(value, (str, bytes)):
         raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}")
     try:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding
+from leastaction.findings import STATED, Finding, stated_error
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
@@ -155,11 +155,12 @@ def _free_runs(model: LagrangianModel) -> str:
     """How far free runs are off, in words; empty where that was not asked."""
     for finding in model.fit.findings:
         if finding.code == "forecasts":
-            error, horizon = (as_float(finding.values[name], name) for name in ("error", "horizon"))
-            worst, trials = (finding.values.get(name) for name in ("worst", "trials"))
-            several = worst is not None and trials != 1
+            _, *names = stated_error(dict(finding.values))
+            error, worst = (finding.values.get(name) for name in names)
+            horizon = plain(as_float(finding.values["horizon"], "horizon"))
+            several = worst is not None and finding.values.get("trials") != 1
             more = f" ({percent(as_float(worst, 'worst'))} in the worst trial)" if several else ""
-            return f"an error of {percent(error)} of the spread over {plain(horizon)} s{more}"
+            return f"an error of {percent(as_float(error, 'error'))} of the spread over {horizon} s{more}"
     return ""
 
 

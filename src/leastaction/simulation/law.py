@@ -1,9 +1,8 @@
 """A law to be simulated, what the data leave open of it, and motions drawn from that.
 
-A motion obeys M q̈ = r(q, q̇; c) + f + e.  The numbers c have a covariance, and the equation errors e count as
-white noise whose spectral density is the reciprocal of the physics weight, as in the fit.  Drawn motions show
-what this does to q, however far they go: linear error propagation would grow without bound where the motion
-itself does not.
+A motion obeys M q̈ = r(q, q̇; c) + f + e.  The numbers c have a covariance, and the equation errors e a
+spectral density.  Drawn motions show what this does to q, however far they go: linear error propagation would
+grow without bound where the motion itself does not.
 """
 
 from __future__ import annotations
@@ -14,13 +13,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import next_fast_len
 from scipy.interpolate import make_interp_spline
 
 from leastaction.errors import InputError
 from leastaction.simulation.integrate import check_times, force_function, rk4
 from leastaction.simulation.results import SimulationResult
 
-__all__ = ["MEMBERS", "Acceleration", "Drawn", "Law", "Openness", "follow", "spread_of", "standard_deviation"]
+__all__ = [
+    "MEMBERS",
+    "Acceleration",
+    "Drawn",
+    "Law",
+    "Openness",
+    "Spectrum",
+    "follow",
+    "spread_of",
+    "standard_deviation",
+]
 
 Acceleration = Callable[..., np.ndarray]
 
@@ -35,29 +45,72 @@ _NEAR, _MOST_STEPS = 1e-3, 20_000
 
 
 @dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Spectral density of errors of equations, constant between frequencies.
+
+    ``density[k]``, (n_bands, n_dof), holds from the frequency ``begins[k]`` on, (n_bands,) in Hz, to the
+    next, the last without end; it is two-sided: white errors have the variance ``density`` over the time step
+    at which they are drawn.
+    """
+
+    begins: np.ndarray
+    density: np.ndarray
+
+    @classmethod
+    def white(cls, density: np.ndarray) -> Spectrum:
+        """That of a density for all frequencies, (n_dof,)."""
+        return cls(np.zeros(1), density[None])
+
+    def rows(self) -> list[list[float]]:
+        """Rows of a frequency and the densities from there."""
+        return np.column_stack([self.begins, self.density]).tolist()
+
+    def draw(self, shape: tuple[int, int], steps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Errors at the ends of steps, (n_steps + 1, *shape, n_dof)."""
+        n_dof = self.density.shape[1]
+        if len(self.begins) == 1:
+            about = np.convolve(steps, [0.5, 0.5])  # of the steps to both sides of their ends
+            about[[0, -1]] *= 2.0
+            white = rng.standard_normal((steps.size + 1, *shape, n_dof))
+            return white * np.sqrt(self.density[0] / about[:, None, None, None])
+        # at equal steps over a period that is longer, so that its end knows nothing of its begin
+        total = float(steps.sum())
+        step = max(float(steps.min()), total / _MOST_STEPS)
+        size = next_fast_len(int(np.ceil((total + 1.0 / self.begins[1]) / step)) + 1, real=True)
+        frequencies = np.fft.rfftfreq(size, step)
+        band = np.searchsorted(self.begins, frequencies, side="right") - 1
+        root = np.sqrt(self.density[band] * (0.5 * size / step))
+        parts = rng.standard_normal((2, frequencies.size, *shape, n_dof)) * root[:, None, None, :]
+        parts[0, 0] *= np.sqrt(2.0)  # a real number
+        errors = np.fft.irfft(parts[0] + 1j * parts[1], size, axis=0)
+        at = np.concatenate([[0.0], np.cumsum(steps)]) / step
+        k = np.minimum(at.astype(int), size - 2)
+        share = (at - k)[:, None, None, None]
+        return errors[k] + share * (errors[k + 1] - errors[k])
+
+
+@dataclass(frozen=True, eq=False)
 class Openness:
     """A law whose numbers and equations hold within errors.
 
     ``acceleration(q, qdot, forces, t, numbers)`` takes ``numbers`` of shapes that broadcast to (...).
     ``directions``, (n_numbers, n_directions): Σ d dᵀ is the covariance of the ``numbers``, (n_numbers,).
-    ``density``, (n_dof,), is the spectral density of the equation errors.
+    ``spectrum`` is that of the equation errors.
     """
 
     acceleration: Callable[..., np.ndarray]
     numbers: np.ndarray
     directions: np.ndarray
-    density: np.ndarray
+    spectrum: Spectrum
 
     def draw(self, size: int, steps: np.ndarray, n_motions: int, rng: np.random.Generator) -> Drawn:
         """So many laws, each with errors for all steps, (n_steps,) in seconds, of so many motions."""
         factors = rng.standard_normal((self.directions.shape[1], size))
         numbers = self.numbers[:, None] + self.directions @ factors
-        errors = np.empty((2 * steps.size + 1, size, n_motions, self.density.size))
-        about = np.convolve(steps, [0.5, 0.5])  # of the steps to both sides of their ends
-        about[[0, -1]] *= 2.0
-        errors[::2] = rng.standard_normal((steps.size + 1, *errors.shape[1:]))
-        errors[::2] *= np.sqrt(self.density / about[:, None, None, None])
-        errors[1::2] = 0.5 * (errors[:-1:2] + errors[2::2])
+        ends = self.spectrum.draw((size, n_motions), steps, rng)
+        errors = np.empty((2 * steps.size + 1, *ends.shape[1:]))
+        errors[::2] = ends
+        errors[1::2] = 0.5 * (ends[:-1] + ends[1:])
         return Drawn(self, numbers[..., None], errors)
 
 
