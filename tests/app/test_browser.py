@@ -230,7 +230,7 @@ def test_what_is_typed_is_checked_and_never_run(open_tab):
     area.fill("theta_dot**2\ncos(theta)")
     tab.see("2 expressions, all readable")
     page.get_by_label("Known coefficients").fill("")
-    tab.see("then L = 0 solves every equation")
+    tab.see("so that L = 0 solves every equation")
     page.get_by_label("Known coefficients").fill("theta_dot**2 = much")
     tab.see("'much' is not a finite number")
     page.get_by_label("Known coefficients").fill("theta_dot**2 = 1")

@@ -3,10 +3,10 @@
 The equations are weighted by joint, w_i = n / Σ r_i², so that a wrist of 1 N m counts as much as a shoulder
 of 50.  All products are summed once for each block of time; the selection then works on small matrices.
 
-Residuals of real arms are correlated. A test that assumes white residuals selects friction in every joint. The
-residuals of a joint therefore count as n (1 − ρ)/(1 + ρ) independent ones, with their correlation ρ between
-neighbouring knot intervals.  Friction must also predict left-out blocks no worse: a term that fits one
-stretch and worsens another is rejected.
+Residuals of real arms are correlated. A test that assumes white residuals selects friction in every joint.
+The residuals of a joint therefore count as n (1 − ρ)/(1 + ρ) independent ones, with their correlation ρ
+between neighbouring knot intervals.  Friction must also predict left-out blocks no worse: a term that fits
+one stretch and worsens another is rejected.
 """
 
 from __future__ import annotations
