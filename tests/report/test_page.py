@@ -87,7 +87,7 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     rows = page.by_id("symmetries").one("tbody").all("tr")
     cells = [[cell.text.strip() for cell in row.all("th", "td")] for row in rows]
     assert cells[0] == ["time reversal", "in form", "", ""]
-    assert cells[1][2:] == ["energy", "not conserved: it would be without the known forces"]
+    assert cells[1][2:] == ["energy", "not conserved because of the known forces"]
     facts = {d.one("dt").text: d.all("dd")[0].text for d in page.by_id("lagrangian").one("dl").all("div")}
     assert facts["Terms found"] == str(len(model.terms))
     assert facts["Forecast error"] == percent(float(validation.rms_over_std.max()))

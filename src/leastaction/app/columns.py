@@ -217,7 +217,7 @@ def _belonging(roles: Mapping[str, str], kind: str, names: Mapping[str, str]) ->
         if role.startswith(kind):
             target = role.removeprefix(kind)
             if target not in names.values():
-                raise InputError(f"{column!r} is the {kind}{target!r}, which is no coordinate any more")
+                raise InputError(f"{column!r} is the {kind}{target!r}, which is not a coordinate any more")
             if target in found:
                 raise InputError(f"two columns are the {kind}{target!r}; choose one")
             found[target] = column
