@@ -291,7 +291,7 @@ def test_a_shape_parameter_checks_itself(name, value, error):
 def test_the_report_draws_the_profile(model, tmp_path):
     page = la.write_report(model, tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Profile likelihood of a" in page
-    assert "falls evenly to both sides" in page
+    assert "is symmetric about every shape parameter" in page
     skewed = ShapeParameter("a", 1.0, 0.1, [(0.8, 3.9), (1.0, 0.0), (1.6, 4.0)])
     assert profile_title([skewed]) == "The 95 % interval of a reaches 3.0 times as far up as down"
 
@@ -377,7 +377,7 @@ def test_forecasts_follow_the_clock_of_the_trial(rocked):
 
 def test_report_of_a_law_that_holds_the_time(rocked, tmp_path):
     text = Path(la.write_report(rocked, tmp_path / "report.html")).read_text(encoding="utf-8")
-    assert "No balance: the law depends on the time." in text
+    assert "No balance: the law depends on time." in text
 
 
 def test_frequencies_that_would_take_too_long_are_refused():

@@ -178,9 +178,9 @@ def test_a_damaged_session_is_refused(session, change):
         members = {name: file.read(name) for name in file.namelist()}
     said = json.loads(members["session.json"]) | change
     members["session.json"] = json.dumps(said).encode()
-    with pytest.raises(InputError, match="no session that can be opened"):
+    with pytest.raises(InputError, match="session cannot be opened"):
         session.open_upload("b.leastaction", _files.archive(members))
-    with pytest.raises(InputError, match="no session that can be opened"):
+    with pytest.raises(InputError, match="session cannot be opened"):
         session.open_upload("b.leastaction", b"PK nothing")
     assert session.title == "a.csv"
 

@@ -486,7 +486,7 @@ def test_a_cell_may_hold_line_ends_and_a_piece_does_not_cut_it(tmp_path, monkeyp
     ("lines", "message"),
     [
         (["a,0,1"] * 5, r"line 3, column 't': time 0.0 repeats"),
-        ([f"{'aabab'[k // 6]},{k},1" for k in range(30)], "goes on after another trial .it began at line 2"),
+        ([f"{'aabab'[k // 6]},{k},1" for k in range(30)], "continues after another trial .it started at"),
         (
             [f"{'ab'[k // 6]},{k},{'x' if k == 11 else 1}" for k in range(12)],
             r"line 13, column 'x': 'x'",
