@@ -293,7 +293,7 @@ def test_the_report_draws_the_profile(model, tmp_path):
     assert "Profile likelihood of a" in page
     assert "is symmetric about every shape parameter" in page
     skewed = ShapeParameter("a", 1.0, 0.1, [(0.8, 3.9), (1.0, 0.0), (1.6, 4.0)])
-    assert profile_title([skewed]) == "The 95 % interval of a reaches 3.0 times as far up as down"
+    assert profile_title([skewed]) == "The 95 % interval of a extends 3.0 times as far up as down"
 
 
 # ------------------------------------------------- the time in terms, at known and unknown frequencies

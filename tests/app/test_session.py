@@ -337,7 +337,7 @@ def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking
 
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):
     session.open_example("single")
-    with pytest.raises(InputError, match="no table"):
+    with pytest.raises(InputError, match="not a table"):
         session.open_upload("photo.png", b"\x89PNG")
     with pytest.raises(InputError, match="binary data"):
         session.open_upload("photo.csv", b"\x89PNG\0\0")

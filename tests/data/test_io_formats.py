@@ -106,7 +106,7 @@ def without(**changes):
         (without(u=[0.0] * 11 + [None]), InputError, r"row 11 .*column 'u': the force is missing"),
         (without(a=[0.0] * 5 + [np.inf] * 7), InputError, r"row 5 .*infinite"),
         (without(trial=[None] * 12), InputError, r"row 0 .*name of the trial is missing"),
-        (without(trial=[1] * 5 + [2] * 6 + [1]), InputError, r"row 6 .*|row 11 .*goes on"),
+        (without(trial=[1] * 5 + [2] * 6 + [1]), InputError, r"row 6 .*|row 11 .*continues"),
         (without(trial=None), InputError, r"row 6 .*time 0.0 goes backwards"),
         (without(t=list(T), trial=[1] * 8 + [2] * 4), DataError, "trial '2': there are only 4"),
         ({name: [] for name in COLUMNS}, InputError, "has no data"),

@@ -359,7 +359,7 @@ def test_name_of_the_file_is_that_of_the_function(tmp_path):
         ("spring", "does not end in .m"),
         ("3springs.m", "is not a name of a MATLAB function"),
         ("my-spring.m", "is not a name of a MATLAB function"),
-        ("while.m", "no keyword"),
+        ("while.m", "not a keyword"),
         ("θ.m", "is not a name"),
     ],
 )

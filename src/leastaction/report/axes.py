@@ -200,7 +200,7 @@ class Axes:
         self._floor = self._floor if y_from is None else y_from
 
     def label(self, x: str, y: str, x_unit: str = "", y_unit: str = "") -> None:
-        """Label the axes: y above the vertical axis, x below the horizontal one; long labels are shortened."""
+        """Label the axes: y above the vertical axis, x below the horizontal one; long ones are cut."""
         self._labels = (x, y, x_unit, y_unit)
 
     def frame(self) -> Frame:

@@ -237,7 +237,8 @@ def energy_title(energy: dict[str, Any]) -> str:
     elif energy["driven"]:
         text = "Known forces change the energy"
     elif energy["friction"]:
-        text = f"Friction reduces the energy from {energy['start']} to {energy['stop']} on trial {energy['shown']}"
+        ends = f"from {energy['start']} to {energy['stop']}"
+        text = f"Friction lowers the energy {ends} on trial {energy['shown']}"
     else:
         text = f"No force or friction acts: the energy should stay at {energy['start']}"
     if energy["imbalance"]:

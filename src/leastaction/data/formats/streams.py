@@ -134,8 +134,9 @@ def _trials(pieces: Iterable[Table], column: str | None) -> Iterator[Table]:
                 label, place = _label(part), part.place(0)
                 if label in began:
                     raise InputError(
-                        f"{part.source}, {place}, column {quoted(column)}: trial {quoted(label)} continues "
-                        f"after another trial (started at {began[label]}); keep the rows of a trial together"
+                        f"{part.source}, {place}, column {quoted(column)}: trial {quoted(label)} "
+                        f"continues after another trial (it started at {began[label]}); "
+                        "keep the rows of a trial together"
                     )
                 began[label] = place
             waiting.append(part)
