@@ -473,7 +473,7 @@ def test_a_point_without_the_number_of_a_shape_parameter_says_so(bound):
     (chosen,) = (p for p in bound.diagnostics.path if p.chosen)
     strange = replace(chosen, templates=tuple(t.replace("{a}", "{b}") for t in chosen.templates))
     for function in (refit, provisional):
-        with pytest.raises(InputError, match="shape parameter 'b' of the library has no value"):
+        with pytest.raises(InputError, match="no number for the shape parameter 'b'"):
             function(bound, strange)
 
 

@@ -267,7 +267,7 @@ def test_exported_python_takes_the_acceleration_as_force(tmp_path, model):
 def test_report_says_that_there_is_no_balance(tmp_path, model):
     la.write_report(model, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
-    assert "the forces that move x are not known" in text
+    assert "the forces that move x are unknown" in text
     assert "nan" not in text.lower().replace("finance", "")
 
 

@@ -42,7 +42,7 @@ class DataFigures:
         return axes.svg(f"overview{i}", title, "The estimated curve as a line") + self._band(i)
 
     def _band(self, i: int) -> Markup:
-        """The 95 % band about the estimate, in a separate panel, because it is thin relative to the motion."""
+        """The 95 % band about the estimate, in a separate panel, because it is thin."""
         name, motion = self._name(i), self.series.estimate(i)
         reach = 1.96 * motion.standard_error
         axes = Axes((HALF[0], 130.0))

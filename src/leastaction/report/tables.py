@@ -158,7 +158,7 @@ def motion_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, An
 
 
 def _quantity(symmetry: Symmetry, notation: Notation) -> Markup:
-    """The conserved quantity: its name, then sign and mathematics of each addend, between which lines can break."""
+    """The conserved quantity: its name, then each addend with its sign, with line breaks between."""
     addends = (part for pair in _sum(shown_quantity(symmetry), notation) for part in pair)
     return Markup(" ").join(filter(None, (CONSERVED.get(symmetry.kind), *addends)))
 
