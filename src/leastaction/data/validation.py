@@ -292,7 +292,7 @@ def share_held_out(given: object) -> float | None:
     except ValueError:
         return None
     if not 0.0 < share < 1.0:
-        raise InputError(f"{quoted(given)} is not a share; give one between 0% and 100%, such as '20%'")
+        raise InputError(f"{quoted(given)} is not a share; give more than 0% and less than 100%, e.g. '20%'")
     return share
 
 
