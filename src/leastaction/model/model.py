@@ -264,7 +264,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             deviation of q, from 128 motions with errors of start, coefficients and equations (white noise as
             in the fit).
         **limits
-            ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
+            ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.Limits`.
 
         Returns
         -------

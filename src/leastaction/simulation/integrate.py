@@ -8,6 +8,7 @@ depends on time, the time is the last argument.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -114,6 +115,36 @@ def _rk4_step(acceleration, q, v, h, at0, at1, at2):
     return q + h * v + (h * h / 6.0) * (a0 + a1 + a2), v + (h / 6.0) * (a0 + 2.0 * (a1 + a2) + a3)
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Where and how precisely a motion is integrated.
+
+    Attributes
+    ----------
+    events : callable, sequence of callables, or mapping from name to callable
+        ``event(time, q, qdot)`` -> float; the motion stops where one crosses zero.
+    max_steps : int
+        Limit on the steps of the integrator and, times 16, on the calls of the acceleration (a step takes
+        12, and 3 more where samples fall into it); it does not depend on the clock.
+    rtol, atol : float
+        Tolerances of the local error.
+
+    Raises
+    ------
+    InputError
+        If `max_steps` is below 1.
+    """
+
+    events: Event | Sequence[Event] | Mapping[str, Event] = ()
+    max_steps: int = 100_000
+    rtol: float = 1e-9
+    atol: float = 1e-9
+
+    def __post_init__(self) -> None:
+        if self.max_steps < 1:
+            raise InputError(f"max_steps={self.max_steps!r}; expected at least 1")
+
+
 def simulate(
     acceleration: Acceleration,
     q0: ArrayLike,
@@ -122,11 +153,8 @@ def simulate(
     forces: ArrayLike | Callable[[float], Any] | None = None,
     *,
     mass_matrix: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
-    events: Event | Sequence[Event] | Mapping[str, Event] = (),
-    max_steps: int = 100_000,
     timed: bool = False,
-    rtol: float = 1e-9,
-    atol: float = 1e-9,
+    **limits: Any,
 ) -> SimulationResult:
     """Integrate one motion by the adaptive Dormand–Prince method of degree 8 (DOP853).
 
@@ -142,15 +170,10 @@ def simulate(
         Generalised forces: samples at `t`, joined by a cubic spline, or ``forces(time)`` -> (n_dof,).
     mass_matrix : callable, optional
         ``mass_matrix(q, qdot)`` -> (n_dof, n_dof). The motion stops if it becomes singular.
-    events : callable, sequence of callables, or mapping from name to callable
-        ``event(time, q, qdot)`` -> float; the motion stops at the first zero crossing.
-    max_steps : int
-        Limit on the steps of the integrator and, times 16, on the calls of the acceleration (a step takes
-        12, and 3 more where samples fall into it); it does not depend on the clock.
     timed : bool
         Whether ``acceleration`` and ``mass_matrix`` take the time as their last argument.
-    rtol, atol : float
-        Tolerances of the local error.
+    **limits
+        ``events``, ``max_steps``, ``rtol`` and ``atol``: the fields of `Limits`.
 
     Returns
     -------
@@ -179,16 +202,15 @@ def simulate(
         raise InputError(
             f"q0={q0.tolist()}, qdot0={qdot0.tolist()}; expected lists of finite numbers, one per coordinate"
         )
-    if max_steps < 1:
-        raise InputError(f"max_steps={max_steps!r}; expected at least 1")
+    within = Limits(**limits)
     force = force_function(forces, t, q0.size)
-    watch = _Watch(mass_matrix, _named_events(events), q0.size, timed)
+    watch = _Watch(mass_matrix, _named_events(within.events), q0.size, timed)
 
     def accelerate(time: float, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
         return acceleration(q, qdot, force(time), *((time,) if timed else ()))
 
     with np.errstate(all="ignore"):
-        return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
+        return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, within)
 
 
 def force_function(forces: Any, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
@@ -267,8 +289,8 @@ class _Stop(Exception):
     """Raised in the right-hand side to stop the integrator."""
 
 
-def _integrate(accelerate, y0, t, watch, max_steps, rtol, atol) -> SimulationResult:
-    n_dof, calls = y0.size // 2, 0
+def _integrate(accelerate, y0, t, watch, limits: Limits) -> SimulationResult:
+    n_dof, calls, max_steps = y0.size // 2, 0, limits.max_steps
 
     def rates(time, y):
         nonlocal calls
@@ -284,7 +306,11 @@ def _integrate(accelerate, y0, t, watch, max_steps, rtol, atol) -> SimulationRes
     kept, reached = [y0[None]], t[0]
     reason = watch.start(t[0], y0)
     try:
-        solver = None if reason or t.size == 1 else DOP853(rates, t[0], y0, t[-1], rtol=rtol, atol=atol)
+        solver = (
+            None
+            if reason or t.size == 1
+            else DOP853(rates, t[0], y0, t[-1], rtol=limits.rtol, atol=limits.atol)
+        )
         if solver is not None and not np.isfinite(solver.f).all():
             reason, solver = f"blow-up: the acceleration is not finite at t = {t[0]:.6g}", None
         steps = 0

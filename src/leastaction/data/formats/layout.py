@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict
 
 from leastaction.data.formats.columns import Names
 from leastaction.data.formats.units import Clock, Unit, known_unit, normal, parted, time_unit_of, unit_in_file
@@ -13,11 +13,27 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding, find
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "Units"]
+__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "UnitOptions", "Units"]
 
 Coordinates = Sequence[str] | Mapping[str, str] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None
 Units = Mapping[str, str] | str
+
+
+class UnitOptions(TypedDict, total=False):
+    """How a reader takes the units of a file: keyword arguments of all readers.
+
+    Attributes
+    ----------
+    time_unit : str or None
+        Unit of the times. It overrides the file.
+    units : {"SI", "as-written"}, or mapping of str to str
+        Whether columns with a unit are converted, or the units of coordinates and columns.
+    """
+
+    time_unit: str | None
+    units: Units
+
 
 BESIDE = {"forces": "force on", "velocities": "velocity of", "accelerations": "acceleration of"}
 """Quantities of each coordinate, in words."""
@@ -96,8 +112,8 @@ class Layout:
         layout._check_uses()
         return layout
 
-    def measured_in(self, time_unit: str | None, units: Units) -> Layout:
-        """Check the units given to a reader, and return the layout with them.
+    def measured_in(self, time_unit: str | None = None, units: Units = "SI") -> Layout:
+        """Check the `UnitOptions` of a reader, and return the layout with them.
 
         Raises
         ------

@@ -13,7 +13,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Unpack
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.csv import csv_tables
 from leastaction.data.formats.dispatch import listed_paths, stem, to_trajectories, trial_name
 from leastaction.data.formats.frames import parquet_tables
-from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, Units
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, UnitOptions
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import FIELDS, Trajectory
 from leastaction.data.validation import FloatArray
@@ -41,9 +41,7 @@ def stream(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     r"""Read recordings larger than memory from CSV or Parquet.
 
@@ -82,7 +80,7 @@ def stream(
     <Trajectories of x: 2 trajectories, 12 samples, 10 s>
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return _streamed(path, layout)
 
 
