@@ -87,7 +87,7 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     rows = page.by_id("symmetries").one("tbody").all("tr")
     cells = [[cell.text.strip() for cell in row.all("th", "td")] for row in rows]
     assert cells[0] == ["time reversal", "in form", "", ""]
-    assert cells[1][2:] == ["energy", "not conserved: it would be without the known forces"]
+    assert cells[1][2:] == ["energy", "not conserved because of the known forces"]
     facts = {d.one("dt").text: d.all("dd")[0].text for d in page.by_id("lagrangian").one("dl").all("div")}
     assert facts["Terms found"] == str(len(model.terms))
     assert facts["Forecast error"] == percent(float(validation.rms_over_std.max()))
@@ -268,7 +268,7 @@ def test_units_known_terms_and_friction(tmp_path):
     assert "known, not estimated" in page.text
     assert "x (rad)" in page.text
     assert "dx/dt (rad/s)" in page.text
-    assert "Friction takes energy, from" in page.by_id("energy").one(class_="seen").text
+    assert "Friction lowers the energy from" in page.by_id("energy").one(class_="seen").text
     assert "expected from friction" in page.text
     assert "keep some trials back" in page.text
     model = spring()
@@ -414,7 +414,7 @@ def test_long_tables_are_cut(tmp_path):
 def test_misuse_is_explained(tmp_path, pendulum):
     model, validation = pendulum
     model.save(tmp_path / "model.json")
-    with pytest.raises(InputError, match=r"no diagnostics.*Run discover"):
+    with pytest.raises(InputError, match=r"no diagnostics.*run discover"):
         write_report(load(tmp_path / "model.json"), tmp_path / "report.html")
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         write_report("model.json", tmp_path / "report.html")  # type: ignore[arg-type]

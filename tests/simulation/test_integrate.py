@@ -253,7 +253,7 @@ def test_a_model_without_errors_states_none():
     bare = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
     t = np.linspace(0.0, 1.0, 11)
     assert bare.simulate([1.0], [0.0], t).std is None
-    with pytest.raises(la.InputError, match="start_std asks for the error"):
+    with pytest.raises(la.InputError, match="with start_std the simulation states its error"):
         bare.simulate([1.0], [0.0], t, start_std=0.0)
     result = bare.validate(
         Trajectory(np.arange(400) / 100, np.cos(2 * np.arange(400) / 100), coordinates="x")

@@ -1,4 +1,4 @@
-"""What is given in many forms: arrays or trajectories, as `Trajectories`, and groups of these."""
+"""Conversion of arrays or trajectories to `Trajectories`, and groups of these."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ __all__ = ["gather", "group_labels", "one_each"]
 def gather(
     q: Any, t: Any, forces: Any, coordinates: Sequence[str] | None, t_otherwise: Any = None
 ) -> Trajectories:
-    """Decide what was given, once: everything behind this works on trajectories.
+    """Convert the arguments of `SparseLagrangian.fit` to trajectories.
 
-    The arguments are those of `SparseLagrangian.fit`; `t_otherwise` takes the place of a `t` that is needed
-    and missing.
+    `t_otherwise` replaces a `t` that is needed and missing.
 
     Raises
     ------
@@ -100,7 +99,7 @@ _ONE_EACH = "give one for each trajectory, e.g. groups=['empty', 'empty', 'paylo
 def group_labels(
     given: Mapping[str, object] | Iterable[object], trajectories: Trajectories
 ) -> tuple[str, ...]:
-    """The name of the group of each trajectory, given in a row or by the trajectories' names.
+    """The name of the group of each trajectory, from a sequence or a mapping by name.
 
     Raises
     ------
@@ -142,5 +141,5 @@ def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
 def _label(value: object) -> str:
     text = str(value).strip()
     if value is None or not text:
-        raise InputError("the name of a group is empty; give every trajectory one")
+        raise InputError("the name of a group is empty; give every trajectory a group")
     return text

@@ -1,4 +1,4 @@
-"""Coordinates of a recording in another sequence, fewer of them, or with others that nobody measured."""
+"""Selection, order and completion of the coordinates of a recording."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def arranged(trajectories: Trajectories, coordinates: Sequence[str]) -> Trajecto
     places = [trajectories.coordinates.index(n) if n in trajectories.coordinates else -1 for n in names]
     named = zip(trajectories, trajectories.names, strict=True)
     items = [_arranged(item, places, names).changed(name=name) for item, name in named]
-    removed = trajectories.wraps_removed  # summed over the trajectories, which is all that is asked of them
+    removed = trajectories.wraps_removed  # only their sum over the trajectories is used
     wraps = [tuple(removed.get(n, 0) for n in names), *((0,) * len(names) for _ in items[1:])]
     return Trajectories.with_wraps(items, wraps)
 
 
 def joined(some: Trajectories, whole: Trajectories) -> Trajectories:
-    """Return ``whole`` without the samples that ``some`` of its coordinates have lost."""
+    """Return ``whole`` without the samples that are missing in ``some``, with part of its coordinates."""
     if some is whole:
         return whole
     places = [whole.coordinates.index(name) for name in some.coordinates]

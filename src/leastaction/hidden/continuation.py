@@ -1,9 +1,8 @@
-"""From a motion in pieces to a motion that obeys its law: the weight of the equations rises in steps.
+"""Joins the motions of single windows to one that obeys the law, by raising the weight of the equations.
 
-The motion that windows give has jumps. Weights that fit it as it stands make the equations look inexact, and
-coefficients that are fitted with them go astray. In the first steps the coefficients are therefore held. The
-weights rise tenfold from step to step, and the curve follows. The joint fit begins at the step of the highest
-evidence.
+The motion in windows has jumps. With weights estimated from it, the equations look inexact, and coefficients
+fitted with these weights diverge. The coefficients are therefore held in the first steps. The weights rise
+tenfold from step to step, and the curve follows. The joint fit starts at the step of the highest evidence.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ from leastaction.estimation.weights import Start, evidence, update_weights
 
 __all__ = ["drawn_together"]
 
-_FACTOR = 10.0  # of the weights, from step to step
-_HELD = 2  # steps in which coefficients are held
-_MOST_STEPS = 12  # at most
-_WORSE = 3  # steps in turn of lower evidence
+_FACTOR = 10.0  # by which the weights rise in a step
+_HELD = 2  # first steps, in which coefficients are held
+_MOST_STEPS = 12  # limit on steps
+_WORSE = 3  # successive steps of lower evidence that end the loop
 
 
 def drawn_together(grid: Grid, structure: Structure, start: Start) -> Start:

@@ -1,4 +1,4 @@
-"""The model file: JSON in, checked by a white list; JSON out.
+"""Reading and writing of model files: JSON, checked against a schema.
 
 Schema 2, where ``null`` stands for "not available"::
 
@@ -31,9 +31,9 @@ Schema 2, where ``null`` stands for "not available"::
 ``shapes``, ``groups``, ``calibration`` and ``covariance`` may be left out; a term may have a ``"template"``,
 its expression with shape parameters in braces.
 
-``fit.warnings`` repeats the findings of that severity in sentences, and ``fit.statements`` says what they
-leave of structure, equations and forecast, for scripts that want no more; neither is read.  In schema 1 the
-warnings stood alone: their sentences become findings with the code ``text``.
+``fit.warnings`` repeats the warnings as sentences, and ``fit.statements`` summarises the verdicts on
+structure, equations and forecast, for scripts that need no more. Neither is read.  Schema 1 had warnings
+alone, whose sentences become findings with the code ``text``.
 
 Numbers are finite; expressions are read by `leastaction.library.parse_expression`, never evaluated.
 """
@@ -125,12 +125,12 @@ def _number_or_none(value: float) -> float | None:
 
 
 def plain_json(value: Any, place: str, depth: int = 0) -> Any:
-    """Return a copy made of JSON's types; NumPy's become plain, what is not finite becomes None.
+    """Return a copy with JSON types; NumPy types become plain, and non-finite numbers None.
 
     Raises
     ------
     InputError
-        If something in it has no place in JSON.
+        If a value cannot be written as JSON.
     """
     if depth > _MAX_DEPTH:
         raise InputError(f"{place} is nested more than {_MAX_DEPTH} levels deep; make it flatter")
@@ -173,13 +173,13 @@ def load(path: str | os.PathLike[str]) -> LagrangianModel:
     InputError
         If the file is not a model of this or an older version; the text names the file and the place.
     """
-    from leastaction.model.model import LagrangianModel  # which writes with this module
+    from leastaction.model.model import LagrangianModel  # circular import
 
     return LagrangianModel.from_dict(_read_document(path), os.fspath(path))
 
 
 def _read_document(path: str | os.PathLike[str]) -> Any:
-    """Read a file as strict JSON; what it means is not looked at yet.
+    """Read a file as strict JSON, without a check of its content.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def _read_document(path: str | os.PathLike[str]) -> Any:
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise InputError(
-            f"{file}: {where}: not valid JSON ({error.msg}); the file may be cut short, make it again"
+            f"{file}: {where}: not valid JSON ({error.msg}); the file may be cut short, write it again"
         ) from None
     except UnicodeDecodeError as error:
         raise InputError(f"{file} is not UTF-8 text (byte {error.start}); expected a model in JSON") from None
@@ -207,7 +207,7 @@ def _read_document(path: str | os.PathLike[str]) -> Any:
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     except ValueError:
-        # Python refuses whole numbers of thousands of digits.
+        # Python refuses integers with thousands of digits.
         raise InputError(f"{file} contains a number with too many digits; expected a model in JSON") from None
 
 
@@ -221,7 +221,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_depth(document: Any) -> None:
-    """Refuse what is nested so deeply that even quoting it in a message would fail."""
+    """Refuse a document that is nested too deeply to be quoted in a message."""
     level: list[Any] = [document]
     for _ in range(_MAX_DEPTH + 10):
         level = [x for item in level for x in _inside(item)]
@@ -333,7 +333,7 @@ def _numbers(value: Any, place: str) -> tuple[float, ...]:
 def _number(value: Any, place: str, nullable: bool = False, least: float = -math.inf) -> float:
     if value is None and nullable:
         return math.nan
-    # Here null is the only way to say "not available": what overflows to infinity is an error.
+    # null is the only code for "not available"; a number that overflows to infinity is an error.
     return as_float(value, place, least=least)
 
 

@@ -1,4 +1,4 @@
-"""What a model is made of: a term with its coefficient, and the summary of the fit."""
+"""Parts of a model: terms with coefficients, shape parameters, and the summary of the fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", 
 Z95 = 1.959963984540054
 """Half width of a central 95 % interval of a normal distribution, in standard errors."""
 INTERVAL_RISE = Z95**2
-"""By how much −2 log likelihood rises to the ends of a 95 % interval."""
+"""Increase of −2 log likelihood at the ends of a 95 % interval."""
 
 
 def as_float(value: object, label: str, *, missing: bool = False, least: float = -math.inf) -> float:
@@ -58,8 +58,8 @@ class ModelTerm:
     known : bool
         Whether the user gave the coefficient.
     template : str
-        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"``; ``expression`` has numbers
-        in their place. Empty if it has none.
+        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"``; ``expression`` has their
+        values instead. Empty without shape parameters.
 
     Raises
     ------
@@ -136,10 +136,10 @@ class ShapeParameter:
     Parameters
     ----------
     name : str
-        As in the braces of the templates.
+        The name in the braces of the templates.
     value : float
     standard_error : float
-        NaN where it is not available.
+        NaN if not available.
     profile : sequence of (float, float)
         Profile likelihood: increasing values, and the increase of −2 log likelihood from `value` with
         everything else refitted. Empty if not computed.
@@ -190,7 +190,7 @@ class ShapeParameter:
         return self._end([(x, rise) for x, rise in self.profile if x >= self.value], 1.0)
 
     def _end(self, side: list[tuple[float, float]], sign: float) -> float:
-        """Where the root of a profile, which is nearly straight, crosses that of its bound."""
+        """Value at which the square root of the profile, which is nearly linear, reaches its bound."""
         for (x, low), (y, high) in pairwise(side):
             if low < INTERVAL_RISE <= high:
                 a, b = math.sqrt(low), math.sqrt(high)
@@ -198,7 +198,7 @@ class ShapeParameter:
         return self.value + sign * Z95 * self.standard_error
 
     def as_term(self) -> ModelTerm:
-        """Name and number as a row of a table of terms.
+        """Name and value as a row of a table of terms.
 
         Examples
         --------
@@ -224,7 +224,7 @@ class _Row(ModelTerm):
 
 
 def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
-    """Pairs of numbers, the first of each in rising order."""
+    """Pairs of numbers, sorted by the first."""
     refused = InputError(f"{where}the profile is {quoted(given)}; expected pairs of numbers")
     if not isinstance(given, Iterable):
         raise refused
@@ -236,7 +236,7 @@ def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
         place = as_float(place, f"{where}a number of the profile")
         numbers.append((place, as_float(rise, f"{where}a rise of the profile", least=0.0)))
     if any(b <= a for (a, _), (b, _) in pairwise(numbers)):
-        raise InputError(f"{where}the numbers of the profile do not rise; sort them")
+        raise InputError(f"{where}the values of the profile do not increase; sort them")
     return tuple(numbers)
 
 
@@ -247,7 +247,7 @@ class FitSummary(Shown):
     Parameters
     ----------
     status : {"ok", "usable", "doubtful"}
-        ``"usable"``: the equations hold only to some per cent, but simulations follow the data; see the
+        ``"usable"``: the equations hold only to a few per cent, but simulations follow the data; see the
         finding ``forecasts``. ``"doubtful"``: for example, the library does not explain the data, the data do
         not distinguish the terms, the mass matrix is not positive definite, or the solver did not converge. A
         warning states the reason.
@@ -295,7 +295,7 @@ class FitSummary(Shown):
         found = _findings(findings)
         if warnings is not None:
             if found:
-                raise InputError("fit: warnings are read off the findings; give one of the two")
+                raise InputError("fit: warnings follow from the findings; give one of the two")
             found = _of_texts(warnings)
         values = {
             "status": status,
@@ -311,12 +311,12 @@ class FitSummary(Shown):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings as sentences: what is wrong, and what would help."""
+        """Warnings as sentences: the problem and a remedy."""
         return self.sentences("warning")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes as sentences: what was done on the user's behalf, and what else is worth knowing."""
+        """Notes as sentences: changes made to data and library, and further information."""
         return self.sentences("note")
 
     @property
@@ -330,7 +330,7 @@ class FitSummary(Shown):
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.
 
-        What `statements` says of forecasts is not repeated.
+        Findings on forecasts that `statements` covers are not repeated.
 
         Examples
         --------

@@ -1,8 +1,8 @@
 """Forward integration of q̈ = a(q, q̇, f): fixed-step RK4 for many motions at once, DOP853 for one.
 
-Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` where nothing is driven. The time
-comes behind them where the law holds it.
-`simulate` never raises for a numerical failure: it returns what it has, with a status and a reason.
+Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` if no force acts. If the law
+depends on time, the time is the last argument.
+`simulate` raises no exception for a numerical failure: it returns the motion so far, a status and a reason.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ def rk4(
     forces : callable, optional
         ``forces(times)`` with ``times`` of shape (m,) -> (m, ..., n_dof), broadcastable to ``q0``.
     clock : ndarray, optional
-        What to add to ``t`` for the time of each motion, broadcastable to (...); then the acceleration takes
-        the time as its last argument.
+        Offset of the time of each motion from ``t``, broadcastable to (...); the acceleration then takes the
+        time as its last argument.
 
     Returns
     -------
     q, qdot : ndarray, shape (n_times, ..., n_dof)
-        NaN or inf from where a motion diverges; nothing is raised.
+        NaN or inf after a motion diverges; no exception is raised.
 
     Examples
     --------
@@ -84,7 +84,7 @@ def rk4(
     q, v = np.broadcast_arrays(np.asarray(q0, dtype=float), np.asarray(qdot0, dtype=float))
     n_steps = (t.size - 1) * substeps
     edges = np.interp(np.arange(2 * n_steps + 1) / (2 * substeps), np.arange(t.size), t)
-    # All forces beforehand: one vectorised call costs less than four small ones in every step.
+    # All forces in advance: one vectorised call costs less than four small ones in every step.
     table = None if forces is None else np.asarray(forces(edges), dtype=float)
     out_q, out_v = np.empty((t.size, *q.shape)), np.empty((t.size, *q.shape))
     out_q[0], out_v[0] = q, v
@@ -102,7 +102,7 @@ def rk4(
 
 
 def _rk4_step(acceleration, q, v, h, at0, at1, at2):
-    """One step; forces, and the time where it matters, are those at its begin, middle and end."""
+    """One step; forces and time are those at its start, middle and end."""
     half = 0.5 * h
     a0 = acceleration(q, v, *at0)
     v1 = v + half * a0
@@ -165,12 +165,11 @@ def simulate(
     q0, qdot0 : array_like, shape (n_dof,)
         Start at ``t[0]``.
     t : array_like, shape (n_times,)
-        Times wanted, seconds, strictly increasing.
+        Requested times in seconds, strictly increasing.
     forces : None, array_like of shape (n_times, n_dof), or callable
         Generalised forces: samples at `t`, joined by a cubic spline, or ``forces(time)`` -> (n_dof,).
     mass_matrix : callable, optional
-        ``mass_matrix(q, qdot)`` -> (n_dof, n_dof), watched along the motion: it stops where the matrix
-        becomes singular.
+        ``mass_matrix(q, qdot)`` -> (n_dof, n_dof). The motion stops if it becomes singular.
     timed : bool
         Whether ``acceleration`` and ``mass_matrix`` take the time as their last argument.
     **limits
@@ -184,7 +183,7 @@ def simulate(
     Raises
     ------
     InputError
-        For wrong shapes or times only.
+        Only for wrong shapes or times.
 
     Examples
     --------
@@ -215,7 +214,7 @@ def simulate(
 
 
 def force_function(forces: Any, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
-    """Forces (n_dof,) at a time, from samples or a function; None where there are none."""
+    """Forces (n_dof,) at a time, from samples or a function; None without forces."""
     if forces is None:
         return lambda time: None
     if callable(forces):
@@ -236,7 +235,7 @@ def _named_events(events: Event | Sequence[Event] | Mapping[str, Event]) -> list
 
 
 class _Watch:
-    """Looks at each accepted step for what must stop the motion."""
+    """Checks each accepted step for events and a singular mass matrix."""
 
     def __init__(self, mass_matrix, events, n_dof: int, timed: bool) -> None:
         self.mass_matrix, self.events, self.n_dof, self.timed = mass_matrix, events, n_dof, timed
@@ -256,7 +255,7 @@ class _Watch:
             return f"singular mass matrix (not finite) at t = {time:.6g}"
         size = np.linalg.svd(matrix, compute_uv=False)
         sign = float(np.linalg.slogdet(matrix)[0])
-        # A change of sign means that a step jumped over the singular place.
+        # A change of sign means that a step passed over a singular state.
         singular = size[-1] <= _SINGULAR * size[0] or (self.sign is not None and sign != self.sign)
         self.sign = sign
         return f"singular mass matrix at t = {time:.6g}" if singular else ""
@@ -277,7 +276,7 @@ class _Watch:
 
     def _root(self, event, dense, low: float, high: float, old: float) -> float:
         def value(time):
-            # Both ends are pinned to the values seen, which the dense output meets only to rounding.
+            # Both ends use the values of the steps, which the dense output matches only to rounding.
             if time in (low, high):
                 return old if time == low else -old
             y = dense(time)
@@ -287,7 +286,7 @@ class _Watch:
 
 
 class _Stop(Exception):
-    """Raised inside the right-hand side to leave the integrator."""
+    """Raised in the right-hand side to stop the integrator."""
 
 
 def _integrate(accelerate, y0, t, watch, limits: Limits) -> SimulationResult:

@@ -1,8 +1,8 @@
-"""A law to be simulated, what the data leave open of it, and motions drawn from that.
+"""A law for simulation, its uncertainty, and motions drawn from it.
 
-A motion obeys M q̈ = r(q, q̇; c) + f + e.  The numbers c have a covariance, and the equation errors e a
-spectral density.  Drawn motions show what this does to q, however far they go: linear error propagation would
-grow without bound where the motion itself does not.
+A motion obeys M q̈ = r(q, q̇; c) + f + e.  The coefficients c have a covariance, and the equation errors e a
+spectral density.  Drawn motions give the error of q even if it is large, where linear error propagation would
+grow without bound.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ __all__ = [
 
 Acceleration = Callable[..., np.ndarray]
 
-# Motions drawn of each forecast, and of a simulation: they give a standard deviation within 12 % and 6 %.
+# Motions drawn for each forecast, and for a simulation: the standard deviation is exact to 12 % and 6 %.
 MEMBERS, _MEMBERS_OF_ONE = 32, 128
-# Share of them that may be lost before the standard deviation counts as infinite.
+# Largest share of drawn motions that may diverge; above it, the standard deviation is infinite.
 _FEW_LOST = 0.05
-# Of the spline through an input, whose second derivative is smooth.
+# Degree of the spline through an input, whose second derivative is smooth.
 _DEGREE = 5
-# Of the range of a motion: how near the steps must lead to it; and how many steps at most.
+# Tolerance of the steps, relative to the range of the motion; and largest number of steps.
 _NEAR, _MOST_STEPS = 1e-3, 20_000
 
 
@@ -91,7 +91,7 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Openness:
-    """A law whose numbers and equations hold within errors.
+    """A law with uncertain coefficients and equations.
 
     ``acceleration(q, qdot, forces, t, numbers)`` takes ``numbers`` of shapes that broadcast to (...).
     ``directions``, (n_numbers, n_directions): Σ d dᵀ is the covariance of the ``numbers``, (n_numbers,).
@@ -104,7 +104,7 @@ class Openness:
     spectrum: Spectrum
 
     def draw(self, size: int, steps: np.ndarray, n_motions: int, rng: np.random.Generator) -> Drawn:
-        """So many laws, each with errors for all steps, (n_steps,) in seconds, of so many motions."""
+        """``size`` laws, each with errors for all ``steps``, (n_steps,) in seconds, of ``n_motions``."""
         factors = rng.standard_normal((self.directions.shape[1], size))
         numbers = self.numbers[:, None] + self.directions @ factors
         ends = self.spectrum.draw((size, n_motions), steps, rng)
@@ -116,7 +116,7 @@ class Openness:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Laws with drawn numbers, (n_numbers, n_laws, 1), and errors of their equations.
+    """Laws with drawn coefficients, (n_numbers, n_laws, 1), and errors of their equations.
 
     ``errors``, (2 n_steps + 1, n_laws, n_motions, n_dof), are those at the ends and in the middle of steps.
     """
@@ -138,7 +138,7 @@ class Drawn:
 
 
 def standard_deviation(squares: np.ndarray, lost: np.ndarray, drawn: int) -> np.ndarray:
-    """From sums of squares over the motions that were drawn, and the number of those that are not finite."""
+    """Standard deviation from sums of squares over drawn motions, and the number of diverged ones."""
     with np.errstate(all="ignore"):
         spread = np.sqrt(squares / (drawn - lost))
     return np.where(lost > _FEW_LOST * drawn, np.inf, spread)
@@ -146,11 +146,10 @@ def standard_deviation(squares: np.ndarray, lost: np.ndarray, drawn: int) -> np.
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What a forecast runs.
+    """The law of a forecast.
 
-    ``acceleration(q, qdot, forces)`` is vectorised, and NaN where it is not defined; of a law that is
-    ``timed`` it takes the time as its last argument.  The force on a coordinate that is ``prescribed`` is its
-    acceleration.
+    ``acceleration(q, qdot, forces)`` is vectorised, and NaN if undefined; if the law is ``timed``, it takes
+    the time as its last argument.  The force on a ``prescribed`` coordinate is its acceleration.
     """
 
     acceleration: Acceleration
@@ -166,16 +165,16 @@ def spread_of(
     start_std: np.ndarray,
     forces: Callable[[float], np.ndarray | None],
 ) -> np.ndarray:
-    """Standard deviation (n_times, n_dof) of one motion of a law that has an `openness`.
+    """Standard deviation (n_times, n_dof) of one motion of a law with an `openness`.
 
     Parameters
     ----------
     law : Law
     run : SimulationResult
-        The motion without errors; steps are halved until they lead there.
+        The motion without errors; steps are halved until they reproduce it.
     qdot0 : ndarray, shape (n_dof,)
     start_std : ndarray, shape (2, n_dof)
-        Standard deviations of q and q̇ at ``t[0]``, which count as independent.
+        Standard deviations of q and q̇ at ``t[0]``, assumed to be independent.
     forces : callable
         ``forces(time)`` -> (n_dof,), or None.
     """
@@ -214,19 +213,19 @@ def follow(
     t: ArrayLike,
     forces: ArrayLike | Callable[[float], Any] | None,
 ) -> tuple[np.ndarray, np.ndarray, Callable[[float], np.ndarray]]:
-    """Start and forces with which some coordinates move as given, where their force is their acceleration.
+    """Start and forces for which some prescribed coordinates move as given.
 
     Parameters
     ----------
     inputs : mapping of int to array_like, shape (n_times,)
-        Numbers of coordinates, and where they are at `t`; joined by a spline of degree five.
+        Indices of coordinates, and their positions at `t`, interpolated by a spline of degree five.
     q0, qdot0, t, forces
-        See `simulate`; the start of those coordinates has no say.
+        See `simulate`; the start values of those coordinates are ignored.
 
     Raises
     ------
     InputError
-        If there are not as many numbers as times, or not all are finite.
+        If the number of positions differs from that of the times, or not all are finite.
 
     Examples
     --------
