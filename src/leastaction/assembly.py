@@ -84,7 +84,7 @@ def assemble_model(
             verdict.chi2_per_sample,
             density.tolist(),
             findings=findings,
-            error_spectrum=error_spectrum(fit).rows(),
+            error_spectrum=[] if unknown else error_spectrum(fit).rows(),
         ),
         {
             "version": _version(),

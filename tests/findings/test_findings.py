@@ -16,6 +16,7 @@ import pytest
 
 import leastaction as la
 from leastaction.cli import program
+from leastaction.data.formats.layout import UnitOptions
 from leastaction.errors import InputError
 from leastaction.findings import (
     CODES,
@@ -333,7 +334,9 @@ def arguments() -> set[str]:
     methods = [m for c in things if inspect.isclass(c) for n, m in vars(c).items() if not n.startswith("_")]
     errors = (la.DataError, la.InputError)  # without a signature of their own
     named = [t for t in (*things, *methods) if callable(t) and t not in errors]
-    return {name for thing in named for name in inspect.signature(thing).parameters}
+    return {name for thing in named for name in inspect.signature(thing).parameters} | {
+        *UnitOptions.__annotations__
+    }
 
 
 def unknown_names(said: set[str]) -> set[str]:

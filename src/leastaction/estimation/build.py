@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
-from leastaction.data.columns import arranged, joined
+from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.calibration import Calibrated, from_columns

@@ -22,7 +22,7 @@ from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import FEWEST_SAMPLES, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.smoothing import smooth
-from leastaction.data.columns import arranged
+from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.by_sample import by_sample, directions, is_seen, misfit, newton_step

@@ -41,14 +41,16 @@ def error_spectrum(fit: Fit) -> Spectrum:
     Returns
     -------
     Spectrum
-        Above the frequencies that the knots can follow it is that of the fit, 1/w.
+        Above the frequencies that the knots can follow it is that of the fit, 1/w; at all frequencies if the
+        residual is not finite.
     """
     weights, prescribed = fit.weights.physics, list(fit.problem.prescribed)
-    white = 1.0 / weights
+    white = np.divide(1.0, weights, out=np.zeros(weights.size), where=weights > 0.0)
     white[prescribed] = 0.0
     trials = list(_transforms(fit))
     edges = _bands([frequencies for frequencies, *_ in trials])
-    if not edges[-1] > 0.0:  # a single interval of knots
+    finite = all(np.isfinite(part).all() for trial in trials for part in trial)
+    if not (finite and edges[-1] > 0.0):  # a single interval of knots has no spectrum
         return Spectrum.white(white)
     share = _visible(fit, white, edges)
     left, squares = _powers(trials, weights, edges, share)

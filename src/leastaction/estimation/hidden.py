@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.knots import Knots
-from leastaction.data.columns import arranged
+from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
