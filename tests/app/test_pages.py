@@ -78,6 +78,7 @@ async def until(condition, seconds: float = 60.0) -> None:
     raise AssertionError("this has not happened in time")
 
 
+@pytest.mark.thorough
 def test_from_an_example_to_a_result_and_along_the_curve():
     """A step shows a provisional model, and then the refined one."""
 

@@ -305,6 +305,7 @@ def test_who_walks_on_gets_what_is_shown_and_nothing_else(walking):
     assert walking.worker._process.pid == process  # short jobs are not worth a new process
 
 
+@pytest.mark.thorough
 def test_a_long_job_for_another_place_is_stopped(walking, monkeypatch):
     monkeypatch.setattr(_session, "_PATIENCE", 0.0)
     chosen = walking.walk.chosen

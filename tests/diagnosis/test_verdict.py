@@ -304,6 +304,7 @@ def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
     assert again.fit == model.fit
 
 
+@pytest.mark.thorough
 def test_the_error_of_trials_left_out_is_that_of_fits_without_them():
     data = measured(geared(0.4), ["theta"], 0.003, 2.0)
     model = la.discover(data, PENDULUM_LIBRARY)

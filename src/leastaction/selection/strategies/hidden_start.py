@@ -110,8 +110,9 @@ def _drawn_together(grid: Grid, structure: Structure, start: Start) -> Start:
     """Join the motions of single windows to one that obeys the law, by raising the weight of the equations.
 
     The motion in windows has jumps. With weights estimated from it, the equations look inexact, and
-    coefficients fitted with these weights diverge. The coefficients are therefore held in the first steps. The
-    weights rise tenfold from step to step, and the curve follows. The step of the highest evidence is returned.
+    coefficients fitted with these weights diverge. The coefficients are therefore held in the first steps.
+    The weights rise tenfold from step to step, and the curve follows. The step of the highest evidence is
+    returned.
     """
     physics, index = grid.physics(structure)
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
