@@ -378,6 +378,11 @@ def test_wrong_arguments_are_refused(options):
         systems.generate("single_pendulum", **{"trials": 1, "duration": 0.1, **options})
 
 
+def test_an_unknown_option_is_named():
+    with pytest.raises(TypeError, match="'lost'; expected 'missing' or 'irregular'"):
+        systems.generate("single_pendulum", trials=1, duration=0.1, lost=0.1)
+
+
 def test_whirling_motions_are_drawn_again():
     wild = replace(
         systems.get("single_pendulum"), initial=lambda rng: (rng.uniform(-3, 3, 1), rng.uniform(-9, 9, 1))

@@ -12,13 +12,21 @@ Examples
 
 from __future__ import annotations
 
-from leastaction.systems._generate import TrueMotion, generate, measure, noise_std, simulate_truth
+from leastaction.systems._generate import (
+    SamplingOptions,
+    TrueMotion,
+    generate,
+    measure,
+    noise_std,
+    simulate_truth,
+)
 from leastaction.systems._libraries import compact_library, large_library, truth_for
 from leastaction.systems._registry import further_names, get, names
 from leastaction.systems._system import MechanicalSystem
 
 __all__ = [
     "MechanicalSystem",
+    "SamplingOptions",
     "TrueMotion",
     "compact_library",
     "further_names",

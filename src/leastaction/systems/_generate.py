@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypedDict, Unpack
 
 import numpy as np
 from scipy.interpolate import BPoly
@@ -248,6 +249,21 @@ def measure(
     return Trajectories(recordings)
 
 
+class SamplingOptions(TypedDict, total=False):
+    """How the recordings of `generate` are less than complete and regular.
+
+    Attributes
+    ----------
+    missing : float
+        Fraction of the samples of each coordinate that are NaN, at random. Default 0.
+    irregular : bool
+        Move each inner time by up to 0.4 sampling intervals either way. Default False.
+    """
+
+    missing: float
+    irregular: bool
+
+
 def generate(
     name: str | MechanicalSystem,
     noise: float = 0.1,
@@ -256,8 +272,7 @@ def generate(
     duration: float = 20.0,
     rate: float = 100.0,
     seed: int = 0,
-    missing: float = 0.0,
-    irregular: bool = False,
+    **sampling: Unpack[SamplingOptions],
 ) -> Trajectories:
     """Return noisy recordings of a system, reproducible by `seed`.
 
@@ -278,10 +293,8 @@ def generate(
     seed : int
         With the same seed, all noise levels, missing fractions and numbers of trajectories share the same
         motions.
-    missing : float
-        Fraction of the samples of each coordinate that are NaN, at random.
-    irregular : bool
-        Move each inner time by up to 0.4 sampling intervals either way.
+    **sampling
+        ``missing`` and ``irregular``, see `SamplingOptions`.
 
     Returns
     -------
@@ -292,6 +305,8 @@ def generate(
     ------
     InputError
         If there is no such system, or an argument is invalid.
+    TypeError
+        If there is no such option.
 
     Examples
     --------
@@ -300,6 +315,9 @@ def generate(
     (101, 1)
     """
     system = resolve(name)
+    missing, irregular = sampling.pop("missing", 0.0), sampling.pop("irregular", False)
+    if sampling:
+        raise TypeError(f"unknown option {next(iter(sampling))!r}; expected 'missing' or 'irregular'")
     truth = simulate_truth(system, trials, duration, rate, seed, irregular)
     sigma = noise_std(system, truth, noise, noise_convention)
     return measure(system, truth, sigma, seed=seed, missing=missing)
