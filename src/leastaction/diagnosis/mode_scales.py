@@ -16,6 +16,8 @@ __all__ = ["free_scales"]
 
 _STATES = 400  # along the motion
 _EXACT = 1e-8  # relative: what rounding leaves of equal matrices
+_STEP = 2e-4  # of the size of the motion: central differences of the fourth order
+_SMOOTH = 1e-2  # relative: differences with one and two steps agree where there is a slope
 
 
 def free_scales(fit: Fit) -> list[Finding]:
@@ -55,16 +57,19 @@ def _linear_parts(fit: Fit) -> np.ndarray:
     """
     problem, n = fit.problem, len(fit.problem.coordinates)
     along = fit.points(_STATES).columns
-    mean = np.array([[np.mean(column) for column in along[:n]]])
-    spread = np.array([np.std(column) for column in along]).reshape(3, n)
+    rest = np.where(np.arange(3 * n) < n, np.mean(along, axis=1), 0.0)
+    spread = np.std(along, axis=1)
     sizes = np.where(spread > 0.0, spread, 1.0)
-    rest = Points(mean, np.zeros((1, n)), np.zeros((1, n)), np.zeros(1))
-    parts = np.zeros((len(problem.candidates), n, 3 * n + 1))
-    parts[:, :, -1] = problem.candidates.strong(rest)[:, :, 0]
-    for k, unit in enumerate(np.eye(len(problem.candidates))):
-        for (nu, i, j), value in problem.candidates.jacobian(rest, unit).items():
-            parts[k, i, nu * n + j] = sizes[nu, j] * float(np.ravel(value)[0])
-    parts[~np.isfinite(parts)] = 0.0
+    moved = rest + np.multiply.outer(np.array([1, -1, 2, -2]) * _STEP, np.diag(sizes))
+    states = np.concatenate([moved.reshape(-1, 3, n), rest.reshape(1, 3, n)])
+    points = Points(states[:, 0], states[:, 1], states[:, 2], np.zeros(len(states)))
+    values = problem.candidates.strong(points)
+    values[~np.isfinite(values)] = 0.0
+    plus, minus, plus2, minus2 = np.moveaxis(values[..., :-1].reshape(*values.shape[:2], 4, -1), 2, 0)
+    near, far = (plus - minus) / (2.0 * _STEP), (plus2 - minus2) / (4.0 * _STEP)
+    slopes = (4.0 * near - far) / 3.0
+    slopes[np.abs(near - far) > _SMOOTH * np.abs(near)] = 0.0  # dry friction has no slope at rest
+    parts = np.concatenate([slopes, values[..., -1:]], axis=2)
     kept = [i for i in range(n) if i not in problem.prescribed]
     whole = np.tensordot(fit.coefficients, parts, 1)[kept]
     return parts[:, kept] / np.maximum(np.linalg.norm(whole, axis=1), 1e-300)[:, None]

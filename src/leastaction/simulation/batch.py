@@ -106,7 +106,7 @@ class _Batch:
         self.n_steps = int(np.clip(np.ceil(window / (2.0 * spacing)), 16, 2000))
 
     def run(self, state: np.ndarray) -> list[StartResult]:
-        """Fit and run free, with the step halved until the motions no longer change."""
+        """Fit and run free, with the step halved until another halving would not change the motions."""
         alive = np.asarray(np.isfinite(state).all(axis=1))
         state = np.where(alive[:, None], state, 0.0)
         speed = np.sqrt((state[:, self.n_dof :] ** 2).mean(axis=0))
@@ -115,6 +115,7 @@ class _Batch:
         state = self._grow(guess)
         coarse = self._flow(state[None], 1.0 + self.horizon / self.window)
         resolved = np.zeros(len(self.starts), dtype=bool)
+        before = np.zeros(len(self.starts))
         for _ in range(_MAX_HALVINGS):
             self.n_steps *= 2
             far = self._far(coarse[0])
@@ -122,9 +123,12 @@ class _Batch:
             state = np.where(far[:, None], guess, state)
             state = self._grow(state) if far.any() else self._fit(state, 1.0, rounds=2)
             fine = self._flow(state[None], 1.0 + self.horizon / self.window)
-            change = np.where(np.isfinite(self.q), np.abs(fine - coarse)[0], 0.0)
-            resolved = (change <= 0.02 * self.sigma + 1e-4 * self.scale).all(axis=(1, 2))
-            coarse = fine
+            change = np.abs(fine - coarse)[0] / (0.02 * self.sigma + 1e-4 * self.scale)
+            change = np.where(np.isfinite(self.q), change, 0.0).max(axis=(1, 2))
+            # as the last change is to the one before, the next would be to the last: by RK4, a 16th
+            shrinks = np.clip(change / before, 1 / 16, 1.0)
+            resolved = change * np.where(before > 0.0, shrinks, 1.0) <= 1.0
+            coarse, before = fine, change
             if resolved.all():
                 break
         return self._results(state, coarse[0], alive, resolved)
@@ -138,8 +142,9 @@ class _Batch:
     def _results(self, state, q, alive, resolved) -> list[StartResult]:
         self.n_steps //= 2  # fewer steps suffice for differences of motions
         covariance, jacobian = self._state_error(state)
-        variance = self._variance(state, covariance)
-        spread = self._spread(state, covariance, jacobian)
+        motions = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
+        variance = self._variance(motions, covariance)
+        spread = self._spread(state, motions[0], covariance, jacobian)
         far = self._far(q)
         out = []
         for s, start in enumerate(self.starts):
@@ -257,25 +262,25 @@ class _Batch:
         ridge = 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300
         return np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size)), jacobian
 
-    def _variance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    def _variance(self, motions: np.ndarray, covariance: np.ndarray) -> np.ndarray:
         """Variance (n_starts, n_samples, n_dof) in σ² from the error of the fitted state."""
-        q = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
         # (n_starts, n_samples, n_dof, 2 n_dof)
-        slope = np.moveaxis((q[1:] - q[:1]) / (_STEP * self.sigma), 0, -1)
+        slope = np.moveaxis((motions[1:] - motions[:1]) / (_STEP * self.sigma), 0, -1)
         return np.einsum("spij,sjk,spik->spi", slope, covariance, slope)
 
-    def _spread(self, state: np.ndarray, covariance: np.ndarray, jacobian: np.ndarray) -> np.ndarray | None:
+    def _spread(
+        self, state: np.ndarray, q: np.ndarray, covariance: np.ndarray, jacobian: np.ndarray
+    ) -> np.ndarray | None:
         """Standard deviation (n_starts, n_samples, n_dof) of the motion from all uncertainties of the law.
 
         Motions are drawn: coefficients by their covariance, errors of the equations, noise of the samples in
         the window.  The state of each is fitted as for the forecast, to first order, and simulated with the
-        full equations, which bound large deviations.
+        full equations, which bound large deviations. ``q`` is the motion without any.
         """
         openness = self.law.openness
         if openness is None:
             return None
         share, rng = 1.0 + self.horizon / self.window, np.random.default_rng(0)
-        q = self._flow(state[None], share)[0]
         gain = covariance @ np.swapaxes(jacobian, 1, 2)
         seen = np.isfinite(self.q) & (self.t <= self.window * (1 + 1e-9))[..., None]
         squares, lost = np.zeros_like(self.q), np.zeros(self.q.shape)
