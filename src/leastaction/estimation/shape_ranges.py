@@ -17,7 +17,6 @@ from typing import Any, Literal
 
 import numpy as np
 import sympy as sp
-from scipy.stats import qmc
 
 from leastaction.errors import InputError
 from leastaction.estimation.settings import ESTIMATION
@@ -113,6 +112,8 @@ def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[
         for x in ranges[frequencies[0]].starts(count).tolist():
             yield from ({**rest, frequencies[0]: x} for rest in shape_starts(others, _PHASES))
         return
+    from scipy.stats import qmc  # takes half a second to import
+
     shares = qmc.Sobol(len(ranges), seed=0).random_base2(int(np.ceil(np.log2(count))))
     for row in shares[:count]:
         yield {name: r.at(x) for (name, r), x in zip(ranges.items(), row.tolist(), strict=True)}

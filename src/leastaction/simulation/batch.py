@@ -21,6 +21,8 @@ _FAR = 1e6
 _HUGE = 1e100
 # Bounds the memory of the drawn motions.
 _MOST_DRAWN = 2**21
+# A step that is expected to lower χ² by less ends the fit of a start.
+_SETTLED = 1e-3
 # Finite differences: step relative to the size of the motion.
 _STEP = 1e-5
 
@@ -234,24 +236,22 @@ class _Batch:
         residual, cost, jacobian = self._linearised(state, share)
         for _ in range(rounds):
             normal = np.swapaxes(jacobian, 1, 2) @ jacobian
+            gradient = np.einsum("smi,sm->si", jacobian, residual)
             diagonal = np.einsum("sii->si", normal)
             ridge = damping[:, None] * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
-            move = -np.linalg.solve(
-                normal + ridge[:, :, None] * np.eye(self.unit.size),
-                np.einsum("smi,sm->si", jacobian, residual)[..., None],
-            )[..., 0]
+            damped = normal + ridge[:, :, None] * np.eye(self.unit.size)
+            move = -np.linalg.solve(damped, gradient[..., None])[..., 0]
+            settled = (damping < 1.0) & (-np.sum(gradient * move, axis=1) < _SETTLED)
+            if (settled | (damping > 1e6) | ~np.isfinite(cost)).all():
+                break
             trial = state + move * self.unit
             new = self._linearised(trial, share)
             better = new[1] < cost
-            gain = np.where(better, cost - new[1], 0.0)
-            settled = ~better | (gain <= 1e-3 * np.where(np.isfinite(cost), 1.0, np.inf))
             state = np.where(better[:, None], trial, state)
             residual = np.where(better[:, None], new[0], residual)
             jacobian = np.where(better[:, None, None], new[2], jacobian)
             cost = np.where(better, new[1], cost)
             damping = np.where(better, damping * 0.1, damping * 10.0)
-            if (settled & better | (damping > 1e6) | ~np.isfinite(cost)).all():
-                break
         return state
 
     def _state_error(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
