@@ -580,6 +580,16 @@ def test_data_that_leave_the_form_open_are_told(monkeypatch: pytest.MonkeyPatch)
     assert many.spread < 0.05 * few.spread
 
 
+def test_one_energy_leaves_open_what_several_tell_apart():
+    """Along one conservative motion, kinetic and potential energy can change together."""
+    codes = []
+    for starts in ((1.2,), (1.2, 0.9, 0.6, 1.5)):
+        runs = free_motions(lambda x: -2.0 * x + 0.75 * x**2, noise=0.1, starts=starts)
+        model = la.discover(runs, ["x_dot**2", "x**2", "x**3"], known={"x_dot**2": 0.5})
+        codes.append([f.code for f in model.fit.findings if f.severity == "warning"])
+    assert codes == [["form-open"], []]
+
+
 def test_for_the_true_law_the_gain_is_no_more_than_chance():
     """−2 log likelihood falls by χ² with the degrees of freedom of the change, or by less."""
     gains, freedom = [], []

@@ -26,6 +26,7 @@ from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms
 from leastaction.library import Term, make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.selection.families import looks_imitated
 from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["SmoothChange", "doubts_about_the_form", "smooth_changes"]
@@ -61,11 +62,13 @@ class SmoothChange:
         return float(np.hypot(self.shift, self.spread))
 
 
-def doubts_about_the_form(fit: Fit, relevance: float, *, bound: bool = False) -> list[Finding]:
+def doubts_about_the_form(fit: Fit, relevance: float, *, exact: bool = False) -> list[Finding]:
     """A change that explains the data better, or accelerations that the data leave open.
 
-    With ``bound``, changes of both energies of one coordinate count; they may leave q̈ open by 5 %, 19 in 20.
+    Where equations are ``exact``, but the law looks like an imitation or the motion has one energy, changes
+    of both energies of one coordinate count; they may leave q̈ open by 5 %, 19 in 20.
     """
+    bound = exact and (looks_imitated(fit) or _one_energy(fit))
     changes = [change for change in smooth_changes(fit) if bound or change.kind != _BOTH]
     limits = {_BOTH: DIAGNOSIS.form_open / DIAGNOSIS.form_bound} if bound else {}
     out: list[Finding] = []
@@ -77,6 +80,17 @@ def doubts_about_the_form(fit: Fit, relevance: float, *, bound: bool = False) ->
         elif change.open > limits.get(change.kind, DIAGNOSIS.form_open):
             out.append(find("form-open", kind=change.kind, open=change.open))
     return out[:1]
+
+
+def _one_energy(fit: Fit) -> bool:
+    """Whether the motion has one energy throughout: a recording of one conservative coordinate.
+
+    Kinetic and potential energy may then change together and leave this motion as it is.
+    """
+    problem = fit.problem
+    if fit.grid.forces is not None or any(problem.terms[k].kind == "dissipation" for k in fit.structure):
+        return False
+    return len(problem.coordinates) == len(problem.trajectories) == 1
 
 
 def smooth_changes(fit: Fit) -> list[SmoothChange]:

@@ -27,7 +27,6 @@ from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
-from leastaction.selection.families import looks_imitated
 from leastaction.selection.forecast_error import followed, forecast_error, left_out
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
@@ -160,7 +159,7 @@ def _form(search: Search, exact: bool) -> list[Finding]:
     that is imitated it explains much.
     """
     relevance = search.relevance if exact else max(search.relevance, DIAGNOSIS.part_of_error)
-    doubts = doubts_about_the_form(search.found, relevance, bound=exact and looks_imitated(search.found))
+    doubts = doubts_about_the_form(search.found, relevance, exact=exact)
     imitated = [d for d in doubts if d.code == "form-imitated"]
     if not search.found.problem.candidates.grouped:  # a search for a family has one law for all trials
         imitated = [named_family(d, search) for d in imitated]
