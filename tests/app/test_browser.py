@@ -18,7 +18,7 @@ import pytest
 import leastaction as la
 import page_helpers
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.thorough]
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome")
 _OPTIONS = [

@@ -92,6 +92,7 @@ def test_history_ends_in_the_answer(name):
 
 
 @pytest.mark.usefixtures("brief")
+@pytest.mark.thorough
 def test_xlsindy_ends_in_least_squares():
     problem = posed("xlsindy_exact", "magnetic_pendulum", noise=0.02)
     states = load("xlsindy_exact").states(problem)
@@ -366,6 +367,7 @@ def test_a_failure_has_the_last_words_of_the_child(udsr):
         udsr.solve(pendulum("other"))
 
 
+@pytest.mark.thorough
 def test_functions_follow_the_variant_and_the_library(udsr):
     assert udsr._settings(pendulum(), 1.0)["config"]["task"]["function_set"] == list(udsr.FUNCTIONS)
     magnets = pose(Case("magnetic_pendulum", 0.0, "udsr", variant="repaired-poly", trajectories=1))

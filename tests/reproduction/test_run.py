@@ -511,6 +511,7 @@ def test_the_ablation_reports_errors_over_the_spread_of_the_truth(fakes):
     assert max(study.fits["ours"].errors) < 0.05
 
 
+@pytest.mark.thorough
 def test_a_worse_model_forecasts_for_a_shorter_time(fakes):
     forecast = _figure_magnetic.compute(duration=12.0)
     assert 0.0 < forecast.horizons["adam"] < forecast.horizons["ours"] <= 12.0
@@ -535,6 +536,7 @@ def test_png_files_have_a_pixel_for_every_start(fakes, tmp_path):
         assert image.width > 2 * 400
 
 
+@pytest.mark.thorough
 def test_main_writes_figures_numbers_and_captions(fakes, tmp_path, capsys):
     assert figures.main(["--output", str(tmp_path), "--pixels", "10"]) == 0
     files = sorted(p.name for p in tmp_path.iterdir())

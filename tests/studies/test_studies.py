@@ -132,6 +132,7 @@ def test_faults_of_the_question():
     assert wrong.known == {k: -v for k, v in right.known.items()}
 
 
+@pytest.mark.thorough
 def test_faults_of_the_columns():
     wrong, right = faulty("columns", "cart_spring_pendulum")
     assert np.array_equal(wrong.data[0].q, right.data[0].q[:, ::-1])
@@ -168,9 +169,8 @@ def test_faults_of_the_forces():
     assert np.allclose(wrong[5:], right[:-5])
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param("chaotic_pendulum", marks=pytest.mark.thorough), "cart_spring_pendulum"]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["chaotic_pendulum", "cart_spring_pendulum"])
 def test_friction_takes_its_share_of_the_energy(name):
     system = FAULTS["friction-1"].nature(systems.get(name))
     motions = systems.simulate_truth(system, 2, 20.0, 100.0, seed=2)
@@ -380,6 +380,7 @@ def test_what_has_a_record_is_not_run_again(tmp_path):
 # ------------------------------------------------------------------------------------------ tables
 
 
+@pytest.mark.thorough
 def test_one_run_is_scored_against_the_truth():
     case = Case("structure", "rotary_pendulum", 0.01, trajectories=2, duration=10.0)
     result = solve(case)
@@ -632,6 +633,7 @@ def case(system, noise=0.01, **shape):
     return Case("names", system, noise, library="symbolic", **shape)
 
 
+@pytest.mark.thorough
 def test_a_case_asks_with_names_alone():
     truth, data, library = names.pose(case("rotary_pendulum", 0.05, trajectories=2, duration=2.0))
     grown = la.Library.symbolic(["phi", "theta"], ["phi", "theta"])

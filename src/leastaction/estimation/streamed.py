@@ -24,7 +24,7 @@ import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.candidates import CandidateBorder
-from leastaction.estimation.crew import Crew
+from leastaction.estimation.crew import Alone, Crew
 from leastaction.estimation.elimination import BandedFactor, Condensed
 from leastaction.estimation.files import Held, Shelf, opened
 from leastaction.estimation.gauss_newton import nearer
@@ -37,6 +37,7 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = ["StreamedObservations", "is_long"]
 
 _LONG = 100_000  # samples; structures are searched on fewer
+_KEPT = 1_000_000  # samples whose basis is kept, some 200 MB; with workers it would have to be sent
 _TOGETHER = 8  # blocks of one task: sending each by itself took 5 % of the time of two workers
 _FAR = 0.1  # a sample: a block is improved if its own step should lower the cost by more
 _LEAST_TASKS = 32  # so that workers finish at about the same time
@@ -83,7 +84,10 @@ class StreamedObservations(InBlocks):
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         super().__init__(grid, recipes, counts, crew)
         # on a cluster, samples are sent once and the workers keep the observations in their own memory
-        self._blocks = [crew.task(observed, r) if crew.keeps else crew.held(r) for r in recipes]
+        if isinstance(crew, Alone) and counts.sum() < _KEPT:
+            self._blocks: list[Any] = [recipe.observe() for recipe in recipes]
+        else:
+            self._blocks = [crew.task(observed, r) if crew.keeps else crew.held(r) for r in recipes]
         self._forces: tuple[np.ndarray | None, list[Any]] = None, []
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
