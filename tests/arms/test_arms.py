@@ -415,6 +415,86 @@ def test_currents_are_reported_where_the_tree_has_inertias(found):
     assert "torques of q2 are 0.08" in notes[0]
 
 
+def shifted(log: la.Trajectory, delays: list[float]) -> la.Trajectory:
+    """Torques recorded later than they act."""
+    assert log.forces is not None
+    late = [np.interp(log.t - d, log.t, column) for d, column in zip(delays, log.forces.T, strict=True)]
+    return la.Trajectory(log.t, log.q, np.stack(late, 1), log.coordinates)
+
+
+@pytest.fixture(scope="module")
+def short() -> la.Trajectory:
+    rng = np.random.default_rng(4)
+    true = truth(WRIST, rng, rotor=[0.2, 0.1, 0.05], viscous=[0.5, 0.2, 0.1], dry=[0.5, 0.4, 0.2])
+    return recorded(true, rng, 8.0, 200.0)
+
+
+def test_gains_of_currents_are_found_where_one_is_known(short):
+    gains = np.array([1.0, 12.0, -0.7])
+    currents = la.Trajectory(short.t, short.q, short.forces / gains, short.coordinates)
+    facts = arms.identify(currents, WRIST, gains={"q1": 1.0}).facts
+    z = (np.array(facts.gains) - gains)[1:] / facts.gain_errors[1:]
+    assert np.abs(z).max() < 4.0
+    assert (np.array(facts.gain_errors)[1:] < 0.03 * np.abs(gains[1:])).all()
+    assert facts.gain_errors[0] == 0.0
+    assert any("torque per unit of the log: q2 12" in note for note in facts.notes)
+    for wrong, words in [({}, "currents tell only the ratios"), ({"q9": 1.0}, "q9"), ({"q1": 0.0}, "is 0.0")]:
+        with pytest.raises(la.InputError, match=words):
+            arms.identify(currents, WRIST, gains=wrong)
+
+
+def test_delays_that_joints_share_are_found(found, short):
+    assert found[1].facts.delays == (0.0, 0.0, 0.0)  # punctual torques stay as they are
+    model = arms.identify(shifted(short, [4e-3] * 3), WRIST)
+    z = (np.array(model.facts.delays) - 4e-3) / model.facts.delay_errors
+    assert np.abs(z).max() < 4.0
+    assert any("later than they act" in note for note in model.facts.notes)
+    # and the same shift is made before another log is compared
+    apart = model.validate(shifted(short, [4e-3] * 3)).overall[0]
+    assert apart < 0.5 * model.validate(short).overall[0]
+
+
+@pytest.mark.thorough
+def test_delays_of_single_joints_are_found_on_request(short):
+    delays = [0.0, 4e-3, 20e-3]
+    facts = arms.identify(shifted(short, delays), WRIST, delays=True).facts
+    assert np.abs((np.array(facts.delays) - delays) / facts.delay_errors).max() < 4.0
+
+
+def test_free_runs_follow_the_motion_of_the_true_arm(rng):
+    """Forward dynamics undo inverse dynamics, with either kind of dry friction."""
+    for distance in (0.0, 2e-3):
+        acting = {"rotor": [0.2, 0.1, 0.05], "dry": [0.5, 0.4, 0.2], "viscous": [0.5, 0.2, 0.1]}
+        true = arms.ArmModel.of_tree(
+            WRIST.with_inertias(bodies(3, rng)), acting, distance=distance, width=0.01
+        )
+        t, *states = motion(3, 2.2, 1000.0, rng)
+        log = la.Trajectory(t, states[0], true.torques(*states, successive=True), WRIST.coordinates)
+        runs = true.free_runs(log, horizon=0.5)
+        assert runs.rms.shape == (3, 3)
+        assert runs.by_joint.max() < 2e-3
+        heavy = arms.ArmModel.of_tree(
+            WRIST.with_inertias(1.1 * true.tree.inertias), acting, distance=distance
+        )
+        assert heavy.free_runs(log).by_joint.max() > 5.0 * runs.by_joint.max()
+    assert "free runs of 0.5 s" in str(runs)
+    with pytest.raises(la.DataError, match="no run is longer"):
+        true.free_runs(log, horizon=5.0)
+    with pytest.raises(la.InputError, match="horizon is"):
+        true.free_runs(log, horizon=-1.0)
+
+
+def test_a_mujoco_model_keeps_rotors_that_links_hide(tmp_path, rng):
+    """The rotor of a first joint and its link are one base parameter; the file needs both."""
+    acting = {"rotor": [0.2, 0.1, 0.05], "spring": [1.0, 2.0, 3.0]}
+    true = arms.ArmModel.of_tree(WRIST.with_inertias(bodies(3, rng)), acting)
+    true.to_mjcf(tmp_path / "arm.xml")
+    tree = arms.read_mjcf(tmp_path / "arm.xml")
+    again = arms.ArmModel.of_tree(tree, tree.dynamics)
+    q = rng.normal(size=(5, 3))
+    np.testing.assert_allclose(again.mass_matrix(q), true.mass_matrix(q), rtol=1e-6, atol=1e-9)
+
+
 def test_degrees_show_by_the_limits_of_the_file(found, file):
     true, _ = found
     log = recorded(true, np.random.default_rng(4), 2.0)

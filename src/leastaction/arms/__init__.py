@@ -10,9 +10,9 @@ Examples
 
 from __future__ import annotations
 
+from leastaction.arms.compare import FreeRuns, TorqueErrors
 from leastaction.arms.file import load
 from leastaction.arms.identify import identify
-from leastaction.arms.log import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.arms.payload import Payload, payload
 from leastaction.library.mjcf import read_mjcf, write_mjcf
@@ -21,6 +21,7 @@ from leastaction.library.urdf import read_urdf, write_urdf
 
 __all__ = [
     "ArmModel",
+    "FreeRuns",
     "KinematicTree",
     "Payload",
     "TorqueErrors",

@@ -30,10 +30,12 @@ __all__ = [
     "BaseParameters",
     "Bodies",
     "Posterior",
+    "Row",
     "can_exist",
     "find_base",
     "fit_bodies",
     "inertial_prior",
+    "table_of",
     "with_prior",
 ]
 
@@ -94,6 +96,32 @@ class BaseParameters:
         """Without some of the members that stand alone, such as friction."""
         rows = [row for row, k in enumerate(self.members) if k in set(kept)]
         return BaseParameters(self.terms, tuple(self.members[r] for r in rows), self.matrix[rows])
+
+
+class Row(NamedTuple):
+    """One row of the table of parameters."""
+
+    parameter: str
+    meaning: str
+    value: float
+    standard_error: float
+
+
+def table_of(rows: Sequence[Row]) -> str:
+    """A table in plain text."""
+    width = max(len(_short(row.parameter)) for row in rows)
+    lines = [f"{'parameter':{width}} {'value':>12} {'std. error':>11}  meaning"]
+    lines += [
+        f"{_short(r.parameter):{width}} {r.value:>12.5g} {r.standard_error:>11.2g}  {r.meaning}" for r in rows
+    ]
+    return "\n".join(lines)
+
+
+def _short(text: str, most: int = 34) -> str:
+    """A combination, cut at a sign."""
+    if len(text) <= most:
+        return text
+    return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."
 
 
 def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:

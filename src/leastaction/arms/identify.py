@@ -13,8 +13,9 @@ The form of the equations is given by the tree, so that no search for it is need
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -23,6 +24,7 @@ from leastaction.arms.base import BaseParameters, find_base
 from leastaction.arms.log import contact_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel, FitFacts
 from leastaction.arms.regression import Choice, Regression
+from leastaction.arms.signals import Signals
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
@@ -37,7 +39,7 @@ from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, ArmTerm, inertial_terms, joint_terms
 from leastaction.threads import single_threaded
 
 __all__ = ["identify"]
@@ -47,6 +49,7 @@ _CHUNK = 1024  # knot intervals handled at once
 _ALWAYS = ("viscous", "dry")
 _FALSE_ALARM = 0.01  # that any friction of an arm without it is kept
 _MOST_KNOTS = 100.0  # a second: arms bend and gears vibrate above 30 Hz, which no rigid body follows
+_HEARD = 5  # times that torques are shifted or scaled
 _QUIETER = 1.1  # ratio by which twice the knots must lower the noise of some joint to be worth it
 
 
@@ -59,6 +62,12 @@ class _Laid:
     observations: Measurements
     forces: GridForces
 
+    def under(self, data: Trajectories) -> _Laid:
+        """The same motion under other torques."""
+        forces = forces_on(self.grid, [t.t for t in data], [t.forces for t in data])
+        assert forces is not None
+        return replace(self, forces=forces)
+
 
 @single_threaded()
 def identify(
@@ -69,6 +78,8 @@ def identify(
     rotors: bool = True,
     offsets: bool = True,
     springs: bool = False,
+    delays: bool | None = None,
+    gains: Mapping[str, float] | None = None,
     knots_per_second: float | None = None,
 ) -> ArmModel:
     """Find the inertial parameters and the friction of an arm.
@@ -84,6 +95,12 @@ def identify(
     rotors, offsets, springs : bool
         Whether rotors, constant torques and springs may act in every joint. Rotors and offsets stay in
         whether significant or not.
+    delays : bool, optional
+        Whether the torques of each joint are recorded earlier or later than they act, by delays that are
+        found. By default, if the joints agree in that.
+    gains : mapping of str to float, optional
+        The log holds currents, or torques in other units: known joint → torque per unit of the log. Gains of
+        the other joints are found; one must be known. By default the log holds torques.
     knots_per_second : float, optional
         Of the spline; by default what the motion asks for.
 
@@ -102,21 +119,23 @@ def identify(
         if kind not in FRICTION:
             raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
     data, notes = prepared(Trajectories.coerce(trajectories), tree)
-    laid = _lay(data, knots_per_second)
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
     extra = [kind for kind in friction if kind not in _ALWAYS]
-    regression = Regression.of(
-        tree, laid.grid, laid.smoothed.control_points, laid.forces.values, data, (fixed, always, extra)
-    )
-    choice = regression.chosen(_FALSE_ALARM)
-    terms = (*inertial_terms(tree), *joint_terms(tree, fixed, choice.scales), *choice.friction)
+    signals = Signals.asked(tree, gains, late=delays is not False)
+    heard = _heard(data, tree, signals, delays, (fixed, always, extra), knots_per_second)
+    laid, choice = heard.laid, heard.choice
+    terms = (*inertial_terms(tree), *joint_terms(tree, fixed, choice.scales), *choice.friction, *heard.terms)
     base = find_base(tree, terms)
-    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), choice.history)
+    history = np.concatenate([choice.history, heard.columns])
+    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
     base, columns, fit = _fitted(laid, columns, base, choice)
     fit = _weighted(laid, columns, fit)
     notes += _doubts(laid, columns, fit, tuple(data.names))
-    base, coefficients, covariance = _turned(base, columns, fit, _corrected(laid, columns, fit))
+    covariance = _corrected(laid, columns, fit)
+    signals = heard.signals.found(columns.terms, fit.coefficients, covariance)
+    notes += signals.notes(tree)
+    base, coefficients, covariance = _turned(base, columns, fit, covariance)
     weights = fit.weights
     facts = FitFacts(
         tuple(data.names),
@@ -125,8 +144,53 @@ def identify(
         laid.grid.n_intervals / laid.grid.duration,
         fit.status,
         tuple(notes),
+        **signals.facts(),
     )
     return ArmModel(tree, base, coefficients, covariance, choice.reference, facts)
+
+
+class _Heard(NamedTuple):
+    """A log whose torques are on time and in N m, with the friction that was chosen."""
+
+    laid: _Laid
+    choice: Choice
+    signals: Signals
+    columns: np.ndarray
+    terms: tuple[ArmTerm, ...]
+
+
+def _heard(
+    data: Trajectories,
+    tree: KinematicTree,
+    signals: Signals,
+    delays: bool | None,
+    kinds: tuple[list[str], list[str], list[str]],
+    knots_per_second: float | None,
+) -> _Heard:
+    """Choose friction, and shift and scale the torques, until both stay."""
+    laid = _lay(data, knots_per_second)
+
+    def regress() -> Regression:
+        heard, points = signals.torques(data), laid.smoothed.control_points
+        return Regression.of(tree, laid.grid, points, laid.forces.values, heard, kinds)
+
+    if signals.unknown:
+        signals = signals.first_gains(regress())
+        laid = laid.under(signals.torques(data))
+    undecided = delays is None
+    for _ in range(_HEARD):
+        choice = regress().chosen(_FALSE_ALARM)
+        columns = signals.columns(choice)
+        steps, errors = signals.steps(choice, columns)
+        if undecided and not signals.common(steps, errors):
+            steps, signals = steps[len(tree) :], replace(signals, late=False)
+        undecided = False
+        if not signals.far(steps, data.sampling_interval):
+            break
+        signals = signals.moved(steps, data.sampling_interval)
+        laid = laid.under(signals.torques(data))
+    terms = tuple(ArmTerm(f"{kind}[{tree.coordinates[i]}]", kind, i) for i, kind in signals.open)
+    return _Heard(laid, choice, signals, columns, terms)
 
 
 def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
@@ -223,7 +287,7 @@ def _turned(
     shifts = {
         t.place: value for t, value in zip(columns.terms, fit.coefficients, strict=True) if t.kind == "turn"
     }
-    kept = [k for k, term in enumerate(columns.terms) if term.kind != "turn"]
+    kept = [k for k, term in enumerate(columns.terms) if term.kind not in ("turn", "delay", "gain")]
     terms = list(base.terms)
     for k, number in enumerate(base.members):
         term = terms[number]

@@ -1,4 +1,4 @@
-"""A robot's log made ready (names, units, standstill, its clock), compared with torques, and doubted.
+"""A robot's log made ready (names, units, standstill, its clock), and doubted.
 
 Programs that poll a controller write the time of the poll, not that of the state: a state appears twice, or
 one is left out, and stamps scatter by a period or more.  Where velocities are logged, positions tell how much
@@ -10,11 +10,9 @@ tree says, in one line.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
@@ -22,9 +20,8 @@ from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
-__all__ = ["TorqueErrors", "contact_notes", "prepared", "scale_notes", "torque_errors"]
+__all__ = ["FitFacts", "contact_notes", "prepared", "scale_notes"]
 
-_TRIM = 0.3  # s at each end, where filters and splines lack data on one side
 _FEWEST = 200  # samples
 _MOST_TURNS = 12.0 * np.pi  # rad, that joints of an arm span: more are degrees
 _BEYOND = 2.0  # times the range between a joint's limits, which no motion in radians spans
@@ -136,90 +133,38 @@ def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | Non
 
 
 @dataclass(frozen=True)
-class TorqueErrors:
-    """Errors of predicted torques.
+class FitFacts:
+    """How a model was found.
 
     Attributes
     ----------
-    coordinates : tuple of str
-    bands : tuple of float or None
-        Measured and predicted torques were filtered below so many Hz; None: not at all.
-    rms : (n_bands, n_dof) array
-        Of the error.
-    torque_rms, torque_std : (n_bands, n_dof) arrays
-        Root mean square and standard deviation of the measured torque.
+    trials : tuple of str
+        Names of the trajectories.
+    noise_std : tuple of float
+        Of each coordinate.
+    torque_density : tuple of float
+        Spectral density of the error of each equation, in torque² seconds.
+    knots_per_second : float
+    status : str
+        Of the solver.
+    notes : tuple of str
+        What was done to the log.
+    delays, delay_errors : tuple of float
+        By which torques were recorded after they acted, in s, and standard errors. Empty: none.
+    gains, gain_errors : tuple of float
+        Torque per unit of the log, and standard errors, zero where it was given. Empty: torques.
     """
 
-    coordinates: tuple[str, ...]
-    bands: tuple[float | None, ...]
-    rms: np.ndarray
-    torque_rms: np.ndarray
-    torque_std: np.ndarray
-
-    @property
-    def by_joint(self) -> np.ndarray:
-        """(n_bands, n_dof) error relative to the joint's torque, root mean squares."""
-        return self.rms / np.maximum(self.torque_rms, 1e-300)
-
-    @property
-    def overall(self) -> np.ndarray:
-        """(n_bands,) error relative to the torque, root mean squares over all joints."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
-
-    @property
-    def of_spread(self) -> np.ndarray:
-        """(n_bands,) the same relative to the standard deviation of the torques, without their mean."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
-
-    def __str__(self) -> str:
-        width = max(8, *map(len, self.coordinates)) + 1
-        lines = ["error of torques  " + "".join(f"{name:>{width}}" for name in (*self.coordinates, "all"))]
-        for band, each, every in zip(self.bands, self.by_joint, self.overall, strict=True):
-            label = "all frequencies" if band is None else f"below {band:g} Hz"
-            lines.append(f"{label:18}" + "".join(f"{100 * x:>{width - 2}.2f} %" for x in (*each, every)))
-        return "\n".join(lines)
-
-
-def torque_errors(
-    coordinates: tuple[str, ...],
-    pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    bands: Sequence[float],
-) -> TorqueErrors:
-    """Compare torques of some runs: times, predicted and measured torques of each.
-
-    Raises
-    ------
-    DataError
-        If a run is too short.
-    """
-    frequencies = (*bands, None)
-    sums, count = np.zeros((3, len(frequencies), len(coordinates))), 0
-    for t, predicted, measured in pairs:
-        if t[-1] - t[0] <= 4.0 * _TRIM:
-            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {4.0 * _TRIM:g} s")
-        step = float(np.median(np.diff(t)))
-        times = np.arange(t[0], t[-1], step)
-        ours, theirs = (_at(times, t, values) for values in (predicted, measured))
-        inside = (times > times[0] + _TRIM) & (times < times[-1] - _TRIM)
-        count += int(inside.sum())
-        for row, band in enumerate(frequencies):
-            a, b = ours, theirs
-            if band is not None:
-                low = butter(4, min(2.0 * band * step, 0.99), output="sos")
-                a, b = sosfiltfilt(low, ours, axis=0), sosfiltfilt(low, theirs, axis=0)
-            a, b = a[inside], b[inside]
-            sums[:, row] += np.sum((a - b) ** 2, axis=0), np.sum(b**2, axis=0), np.sum(b, axis=0)
-    error, size, mean = sums / count
-    spread = np.sqrt(np.maximum(size - mean**2, 0.0))
-    return TorqueErrors(coordinates, frequencies, np.sqrt(error), np.sqrt(size), spread)
-
-
-def _at(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values between the samples of a run."""
-    out = np.empty((times.size, values.shape[1]))
-    for k, column in enumerate(values.T):
-        out[:, k] = np.interp(times, t, column)
-    return out
+    trials: tuple[str, ...]
+    noise_std: tuple[float, ...]
+    torque_density: tuple[float, ...]
+    knots_per_second: float
+    status: str
+    notes: tuple[str, ...] = ()
+    delays: tuple[float, ...] = ()
+    delay_errors: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()
+    gain_errors: tuple[float, ...] = ()
 
 
 # ----------------------------------- doubts about a log, in words: a contact, or currents in place of torques

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +14,17 @@ from numpy.typing import ArrayLike
 from leastaction.arms.base import (
     BaseParameters,
     Posterior,
+    Row,
     can_exist,
     find_base,
     fit_bodies,
     inertial_prior,
+    table_of,
     with_prior,
 )
-from leastaction.arms.log import TorqueErrors, prepared, torque_errors
+from leastaction.arms.compare import FreeRuns, TorqueErrors, free_runs, torque_errors
+from leastaction.arms.log import FitFacts, prepared
+from leastaction.arms.signals import Signals
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
@@ -38,48 +42,13 @@ from leastaction.mechanics.arm_columns import (
     inertial_terms,
     joint_terms,
     presliding,
+    smooth_sign,
 )
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel", "FitFacts"]
 
 _BANDS = (5.0, 10.0)  # Hz
-
-
-@dataclass(frozen=True)
-class FitFacts:
-    """How a model was found.
-
-    Attributes
-    ----------
-    trials : tuple of str
-        Names of the trajectories.
-    noise_std : tuple of float
-        Of each coordinate.
-    torque_density : tuple of float
-        Spectral density of the error of each equation, in torque² seconds.
-    knots_per_second : float
-    status : str
-        Of the solver.
-    notes : tuple of str
-        What was done to the log.
-    """
-
-    trials: tuple[str, ...]
-    noise_std: tuple[float, ...]
-    torque_density: tuple[float, ...]
-    knots_per_second: float
-    status: str
-    notes: tuple[str, ...] = ()
-
-
-class Row(NamedTuple):
-    """One row of the table of parameters."""
-
-    parameter: str
-    meaning: str
-    value: float
-    standard_error: float
 
 
 class ArmModel:
@@ -161,14 +130,7 @@ class ArmModel:
         return f"<ArmModel of {self.tree.name!r}: {len(self.coefficients)} base parameters>"
 
     def __str__(self) -> str:
-        rows = self.rows()
-        width = max(len(_short(row.parameter)) for row in rows)
-        lines = [f"{'parameter':{width}} {'value':>12} {'std. error':>11}  meaning"]
-        lines += [
-            f"{_short(r.parameter):{width}} {r.value:>12.5g} {r.standard_error:>11.2g}  {r.meaning}"
-            for r in rows
-        ]
-        return "\n".join([*lines, *(f"note: {note}" for note in self.facts.notes)])
+        return "\n".join([table_of(self.rows()), *(f"note: {note}" for note in self.facts.notes)])
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -232,8 +194,13 @@ class ArmModel:
         if successive:
             ways = np.zeros((2, len(states[0]), 1, len(self.tree)))
             for term in self.terms:
-                if term.kind == "dry" and term.distance:
-                    ways[:, :, 0, term.place] = presliding(states[0][:, term.place], term.distance)
+                if term.kind == "dry":
+                    i, way = term.place, term.distance
+                    ways[:, :, 0, i] = (
+                        presliding(states[0][:, i], way)
+                        if way
+                        else smooth_sign(states[1][:, i], term.width)[:2]
+                    )
             columns = ArmColumns(self.tree, self.terms, self.reference, (), ways)
             points = Points(*states, intervals=slice(0, len(states[0])))
         return np.tensordot(self.coefficients, columns.strong(points), 1).T
@@ -340,16 +307,40 @@ class ArmModel:
         bands : tuple of float
             In Hz; torques are compared below each, and unfiltered.
         """
-        data, _ = prepared(Trajectories.coerce(trajectories), self.tree)
+        data = self._heard(trajectories)
         pairs = [(run.t, self._predicted(run), run.forces) for run in data if run.forces is not None]
         return torque_errors(self.coordinates, pairs, bands)
 
+    @single_threaded()
+    def free_runs(
+        self, trajectories: Trajectory | Trajectories | Iterable[Trajectory], *, horizon: float = 0.5
+    ) -> FreeRuns:
+        """Simulate pieces of another log under its measured torques, and compare the angles.
+
+        Parameters
+        ----------
+        trajectories
+            As for `identify`.
+        horizon : float
+            Length of a piece in s. Pieces follow each other; each begins at the smoothed log.
+        """
+        data = self._heard(trajectories)
+        return free_runs(self, data, [self._smoothed(run) for run in data], horizon)
+
+    def _heard(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
+        """A log with its torques on time and in N m, as in the log that was fitted."""
+        data, n = prepared(Trajectories.coerce(trajectories), self.tree)[0], len(self.tree)
+        delays, gains = np.array(self.facts.delays or [0.0] * n), np.array(self.facts.gains or [1.0] * n)
+        return Signals(delays, gains, False, ()).torques(data)
+
     def _predicted(self, run: Trajectory) -> np.ndarray:
         """(n_times, n_dof) torques along a smoothed run."""
+        return self.torques(*self._smoothed(run), successive=True)
+
+    def _smoothed(self, run: Trajectory) -> list[np.ndarray]:
         grid = uniform_grid([run.t], self.facts.knots_per_second, 5)
         points = smooth(grid, [run.t], [run.q]).control_points
-        states = [grid.evaluate(points, [run.t], nu)[0] for nu in range(3)]
-        return self.torques(*states, successive=True)
+        return [grid.evaluate(points, [run.t], nu)[0] for nu in range(3)]
 
     def to_urdf(self, source: str | Path, path: str | Path) -> None:
         """Write the inertias of the tree into a copy of the URDF that it was read from; see `bodies`."""
@@ -362,10 +353,24 @@ class ArmModel:
         """
         values = np.zeros((4, len(self.tree)))
         kinds = ("rotor", "viscous", "dry", "spring")
-        for term, value in zip(self.terms, self.coefficients.tolist(), strict=True):
+        for term, value in self._in_joints():
             if term.kind in kinds:
                 values[kinds.index(term.kind), term.place] = value
+        np.maximum(values[0], 0.0, out=values[0])  # without bodies() the links may have too much inertia
         write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
+
+    def _in_joints(self) -> list[tuple[ArmTerm, float]]:
+        """What acts in the joints, beside the inertias of the tree.
+
+        A base parameter of a link may hold a rotor: it is what the inertias of the tree leave of it.
+        """
+        terms, matrix = self.base.terms, self.base.matrix
+        given = np.nan_to_num(self.tree.inertias)
+        links = np.array([given[t.place, t.component] if t.kind == "inertia" else 0.0 for t in terms])
+        places = [k for k, term in enumerate(terms) if term.kind != "inertia" and matrix[:, k].any()]
+        left = self.coefficients - matrix @ links
+        found: np.ndarray = np.linalg.lstsq(matrix[:, places], left, rcond=None)[0]
+        return [(terms[k], float(value)) for k, value in zip(places, found, strict=True)]
 
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""
@@ -390,10 +395,3 @@ class ArmModel:
         from leastaction.arms import code
 
         return code.casadi_functions(self)
-
-
-def _short(text: str, most: int = 34) -> str:
-    """A combination, cut at a sign."""
-    if len(text) <= most:
-        return text
-    return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."

@@ -131,7 +131,8 @@ def payload(
     arm : ArmModel
         Of the arm without load, of `identify`; not of ``bodies()``.
     loaded : Trajectory, Trajectories, iterable of Trajectory, or ArmModel
-        Log of the arm with the load, or what `identify` found from it.
+        Log of the arm with the load, or what `identify` found from it. Gains found for the arm are used
+        for the log, without their errors.
     link : str, optional
         That carries the load; by default the last one.
     origin, rpy : array_like, shape (3,)
@@ -156,9 +157,9 @@ def payload(
     place = len(tree) - 1 if link is None else tree.links.index(link)
     if not isinstance(loaded, ArmModel):
         kinds = {arm.base.terms[k].kind for k in arm.base.members}
-        loaded = identify(
-            loaded, tree, rotors="rotor" in kinds, offsets="offset" in kinds, springs="spring" in kinds
-        )
+        gains = dict(zip(tree.coordinates, arm.facts.gains, strict=True)) if arm.facts.gains else None
+        acting = {f"{kind}s": kind in kinds for kind in ("rotor", "offset", "spring")}
+        loaded = identify(loaded, tree, gains=gains, **acting)
     names, difference, covariance = _difference(arm, loaded)
     columns = [k for k, term in enumerate(arm.base.terms) if term.kind == "inertia" and term.place == place]
     turned = rpy_matrix(rpy)

@@ -68,6 +68,12 @@ Example:
     help="Roll, pitch and yaw of the base in the world, in rad: how the arm is mounted (default: 0 0 0).",
 )
 @click.option(
+    "--gains",
+    metavar="A=X,B=Y",
+    help="The columns of --forces are currents: torque per ampere of the joints for which it is known, one at "
+    "least; the gains of the others are found.",
+)
+@click.option(
     "--hold-out",
     metavar="N|P%|NAMES",
     help="Not fitted but predicted: the last N trials; the last 20% of them, or of a single trial its end; "
@@ -82,6 +88,7 @@ Example:
 )
 def arm(
     data: Callable[..., DataOptions],
+    gains: str | None,
     hold_out: str | None,
     output: str,
     urdf: str | None,
@@ -106,8 +113,9 @@ def arm(
         raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
     log = options.read()
     fitted, rest = _split(log, hold_out)
+    known = None if gains is None else _gains(gains)
     with live_progress("verify"):
-        found = arms.identify(fitted, tree)
+        found = arms.identify(fitted, tree, gains=known)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
     writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
@@ -180,6 +188,18 @@ def _table(path: str) -> list[dict[str, Any]]:
                         f"{shown(path)}, line {number}: {key} is {quoted(given[key])}; expected a number"
                     )
         out.append(one)
+    return out
+
+
+def _gains(text: str) -> dict[str, float]:
+    """Torque per ampere of each joint that is named."""
+    out: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"--gains holds {quoted(part)}; expected JOINT=NUMBER, e.g. q1=10.5") from None
     return out
 
 
