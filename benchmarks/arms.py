@@ -1,24 +1,29 @@
-"""Simulated arms with seven joints: how often intervals hold, and what the law found is worth.
+"""Simulated arms with seven joints: coverage of intervals, errors of the model, and reported contacts.
 
-    python benchmarks/arms.py --logs 100                      # goes on where it was interrupted
-    python benchmarks/arms.py --kind panda --logs 20          # needs the extra "robots"
-    python benchmarks/arms.py --summary                       # of the records that exist
+    python -m benchmarks.arms --logs 100                      # resumes where it was interrupted
+    python -m benchmarks.arms --kind pushed --logs 40
+    python -m benchmarks.arms --kind panda --logs 20          # needs mujoco and example-robot-data
+    python -m benchmarks.arms --summary                       # of the records that exist
 
 Each log has its own arm, motion, friction and noise, drawn from its number.
 
 chain   links like ellipsoids, 16 s at 500 Hz, encoder steps of 24 µrad, torques with 2 % noise; dry friction
-        turns over 2 mrad after a reversal.
+        reverses over 2 mrad.
+pushed  the same with other numbers, and one push: a torque in one joint, or a force at the hand, of random
+        size, direction and duration.
 panda   the Panda of example-robot-data, its inertias off by up to 30 %, in MuJoCo: forward dynamics at 4 kHz
         under a controller, torques held for 1 ms, 20 s at 1 kHz, encoder steps of 12 µrad, 1 % noise.
 
 Viscous and dry friction are missing in a quarter of the joints.  A record holds the errors of the mass matrix
 and of gravity over random states, z = (estimate - truth) / standard error of every base parameter, friction
-that was missed or is not there, and notes.  Textbook least squares runs on the same logs.
+that was missed or is not there, and notes.  Least squares (`benchmarks.measured_arm`) runs on the same logs,
+with --peers all the peers.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -29,14 +34,11 @@ import click
 import numpy as np
 
 import leastaction as la
+from benchmarks.measured_arm import PEERS, textbook
 from leastaction import arms
 from leastaction.mechanics.arm_columns import FRICTION
+from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.threads import single_threaded
-
-try:
-    from benchmarks import arm_peers
-except ImportError:  # run as a script
-    import arm_peers
 
 RECORDS = Path(__file__).parents[1] / "build" / "arms.jsonl"
 QUARTER = np.pi / 2.0
@@ -57,11 +59,12 @@ PANDA = "panda_description/urdf/panda.urdf"
 
 
 class Log(NamedTuple):
-    """A log, and the arm that it was made with; ``acting`` is what acts in the joints."""
+    """A log, its arm, what acts in the joints, and a push: start, duration, size relative to the noise."""
 
     log: la.Trajectory
     true: arms.ArmModel
     acting: dict[str, np.ndarray]
+    push: tuple[float, float, float] | None = None
 
 
 def joints(rng: np.random.Generator) -> dict[str, np.ndarray]:
@@ -112,6 +115,31 @@ def chain(number: int) -> Log:
     return Log(la.Trajectory(t, step * np.rint(q / step), torques, CHAIN.coordinates), true, acting)
 
 
+def pushed(number: int) -> Log:
+    """A log of a chain with a push; its size is relative to the noise of torques averaged over 0.1 s."""
+    made, rng = chain(10_000 + number), np.random.default_rng([24, number])
+    log, tree = made.log, made.true.tree
+    assert log.forces is not None
+    begin, duration = rng.uniform(2.0, 12.0), np.exp(rng.uniform(*np.log([0.1, 1.5])))
+    ramp = np.clip(np.minimum(log.t - begin, begin + duration - log.t) / 0.03, 0.0, 1.0)
+    spread = log.forces.std(axis=0)
+    if number % 2:
+        torque = np.zeros_like(log.forces)
+        i = int(rng.integers(7))
+        torque[:, i] = np.exp(rng.uniform(*np.log([0.01, 0.3]))) * spread[i]
+    else:
+        force = rng.normal(size=3)
+        force *= np.exp(rng.uniform(*np.log([1.0, 40.0]))) / np.linalg.norm(force)
+        motion = Motion.at(tree, log.q, np.zeros_like(log.q), np.zeros_like(log.q))
+        hand = motion.origins[-1] + motion.rotations[-1] @ np.array([0.0, 0.0, 0.1])
+        axes = [turn @ joint.axis for turn, joint in zip(motion.rotations, tree.joints, strict=True)]
+        arm = [np.cross(hand - origin, force) for origin in motion.origins]
+        torque = np.stack([np.sum(a * b, axis=1) for a, b in zip(axes, arm, strict=True)], axis=1)
+    torque *= ramp[:, None]
+    size = float(np.max(np.abs(torque).max(axis=0) / (0.02 * spread / np.sqrt(50.0))))
+    return made._replace(log=log.changed(forces=log.forces - torque), push=(begin, duration, size))
+
+
 def panda(number: int, late: float = 0.0, stiff: bool = True) -> Log:
     """A log of the Panda, simulated by MuJoCo; torques are recorded ``late`` seconds after they act."""
     from importlib.util import find_spec
@@ -156,7 +184,7 @@ def panda(number: int, late: float = 0.0, stiff: bool = True) -> Log:
     return Log(la.Trajectory(t, step * np.rint(q / step), seen, tree.coordinates), true, acting)
 
 
-KINDS: dict[str, Callable[[int], Log]] = {"chain": chain, "panda": panda}
+KINDS: dict[str, Callable[[int], Log]] = {"chain": chain, "pushed": pushed, "panda": panda}
 
 
 def truth_of(found: arms.ArmModel, made: Log) -> np.ndarray:
@@ -177,7 +205,13 @@ def off(found: arms.ArmModel, true: arms.ArmModel, q: np.ndarray) -> list[float]
     return [float(np.linalg.norm(a - b) / np.linalg.norm(b)) for a, b in pairs]
 
 
-def scored(kind: str, number: int) -> dict[str, Any]:
+def overlaps(note: str, push: tuple[float, float, float]) -> bool:
+    """Whether a note on a contact names the time of a push."""
+    first, last = map(float, re.findall(r"from ([\d.]+) to ([\d.]+) s", note)[0])
+    return first < push[0] + push[1] and last > push[0]
+
+
+def scored(kind: str, number: int, peers: bool) -> dict[str, Any]:
     """The record of a log."""
     made = KINDS[kind](number)
     tree, n = made.true.tree, len(made.true.tree)
@@ -192,8 +226,12 @@ def scored(kind: str, number: int) -> dict[str, Any]:
     z = (found.coefficients - truth_of(found, made)) / found.standard_errors
     solid = found.bodies()
     errors = {"identify": off(found, made.true, q), "bodies": off(solid, made.true, q)}
-    for name, model in arm_peers.least_squares(log, tree).items():
-        errors[name] = off(model, made.true, q)
+    ways = {f"weighted least squares, {cut:g} Hz": (textbook, cut) for cut in (5.0, 10.0, 20.0)}
+    ways |= {f"{name}, 10 Hz": (peer, 10.0) for name, peer in PEERS.items()} if peers else {}
+    for name, (peer, cut) in ways.items():
+        errors[name] = off(peer(log, tree, cut), made.true, q)
+    contacts = [note for note in found.facts.notes if "contact" in note]
+    reported = [made.push is not None and overlaps(note, made.push) for note in contacts]
     return {
         "kind": kind,
         "number": number,
@@ -204,6 +242,9 @@ def scored(kind: str, number: int) -> dict[str, Any]:
         "spurious": sorted(friction - acts),
         "price": float(solid.facts.notes[-1].rsplit(" ", 1)[1]),
         "notes": list(found.facts.notes),
+        "push": made.push,
+        "reported": any(reported),
+        "false_contacts": len(reported) - sum(reported),
         "knots": found.facts.knots_per_second,
     }
 
@@ -236,8 +277,8 @@ def summary(records: list[dict[str, Any]]) -> str:
         lines.append(f"{name}: within 95 % intervals {held}, rms z {rms:.2f}")
     exact = sum(not (r["missed"] or r["spurious"]) for r in records)
     lines.append(f"friction exact {wilson(exact, len(records))}")
-    contacts = sum(any("contact" in note for note in r["notes"]) for r in records)
-    lines.append(f"contacts reported {contacts}")
+    lines.append(f"logs with a contact that is not there: {sum(r['false_contacts'] > 0 for r in records)}")
+    lines += pushes([r for r in records if r["push"]])
     for name in records[0]["errors"]:
         values = np.array([r["errors"][name] for r in records]) * 100.0
         middle, worst = np.median(values, axis=0), values.max(axis=0)
@@ -248,19 +289,38 @@ def summary(records: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def pushes(records: list[dict[str, Any]]) -> list[str]:
+    """How many pushes were reported, by duration and size, and what the others cost."""
+    lines: list[str] = []
+    for short, long in ((0.0, 0.3), (0.3, 0.5), (0.5, 2.0)):
+        for small, large in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, np.inf)):
+            own = [r for r in records if short <= r["push"][1] < long and small <= r["push"][2] < large]
+            if own:
+                found = sum(r["reported"] for r in own)
+                missed = [r["errors"]["identify"] for r in own if not r["reported"]]
+                cost = [f"{100 * x:.2f} %" for x in np.max(missed, axis=0)] if missed else ["-", "-"]
+                lines.append(
+                    f"pushes of {short:g} to {long:g} s, {small:g} to {large:g} times the noise: {found} of "
+                    f"{len(own)} reported; mass matrix and gravity of the others off by at most "
+                    f"{cost[0]}, {cost[1]}"
+                )
+    return lines
+
+
 @click.command(help=__doc__.split("\n\n")[0])
 @click.option("--kind", type=click.Choice(list(KINDS)), default="chain", show_default=True)
 @click.option("--logs", type=click.IntRange(1), default=100, show_default=True)
 @click.option("--records", type=click.Path(dir_okay=False, path_type=Path), default=RECORDS)
+@click.option("--peers", is_flag=True, help="Run all the peers (minutes a log).")
 @click.option("--summary", "only", is_flag=True, help="Run nothing.")
 @single_threaded()
-def main(kind: str, logs: int, records: Path, only: bool) -> None:
+def main(kind: str, logs: int, records: Path, peers: bool, only: bool) -> None:
     """Run what has no record, then print the summary."""
     known = {(r["kind"], r["number"]) for r in read(records)}
     records.parent.mkdir(parents=True, exist_ok=True)
     for number in () if only else range(logs):
         if (kind, number) not in known:
-            line = json.dumps(scored(kind, number))
+            line = json.dumps(scored(kind, number, peers))
             with records.open("a", encoding="utf-8") as file:
                 file.write(line + "\n")
     for name in KINDS:

@@ -11,7 +11,7 @@ import pytest
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
-from leastaction.data.columns import arranged, joined
+from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem

@@ -1,9 +1,9 @@
-"""Arms compared with another log: torques predicted from its angles, and angles simulated from its torques.
+"""Comparison of an arm with another log: torques predicted from angles, angles simulated from torques.
 
-Free runs integrate M(q) q̈ = τ − h(q, q̇) with the torques of the log.  Dry friction that follows the sign
-of the velocity makes that stiff, so each step solves for the velocity with the slope of friction (W-method of
-order two: Verwer, Spee, Blom & Hundsdorfer 1999, SIAM Journal on Scientific Computing 20:1456).  Friction
-that turns over a distance has a state of its own, z, with dz/dt = |q̇| (sgn q̇ − z)/δ.
+Free runs integrate M(q) q̈ = τ − h(q, q̇) under the measured torques.  Dry friction that follows the sign of
+the velocity makes these equations stiff.  Each step is therefore implicit in the friction (W-method of order
+two: Verwer, Spee, Blom & Hundsdorfer 1999, SIAM Journal on Scientific Computing 20:1456).  Friction that
+reverses over a distance δ has a state z of its own, with dz/dt = |q̇| (sgn q̇ − z)/δ.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 __all__ = ["FreeRuns", "TorqueErrors", "free_runs", "torque_errors"]
 
 _TRIM = 0.3  # s at each end, where filters and splines lack data on one side
-_STEP = 1e-3  # s, at most, of a free run
-_GAMMA = 1.0 - np.sqrt(0.5)  # of the W-method
+_STEP = 1e-3  # s, the longest step of a free run
+_GAMMA = 1.0 - np.sqrt(0.5)  # makes the W-method L-stable
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class TorqueErrors:
     ----------
     coordinates : tuple of str
     bands : tuple of float or None
-        Measured and predicted torques were filtered below so many Hz; None: not at all.
+        Cut-off frequency of the filter of measured and predicted torques, in Hz; None: unfiltered.
     rms : (n_bands, n_dof) array
-        Of the error.
+        Root mean square of the error.
     torque_rms, torque_std : (n_bands, n_dof) arrays
         Root mean square and standard deviation of the measured torque.
     """
@@ -52,17 +52,17 @@ class TorqueErrors:
 
     @property
     def by_joint(self) -> np.ndarray:
-        """(n_bands, n_dof) error relative to the joint's torque, root mean squares."""
+        """(n_bands, n_dof) error relative to the torque of the joint, both as root mean squares."""
         return self.rms / np.maximum(self.torque_rms, 1e-300)
 
     @property
     def overall(self) -> np.ndarray:
-        """(n_bands,) error relative to the torque, root mean squares over all joints."""
+        """(n_bands,) error relative to the torque, both as root mean squares over all joints."""
         return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
 
     @property
     def of_spread(self) -> np.ndarray:
-        """(n_bands,) the same relative to the standard deviation of the torques, without their mean."""
+        """(n_bands,) error relative to the standard deviation of the torques."""
         return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
 
     def __str__(self) -> str:
@@ -79,7 +79,7 @@ def torque_errors(
     pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     bands: Sequence[float],
 ) -> TorqueErrors:
-    """Compare torques of some runs: times, predicted and measured torques of each.
+    """Compare torques of several runs; each gives times, predicted and measured torques.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def torque_errors(
 
 
 def _at(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values between the samples of a run."""
+    """Values interpolated between the samples of a run."""
     out = np.empty((times.size, values.shape[1]))
     for k, column in enumerate(values.T):
         out[:, k] = np.interp(times, t, column)
@@ -146,7 +146,7 @@ class FreeRuns:
 def free_runs(
     model: ArmModel, data: Trajectories, smoothed: Sequence[Sequence[np.ndarray]], horizon: float
 ) -> FreeRuns:
-    """Simulate pieces of a log, all at once.
+    """Simulate the pieces of a log, all at once.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def free_runs(
     Raises
     ------
     InputError, DataError
-        If the horizon is no length, or no run is as long.
+        If the horizon is not positive, or every run is shorter.
     """
     if not (np.isfinite(horizon) and horizon > 0.0):
         raise InputError(f"horizon is {horizon}; give the length of a free run in s, such as 0.5")
@@ -196,50 +196,42 @@ def free_runs(
     return FreeRuns(model.coordinates, horizon, np.sqrt(np.mean(error**2, axis=0)))
 
 
-@np.errstate(all="ignore")  # of a run that goes astray
+@np.errstate(all="ignore")  # a run may diverge
 def _simulated(
     model: ArmModel, states: np.ndarray, torques: np.ndarray, step: float, distance: np.ndarray
 ) -> np.ndarray:
     """(n_steps + 1, n_runs, n_dof) coordinates."""
     n = states.shape[1] // 3
-    q, v, z = np.split(states, 3, axis=1)
+    q, v, z = states[:, :n], states[:, n : 2 * n], states[:, 2 * n :]
     turning = distance > 0.0
-    dry, rubbing, width, own = np.zeros(n), np.zeros((2, n)), np.ones(n), np.ones(n)
+    per_length = np.where(turning, 1.0 / np.where(turning, distance, 1.0), 0.0)
+    dry, damping, width, own = np.zeros(n), np.zeros((2, n)), np.ones(n), np.ones(n)
     for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
         if term.kind == "dry" and term.distance:
             dry[term.place], own[term.place] = value, term.width
         elif term.kind in ("dry", "stribeck", "viscous"):
-            rubbing[int(term.kind == "viscous"), term.place] += abs(value)
+            damping[int(term.kind == "viscous"), term.place] += abs(value)
             width[term.place] = term.width or 1.0
 
     def accelerations(q: np.ndarray, v: np.ndarray, z: np.ndarray, torque: np.ndarray) -> np.ndarray:
-        # where friction turns over a distance, the model's own dry friction is taken back
+        # friction with a state z replaces that of the model, which follows the sign of the velocity
         sign = v / np.sqrt(v * v + own**2)
         return model.acceleration(q, v, torque + np.where(turning, dry * (sign - z), 0.0))
 
-    def sliding(v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        return np.where(turning, np.abs(v) * (np.sign(v) - z) / np.where(turning, distance, 1.0), 0.0)
-
     out = [q]
     for k in range(len(torques) - 1):
-        slope = rubbing[0] * width**2 / (v * v + width**2) ** 1.5 + rubbing[1]
-        inverse = np.linalg.inv(model.mass_matrix(q))
-        solve = np.linalg.inv(np.eye(n) + _GAMMA * step * inverse * slope[:, None, :])
-        rigid = 1.0 / (
-            1.0 + _GAMMA * step * np.where(turning, np.abs(v) / np.where(turning, distance, 1.0), 0.0)
-        )
-
-        def stage(rate: np.ndarray, solve: np.ndarray = solve) -> np.ndarray:
-            return np.einsum("rij,rj->ri", solve, rate)
-
-        one = v, stage(accelerations(q, v, z, torques[k])), rigid * sliding(v, z)
-        q1, v1, z1 = (x + step * rate for x, rate in zip((q, v, z), one, strict=True))
-        two = (
-            v1 - 2.0 * one[0],
-            stage(accelerations(q1, v1, z1, torques[k + 1]) - 2.0 * one[1]),
-            rigid * (sliding(v1, z1) - 2.0 * one[2]),
-        )
-        q, v, z = (x + step * (1.5 * a + 0.5 * b) for x, a, b in zip((q, v, z), one, two, strict=True))
-        z = np.clip(z, -1.0, 1.0)
+        slope = damping[0] * width**2 / (v * v + width**2) ** 1.5 + damping[1]
+        inverse: np.ndarray = np.linalg.inv(model.mass_matrix(q))
+        system: np.ndarray = np.eye(n) + _GAMMA * step * inverse * slope[:, None, :]
+        solve: np.ndarray = np.linalg.inv(system)
+        rigid = 1.0 / (1.0 + _GAMMA * step * np.abs(v) * per_length)
+        a1 = np.einsum("rij,rj->ri", solve, accelerations(q, v, z, torques[k]))
+        s1 = rigid * per_length * np.abs(v) * (np.sign(v) - z)
+        v1, z1 = v + step * a1, z + step * s1
+        a2 = accelerations(q + step * v, v1, z1, torques[k + 1]) - 2.0 * a1
+        s2 = rigid * (per_length * np.abs(v1) * (np.sign(v1) - z1) - 2.0 * s1)
+        q = q + step * (0.5 * v + 0.5 * v1)
+        v = v + step * (1.5 * a1 + 0.5 * np.einsum("rij,rj->ri", solve, a2))
+        z = np.clip(z + step * (1.5 * s1 + 0.5 * s2), -1.0, 1.0)
         out.append(q)
     return np.array(out)

@@ -1,11 +1,11 @@
-"""A robot's log made ready (names, units, standstill, its clock), and doubted.
+"""Checks of a robot's log (names, units, standstill, clock), facts of its fit, and notes.
 
-Programs that poll a controller write the time of the poll, not that of the state: a state appears twice, or
-one is left out, and stamps scatter by a period or more.  Where velocities are logged, positions tell how much
-time has really passed between two samples, Δt = Δq·v̄/v̄², and controllers tick at a constant rate.
+Programs that poll a controller log the time of the poll, not that of the state. A state appears twice or is
+missing, and time stamps scatter by a period or more.  If velocities are logged, positions give the true time
+between two samples, Δt = Δq·v̄/v̄², and controllers tick at a constant rate.
 
-Each doubt (a contact, currents in place of torques) compares an identified arm with its log or with what the
-tree says, in one line.
+Each note (a contact, currents in place of torques) compares an identified arm with its log or with the
+inertias of the tree.
 """
 
 from __future__ import annotations
@@ -13,26 +13,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
+from leastaction.arms.base import BaseParameters, inertial_prior
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
-__all__ = ["FitFacts", "contact_notes", "prepared", "scale_notes"]
+__all__ = ["FitFacts", "contact_notes", "load_notes", "prepared", "scale_notes"]
 
 _FEWEST = 200  # samples
-_MOST_TURNS = 12.0 * np.pi  # rad, that joints of an arm span: more are degrees
-_BEYOND = 2.0  # times the range between a joint's limits, which no motion in radians spans
+_MOST_TURNS = 12.0 * np.pi  # rad; a joint that spans more is in degrees
+_BEYOND = 2.0  # a joint that spans more than this multiple of the range of its limits is in degrees
 _STILL = 1e-3  # rad or m: a joint that spans less stands still
-_SLOW = 0.02  # of the mean square velocity, below which positions do not tell the time
-_AGREES = 0.02  # of a tick, by which half of the stamps scatter that need no clock
-_ON_TICK = 0.1  # of a tick, off which half of the samples may be
+_SLOW = 0.02  # of the mean square velocity; in slower motion, positions do not determine the time
+_AGREES = 0.02  # of a tick: if half of the time stamps scatter by less, they are kept
+_ON_TICK = 0.1  # of a tick: half of the samples must be nearer to one
 
 
 def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, list[str]]:
-    """The log with its coordinates in the sequence of the tree, and notes of what was done.
+    """The log with its coordinates in the sequence of the tree, and notes on changes.
 
     Raises
     ------
@@ -92,7 +94,7 @@ def _check(data: Trajectories, tree: KinematicTree) -> None:
 
 
 def _on_clock(run: Trajectory) -> tuple[Trajectory, str]:
-    """The run at the times of the robot's clock, without samples that repeat the one before."""
+    """The run at the times of the robot's clock, without repeated samples."""
     steps = np.diff(run.q, axis=0)
     ticks = _ticks(run, steps)
     if ticks is None:
@@ -108,7 +110,7 @@ def _on_clock(run: Trajectory) -> tuple[Trajectory, str]:
 
 
 def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """How many ticks have passed before each sample, and their length; None where there is no such clock."""
+    """Number of ticks before each sample, and their length; None if there is no such clock."""
     if run.velocities is None or not (np.isfinite(run.velocities).all() and np.isfinite(run.q).all()):
         return None
     mean = (run.velocities[1:] + run.velocities[:-1]) / 2.0
@@ -122,11 +124,11 @@ def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | Non
     tick = float(np.median(passed[moving]))
     scatter = np.abs(stamps / tick - np.rint(stamps / tick))
     off = np.abs(passed / tick - np.rint(passed / tick))[fast]
-    # stamps that agree with the clock are left as they are
+    # time stamps that agree with the clock are kept
     if np.median(off) > _ON_TICK or np.median(scatter) < max(2.0 * np.median(off), _AGREES):
         return None
     ticks = np.rint(np.where(fast, passed, stamps) / tick)
-    # a round number of ticks a second, where the stamps agree
+    # prefer a round number of ticks a second if the time stamps agree with it
     rate = float(np.sum(ticks) / (run.t[-1] - run.t[0]))
     whole = round(rate, -1)
     return np.maximum(ticks, 0.0), 1.0 / (whole if whole and abs(rate / whole - 1.0) < 2e-3 else rate)
@@ -141,18 +143,18 @@ class FitFacts:
     trials : tuple of str
         Names of the trajectories.
     noise_std : tuple of float
-        Of each coordinate.
+        Standard deviation of the noise of each coordinate.
     torque_density : tuple of float
         Spectral density of the error of each equation, in torque² seconds.
     knots_per_second : float
     status : str
-        Of the solver.
+        Outcome of the solver.
     notes : tuple of str
-        What was done to the log.
+        Changes to the log, and checks that failed.
     delays, delay_errors : tuple of float
-        By which torques were recorded after they acted, in s, and standard errors. Empty: none.
+        Delay of the recorded torque of each joint in s, and its standard error. Empty: no delay.
     gains, gain_errors : tuple of float
-        Torque per unit of the log, and standard errors, zero where it was given. Empty: torques.
+        Torque per unit of the log, and its standard error: zero for a known gain. Empty: torques.
     """
 
     trials: tuple[str, ...]
@@ -167,32 +169,34 @@ class FitFacts:
     gain_errors: tuple[float, ...] = ()
 
 
-# ----------------------------------- doubts about a log, in words: a contact, or currents in place of torques
+#                                                       notes on a contact, or on currents in place of torques
 _WINDOW = 0.1  # s, over which residuals are averaged
-_PUSHED = 4.0  # times the usual size of these averages, above which something pushes
+_PUSHED = 4.0  # times the usual size of these averages: above this, a contact is reported
 _LASTING = 3  # windows that it must last, in one direction; a measured arm without contact reached 3.2
 _SCALE = 3.0  # factor by which torques may differ from those of the tree's inertias
-_ALIKE = 0.9  # correlation of both, above which they differ by a factor
+_ALIKE = 0.9  # correlation above which torques differ by a factor alone
+_SHARE = 0.3  # standard deviation of the tree's inertias, as a share of each link's mass and size
+_LOADED = 1e-3  # p-value below which a load is reported
 _NORMAL = 1.4826  # standard deviation over median absolute deviation, of normal numbers
 
 
 def contact_notes(
     tree: KinematicTree, times: np.ndarray, owners: np.ndarray, residuals: np.ndarray, names: tuple[str, ...]
 ) -> list[str]:
-    """Stretches in which the torques of a joint are off by far more than usual.
+    """Stretches in which the torque error of a joint is much larger than usual.
 
     Parameters
     ----------
     times, owners : (n_intervals,) arrays
-        Middle of each knot interval in s, and number of its trial.
+        Middle of each knot interval in s, and index of its trial.
     residuals : (n_intervals, n_dof) array
         Mean error of each equation.
     names : tuple of str
-        Of the trials.
+        Names of the trials.
 
     Notes
     -----
-    A push of less than about a third of a second, or one that the parameters absorb, is not seen.
+    A push of less than about a third of a second, or one that the parameters absorb, is not detected.
     """
     starts = np.floor((times - times.min()) / _WINDOW).astype(int) + owners * (int(1e6))
     windows, where = np.unique(starts, return_inverse=True)
@@ -224,7 +228,7 @@ def contact_notes(
 
 
 def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> list[str]:
-    """Joints whose torques are another quantity than what the tree's inertias need.
+    """Joints whose logged torques differ by a factor from those that the tree's inertias need.
 
     The measured torque of each joint is compared with that of the tree by least squares, beside friction, a
     rotor and a constant torque.
@@ -234,7 +238,7 @@ def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> lis
     points : Points
         States along the motion.
     torques : (n_dof, n_points) array
-        Measured.
+        Measured torques.
     """
     if np.isnan(tree.inertias).any():
         return []
@@ -252,6 +256,47 @@ def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> lis
         if not 1.0 / _SCALE < factor < _SCALE:
             notes.append(
                 f"the torques of {name} are {factor:.3g} times those that the inertias of the tree need: if "
-                "they are currents or motor torques, multiply by the torque constant and the gear ratio"
+                "they are currents or motor torques, give the gain (torque constant times gear ratio) in "
+                "Recording(gains=...) or --gains"
+            )
+    return notes
+
+
+def load_notes(
+    tree: KinematicTree, base: BaseParameters, estimates: np.ndarray, covariance: np.ndarray
+) -> list[str]:
+    """Links at the end of a chain that are heavier than the tree states.
+
+    The difference β − B x₀ of the base parameters from those of the tree has the covariance Σ + B S Bᵀ, where
+    S holds the variances of the tree's inertias x₀.  A load is reported if a body on such a link reduces χ²
+    significantly, relative to what it leaves.
+
+    Parameters
+    ----------
+    estimates, covariance : (n_base,) and (n_base, n_base) arrays
+    """
+    means, spreads = inertial_prior(tree, _SHARE)
+    if not np.isfinite(spreads).all():
+        return []
+    inertial = np.array([term.kind == "inertia" for term in base.terms])
+    rows = ~base.matrix[:, ~inertial].any(axis=1)
+    matrix = base.matrix[np.ix_(rows, inertial)]
+    difference = estimates[rows] - matrix @ means.ravel()
+    inverse = np.linalg.inv(covariance[np.ix_(rows, rows)] + (matrix * spreads.ravel() ** 2) @ matrix.T)
+    carried = {joint.parent for joint in tree.joints}
+    notes: list[str] = []
+    for k in set(range(len(tree))) - carried:
+        own = matrix[:, 10 * k : 10 * k + 10]
+        spread = np.linalg.pinv(own.T @ inverse @ own, rcond=1e-12, hermitian=True)
+        body = spread @ (own.T @ (inverse @ difference))
+        rest = difference - own @ body
+        rank = int(np.linalg.matrix_rank(own))
+        left = float(rest @ inverse @ rest)
+        gain = float(difference @ inverse @ difference) - left
+        excess = max(left / max(len(rest) - rank, 1), 1.0)
+        if body[0] > 0.0 and chi2.sf(gain / excess, rank) < _LOADED:
+            notes.append(
+                f"{tree.links[k]} is {body[0]:.2g} kg heavier than the tree states, as with a load that is "
+                "not in the tree; add it to the inertia of the link, or see arms.payload"
             )
     return notes

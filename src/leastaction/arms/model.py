@@ -1,4 +1,4 @@
-"""ArmModel: the parameters of an arm with their errors, and what they are good for."""
+"""ArmModel: the parameters of an arm with standard errors, their predictions and exports."""
 
 from __future__ import annotations
 
@@ -18,9 +18,8 @@ from leastaction.arms.base import (
     can_exist,
     find_base,
     fit_bodies,
-    inertial_prior,
     table_of,
-    with_prior,
+    with_tree,
 )
 from leastaction.arms.compare import FreeRuns, TorqueErrors, free_runs, torque_errors
 from leastaction.arms.log import FitFacts, prepared
@@ -52,17 +51,17 @@ _BANDS = (5.0, 10.0)  # Hz
 
 
 class ArmModel:
-    """What `identify` found of an arm.
+    """An identified arm.
 
     Attributes
     ----------
     tree : KinematicTree
     base : BaseParameters
-        Which combinations of parameters torques depend on; see `rows`.
+        Combinations of parameters that torques depend on; see `rows`.
     coefficients, covariance : (n_base,) and (n_base, n_base) arrays
-        Of the base parameters, in SI units. The covariance counts that residuals are correlated.
+        Of the base parameters, in SI units. The covariance accounts for correlated residuals.
     reference : (n_links, 10) array
-        Inertial parameters from which the load of joints is reckoned, where friction depends on it.
+        Inertial parameters from which the load of the joints is computed, if friction depends on it.
     facts : FitFacts
     """
 
@@ -87,17 +86,17 @@ class ArmModel:
         distance: ArrayLike = 0.0,
         width: ArrayLike = 1e-3,
     ) -> ArmModel:
-        """The model that a tree with inertias describes, without errors: to compare, or to simulate with.
+        """The model of a tree with inertias, without standard errors, for comparison or simulation.
 
         Parameters
         ----------
         tree : KinematicTree
             With inertias for every link.
         joints : mapping of str to array_like, shape (n_dof,)
-            What acts in the joints, by kind: "rotor", "spring", "offset", "viscous", "dry", "quadratic" or
+            Coefficients of each joint, by kind: "rotor", "spring", "offset", "viscous", "dry", "quadratic" or
             "asymmetric".
         distance, width : array_like, shape (n_dof,)
-            Over which distance dry friction turns after a reversal, and the speed below which it fades.
+            Distance over which dry friction reverses, and speed below which it decreases.
 
         Examples
         --------
@@ -176,8 +175,8 @@ class ArmModel:
         ----------
         q, qdot, qddot : array_like, shape (n_times, n_dof)
         successive : bool
-            Whether the states follow each other in time, close enough to see reversals. Dry friction then
-            turns over its distance; otherwise it follows the sign of the velocity.
+            Whether the states are a time series that resolves reversals. Dry friction then reverses over its
+            distance; otherwise it follows the sign of the velocity.
 
         Returns
         -------
@@ -206,7 +205,7 @@ class ArmModel:
         return np.tensordot(self.coefficients, columns.strong(points), 1).T
 
     def columns(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
-        """(n_base, n_dof, n_times): what each base parameter adds to each torque, the regressor."""
+        """(n_base, n_dof, n_times) regressor: the torques for a unit of each base parameter."""
         return self._columns.strong(Points(q, qdot, qddot))
 
     def mass_matrix(self, q: ArrayLike) -> np.ndarray:
@@ -215,14 +214,14 @@ class ArmModel:
         return self._columns.mass_matrix(Points(q, np.zeros_like(q), np.zeros_like(q)), self.coefficients)
 
     def gravity(self, q: ArrayLike) -> np.ndarray:
-        """(n_times, n_dof) torques that hold the arm still, friction and constant torques left out."""
+        """(n_times, n_dof) torques that hold the arm still, without friction and constant torques."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         inertial = self._only("inertia")
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
         return np.tensordot(inertial, columns, 1).T
 
     def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
-        """(n_times, n_dof) torques of friction alone, to be compensated."""
+        """(n_times, n_dof) torques of friction alone, for compensation."""
         q, qdot = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (q, qdot))
         kept = np.where([term.kind in FRICTION for term in self.terms], self.coefficients, 0.0)
         return np.tensordot(kept, self.columns(q, qdot, np.zeros_like(q)), 1).T
@@ -239,56 +238,51 @@ class ArmModel:
         return np.where(keep, self.coefficients, 0.0)
 
     def parameters(self, share: float = 0.3) -> Posterior:
-        """All parameters, where the maker's values in the tree fill in what the log leaves open.
+        """All parameters; the inertias of the tree serve as priors.
 
         Parameters
         ----------
         share : float
-            Standard deviation of what the maker says, as a share of each link's mass and size.
+            Standard deviation of the inertias of the tree, as a share of each link's mass and size.
 
         Raises
         ------
         InputError
             If a link has no inertia in the tree.
         """
-        means, spreads = inertial_prior(self.tree, share)
-        for link, row in zip(self.tree.links, spreads, strict=True):
-            if not np.isfinite(row).all():
-                raise InputError(
-                    f"{link} has no inertia in the tree, so that there is no prior for it; use bodies(), or "
-                    "tree.with_inertias(...)"
-                )
-        n = len(self.base.terms)
-        prior, spread = np.zeros(n), np.full(n, np.inf)
-        for k, term in enumerate(self.base.terms):
-            if term.kind == "inertia":
-                prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
-            elif term.kind in ("rotor", "spring", "offset") and k not in self.base.members:
-                spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
-        return with_prior(self.base, self.coefficients, self.covariance, prior, spread)
+        return with_tree(self.tree, self.base, self.coefficients, self.covariance, share)
 
     @single_threaded()
     def bodies(self) -> ArmModel:
-        """The same arm made of bodies that can exist: positive mass, positive definite pseudo-inertia.
+        """The same arm with physically consistent links: positive mass, positive definite pseudo-inertia.
 
-        They are as near to the base parameters as their errors allow; what these leave open stays near what
-        the tree says of the links, or near balls of 2 kg and 0.1 m. The tree of the result holds them, and a
-        note says by how much χ² has risen.
+        The links agree with the base parameters within their errors. Parameters that the torques do not
+        determine stay near the inertias of the tree, or near balls of 2 kg and 0.1 m. The tree of the result
+        holds the inertias, and a note gives the increase of χ².
         """
         found = fit_bodies(self.tree, self.base, self.coefficients, self.covariance)
         values = found.values[: 10 * len(self.tree)].reshape(-1, 10)
-        note = (
+        notes: list[str] = []
+        unknown = [
+            x for x, own in zip(self.tree.links, self.tree.inertias, strict=True) if np.isnan(own).any()
+        ]
+        if unknown:
+            notes.append(
+                f"the tree has no inertia for {', '.join(unknown)}: what the log leaves open there is as in "
+                "balls of 2 kg and 0.1 m; add the manufacturer's values to the file or by with_inertias(...)"
+            )
+        notes.append(
             f"bodies that can exist: chi-squared of the {len(self.coefficients)} base parameters rises by "
             f"{found.price:.3g}"
         )
-        facts = replace(self.facts, notes=(*self.facts.notes, note))
+        facts = replace(self.facts, notes=(*self.facts.notes, *notes))
         tree = self.tree.with_inertias(values)
         coefficients = self.base.matrix @ found.values
         return ArmModel(tree, self.base, coefficients, self.covariance, self.reference, facts)
 
     @property
     def can_exist(self) -> np.ndarray:
-        """(n_links,) whether the inertias in the tree belong to bodies."""
+        """(n_links,) whether the inertias in the tree are physically consistent."""
         return can_exist(np.nan_to_num(self.tree.inertias))
 
     @single_threaded()
@@ -298,16 +292,16 @@ class ArmModel:
         *,
         bands: tuple[float, ...] = _BANDS,
     ) -> TorqueErrors:
-        """Predict the torques of another log from its angles, and compare.
+        """Predict the torques of another log from its angles and compare them with the measured ones.
 
         Parameters
         ----------
         trajectories
             As for `identify`. 0.3 s at both ends are left out of the comparison.
         bands : tuple of float
-            In Hz; torques are compared below each, and unfiltered.
+            Frequencies in Hz. Torques are compared below each of them, and unfiltered.
         """
-        data = self._heard(trajectories)
+        data = self._calibrated(trajectories)
         pairs = [(run.t, self._predicted(run), run.forces) for run in data if run.forces is not None]
         return torque_errors(self.coordinates, pairs, bands)
 
@@ -324,11 +318,11 @@ class ArmModel:
         horizon : float
             Length of a piece in s. Pieces follow each other; each begins at the smoothed log.
         """
-        data = self._heard(trajectories)
+        data = self._calibrated(trajectories)
         return free_runs(self, data, [self._smoothed(run) for run in data], horizon)
 
-    def _heard(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
-        """A log with its torques on time and in N m, as in the log that was fitted."""
+    def _calibrated(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
+        """The log with torques on time and in N m, by the delays and gains of the fitted log."""
         data, n = prepared(Trajectories.coerce(trajectories), self.tree)[0], len(self.tree)
         delays, gains = np.array(self.facts.delays or [0.0] * n), np.array(self.facts.gains or [1.0] * n)
         return Signals(delays, gains, False, ()).torques(data)
@@ -374,24 +368,24 @@ class ArmModel:
 
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""
-        from leastaction.arms import file
+        from leastaction.arms import files
 
-        file.save(self, path)
+        files.save(self, path)
 
     def to_python(self, path: str | Path) -> None:
         """Write a module with ``torques``, ``gravity`` and ``friction``, in NumPy alone."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        code.write_python(self, path)
+        files.write_python(self, path)
 
     def to_c(self, path: str | Path) -> None:
         """Write C99 code with ``arm_torques``, ``arm_gravity`` and ``arm_friction``; needs math.h alone."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        code.write_c(self, path)
+        files.write_c(self, path)
 
     def to_casadi(self) -> dict[str, Any]:
         """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as CasADi functions, by name."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        return code.casadi_functions(self)
+        return files.casadi_functions(self)

@@ -1,12 +1,12 @@
-"""Least squares along a smoothed log: which friction each joint has, and start values.
+"""Least squares along a smoothed log: selection of the friction of each joint, and start values.
 
 The equations are weighted by joint, w_i = n / Σ r_i², so that a wrist of 1 N m counts as much as a shoulder
-of 50.  All products are summed once, block of time by block; choosing is then algebra on small matrices.
+of 50.  All products are summed once for each block of time; the selection then works on small matrices.
 
-Residuals of real arms are correlated, and a test that takes them for white finds friction everywhere.  A
-joint's residuals count as n (1 − ρ)/(1 + ρ) independent ones, ρ their correlation from one knot interval to
-the next.  Friction must also predict the blocks that were left out no worse: what fits one stretch and spoils
-another is a coincidence of the motion.
+Residuals of real arms are correlated. A test that assumes white residuals selects friction in every joint.
+The residuals of a joint therefore count as n (1 − ρ)/(1 + ρ) independent ones, with their correlation ρ
+between neighbouring knot intervals.  Friction must also predict left-out blocks no worse: a term that fits
+one stretch and worsens another is rejected.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _BLOCKS = 6  # of time, each left out once
 _ROUNDS = 4  # of the weights
 _WIDTH = 0.01  # ε over the rms velocity
 _STRIBECK = 0.1  # v_s over the rms velocity
-_WORTH = 4.0  # of log likelihood, twice, that a distance must bring
+_WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
 _WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
@@ -51,7 +51,7 @@ _DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of th
 
 
 class Choice(NamedTuple):
-    """What the regression found.
+    """Result of the regression.
 
     Attributes
     ----------
@@ -60,13 +60,13 @@ class Choice(NamedTuple):
     values : dict
         Name of each term → start value.
     history : (2, n_intervals, n_quadrature, n_dof) array
-        Dry friction that turns over a distance, and its derivative; see `ArmColumns`.
+        Dry friction that reverses over a distance, and its derivative; see `ArmColumns`.
     reference : (n_links, 10) array
-        Inertial parameters from which the load of joints is reckoned.
+        Inertial parameters from which the load of the joints is computed.
     regression : Regression
         At these scales.
     members, dry, solution
-        The columns that were chosen, which of the histories act in which joint, and all coefficients.
+        The columns that were selected, the history that acts in each joint, and all coefficients.
     """
 
     scales: JointScales
@@ -81,11 +81,11 @@ class Choice(NamedTuple):
 
 
 Acting = list[tuple[int, int]]
-"""Joints, and which of the histories acts in them."""
+"""Joints, and the history that acts in each."""
 
 
 class Solution(NamedTuple):
-    """Coefficients, and the squares that each equation leaves."""
+    """Coefficients, and the residual sum of squares of each equation."""
 
     values: np.ndarray
     squares: np.ndarray
@@ -101,12 +101,12 @@ class Regression:
     control_points : (n_ctrl, n_dof) array
     forces : (n_intervals, n_quadrature, n_dof) array
     columns : ArmColumns
-        Of the base parameters, and of friction that may be chosen.
+        Of the base parameters, and of friction that may be selected.
     fixed, always, extra : tuple of int
-        Columns that stay, friction that is tried first, and friction that is added if it helps.
+        Columns that stay, friction that is tried first, and friction that is added if it improves the fit.
     data : Trajectories
     histories : (n_histories, n_intervals, n_quadrature, n_dof) array
-        Dry friction that follows the sign of the velocity, then that of each distance that is tried.
+        Dry friction that follows the sign of the velocity, then dry friction for each distance.
     grams : (n_blocks, n_dof, n, n) array
         Of columns, histories and forces of each joint.
     counts : (n_dof,) array
@@ -137,12 +137,12 @@ class Regression:
         data: Trajectories,
         kinds: tuple[Sequence[str], Sequence[str], Sequence[str]],
     ) -> Regression:
-        """Walk along a log.
+        """Sum the products along a log.
 
         Parameters
         ----------
         kinds
-            What acts in every joint, friction that is tried in every joint, and friction that may be added.
+            Terms of every joint, friction that is tried in every joint, and friction that may be added.
         """
         states = [np.concatenate(grid.evaluate(control_points, [t.t for t in data], nu)) for nu in (0, 1)]
         spread, rms = states[0].std(axis=0), np.sqrt(np.mean(states[1] ** 2, axis=0))
@@ -181,7 +181,7 @@ class Regression:
         return made._begun()
 
     def _begun(self) -> Regression:
-        """With the sums, the load of joints taken from a first solution."""
+        """The regression with its sums; a first solution gives the load of the joints."""
         loads = [k for k, term in enumerate(self.columns.terms) if term.kind == "load"]
         others = [k for k in range(len(self.columns)) if k not in set(loads)]
         first = replace(self, columns=self.columns.subset(others))
@@ -227,37 +227,22 @@ class Regression:
         """(n, n_intervals, n_quadrature, n_dof) → (n, n_dof, n_points), in the sequence of points."""
         return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
 
-    def predicted(self, members: Sequence[int], dry: Acting, values: np.ndarray) -> np.ndarray:
-        """(n_intervals, n_quadrature, n_dof) torques of some columns, and of histories of some joints."""
-        whole = np.zeros(len(self.columns))
-        whole[list(members)] = values[: len(members)]
-        out = np.zeros_like(self.forces)
-        for a in range(0, self.grid.n_intervals, _CHUNK):
-            chunk = slice(a, min(a + _CHUNK, self.grid.n_intervals))
-            rigid = np.tensordot(
-                whole, self.columns.strong(points_at(self.grid, self.control_points, chunk)), 1
-            )
-            out[chunk] = rigid.reshape(len(rigid), self.grid.n_quadrature, -1).transpose(2, 1, 0)
-        for (i, d), value in zip(dry, values[len(members) :], strict=True):
-            out[:, :, i] += value * self.histories[d, :, :, i]
-        return out
-
-    def _own(self, members: Sequence[int], dry: Acting, joint: int) -> tuple[list[int], list[int]]:
-        """Of one joint: places among the unknowns and the torque, and numbers in the sums."""
+    def own(self, members: Sequence[int], dry: Acting, joint: int) -> tuple[list[int], list[int]]:
+        """Indices of one joint among the unknowns and the torque, and its indices in the sums."""
         k, m = len(self.columns), len(members)
         acting = [(row, d) for row, (i, d) in enumerate(dry) if i == joint]
         places = [*range(m), *(m + row for row, _ in acting), m + len(dry)]
         return places, [*members, *(k + d for _, d in acting), k + len(self.histories)]
 
     def solved(self, members: Sequence[int], dry: Acting, left_out: int | None = None) -> Solution:
-        """Weighted least squares with some columns, and dry friction of some joints."""
+        """Weighted least squares with the given columns and dry friction."""
         n, size = self.columns.n_dof, len(members) + len(dry) + 1
         total = self.grams.sum(axis=0)
         if left_out is not None:
             total = total - self.grams[left_out]
         local = np.zeros((n, size, size))
         for i in range(n):
-            places, numbers = self._own(members, dry, i)
+            places, numbers = self.own(members, dry, i)
             local[i][np.ix_(places, places)] = total[i][np.ix_(numbers, numbers)]
         squares = np.maximum(local[:, -1, -1], 1e-300)
         floor, values = 1e-12 * squares, np.zeros(size - 1)
@@ -268,22 +253,13 @@ class Regression:
             squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), floor)
         return Solution(values, squares)
 
-    def standard_errors(self, members: Sequence[int], dry: Acting, solution: Solution) -> np.ndarray:
-        """(n,) of the coefficients, as many residuals counted as are independent."""
-        information = np.zeros((solution.values.size,) * 2)
-        for i, total in enumerate(self.grams.sum(axis=0)):
-            places, numbers = self._own(members, dry, i)
-            own = total[np.ix_(numbers[:-1], numbers[:-1])]
-            information[np.ix_(places[:-1], places[:-1])] += self.counts[i] / solution.squares[i] * own
-        return np.sqrt(np.clip(np.diag(symmetric_inverse(information)), 0.0, None))
-
     def _unseen(self, members: Sequence[int], dry: Acting, squares: np.ndarray) -> float:
-        """Squares that blocks leave when they are predicted from the others, relative to ``squares``."""
+        """Squared errors of blocks that are predicted from the others, relative to ``squares``."""
         error = 0.0
         for block in range(len(self.grams)):
             residual = np.append(self.solved(members, dry, block).values, -1.0)
             for i, each in enumerate(squares):
-                places, numbers = self._own(members, dry, i)
+                places, numbers = self.own(members, dry, i)
                 part = residual[places]
                 error += part @ self.grams[block, i][np.ix_(numbers, numbers)] @ part / each
         return float(error)
@@ -304,7 +280,7 @@ class Regression:
         return r.shape[1] * (1.0 - rho) / (1.0 + rho)
 
     def chosen(self, false_alarm: float) -> Choice:
-        """Choose distances, then further friction."""
+        """Select distances, then further friction."""
         members, dry = [*self.fixed, *self.always], self._no_distance
         best = self.solved(members, dry)
         for _ in range(2 if dry else 0):
@@ -334,7 +310,7 @@ class Regression:
         return refined._choice(members, dry, best, scales)
 
     def _changed(self, scales: JointScales, ratios: np.ndarray) -> JointScales:
-        """Distances, or widths where there are none, after a step."""
+        """Distances, or widths of joints without a distance, after a step."""
         steps = np.exp(np.clip(ratios, -_LARGEST, _LARGEST))
         turning = scales.distance > 0.0
         low, high = (share * self.scales.width for share in _WIDTHS)
@@ -359,12 +335,12 @@ class Regression:
         return np.array([part.values for part in found if part is not None])
 
     def _at(self, scales: JointScales) -> Regression:
-        """With the histories at these scales in place of those that were tried."""
+        """The regression with the histories at these scales only."""
         made = replace(self, histories=self._turning(scales))
         return replace(made, grams=made.summed())
 
     def _gain(self, before: Solution, after: Solution) -> float:
-        """By how much the log likelihood rises, twice."""
+        """Twice the increase of the log likelihood."""
         return float(self.counts @ np.log(before.squares / after.squares))
 
     def _extended(

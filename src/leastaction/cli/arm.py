@@ -70,8 +70,8 @@ Example:
 @click.option(
     "--gains",
     metavar="A=X,B=Y",
-    help="The columns of --forces are currents: torque per ampere of the joints for which it is known, one at "
-    "least; the gains of the others are found.",
+    help="The columns of --forces are motor currents. Torque per ampere of the joints for which it is known, "
+    "at least one; the others are estimated.",
 )
 @click.option(
     "--hold-out",
@@ -113,9 +113,9 @@ def arm(
         raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
     log = options.read()
     fitted, rest = _split(log, hold_out)
-    known = None if gains is None else _gains(gains)
+    recording = arms.Recording() if gains is None else arms.Recording(gains=_gains(gains))
     with live_progress("verify"):
-        found = arms.identify(fitted, tree, gains=known)
+        found = arms.identify(fitted, tree, recording=recording)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
     writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
@@ -127,7 +127,8 @@ def arm(
         writers["arm.xml"] = solid.to_mjcf
     write_together(folder, writers)
     say(str(found))
-    say(f"note: {one_line(solid.facts.notes[-1])}")
+    for note in solid.facts.notes[len(found.facts.notes) :]:
+        say(f"note: {one_line(note)}")
     if errors is not None:
         say(f"\nheld out, with bodies that can exist:\n{errors}")
     say("\n" + "\n".join(shown(folder / name) for name in writers))

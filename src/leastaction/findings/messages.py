@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from leastaction.findings import templates
+from leastaction.findings import stated, templates
 from leastaction.findings.wording import Message, fill
 
 __all__ = ["CODES"]
@@ -128,11 +128,7 @@ CODES: dict[str, Message] = {
         on_command_line=partial(templates.imitated_remedy, on_command_line=True),
     ),
     # shape parameters
-    "shape-undetermined": Message(
-        "warning",
-        templates.undetermined,
-        templates.undetermined_remedy,
-    ),
+    "shape-undetermined": Message("warning", templates.undetermined, templates.undetermined_remedy),
     "shape-at-bound": Message(
         "warning",
         "the shape parameter {subject} is at the end of its range ({value:.3g}, range {low:.3g} to "
@@ -369,12 +365,17 @@ CODES: dict[str, Message] = {
     ),
     "forecasts": Message(
         "note",
-        templates.followed,
+        stated.followed,
         "compare forecasts of held-out trials with the accuracy that you need",
+    ),
+    "forecasts-fail": Message(
+        "warning",
+        stated.failed,
+        "record more or longer trials with more varied motions, or offer fewer candidates",
     ),
     "forecast-reach": Message(
         "note",
-        templates.reach,
+        stated.reach,
         "estimated from the intervals: forecast a trial that was held out",
     ),
     "gravity-off": Message(
