@@ -127,6 +127,23 @@ class FreeRuns:
         Length of a run in s.
     rms : (n_runs, n_dof) array
         Root mean square of the error of each run, in rad or m.
+
+    Examples
+    --------
+    A pendulum under the torque of its own inverse dynamics:
+
+    >>> import numpy as np
+    >>> import leastaction as la
+    >>> from leastaction import arms
+    >>> tree = arms.KinematicTree.from_dh([{}], modified=True, gravity=(9.81, 0.0, 0.0))
+    >>> rod = tree.with_inertias([[1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1 / 3, 0.0, 1 / 3]])
+    >>> model = arms.ArmModel.of_tree(rod, {"viscous": [0.1]})
+    >>> t = np.arange(0.0, 0.8, 0.002)
+    >>> q, qdot, qddot = np.sin(5.0 * t), 5.0 * np.cos(5.0 * t), -25.0 * np.sin(5.0 * t)
+    >>> torques = model.torques(q[:, None], qdot[:, None], qddot[:, None])
+    >>> runs = model.free_runs(la.Trajectory(t, q, torques, ("q1",)), horizon=0.05)
+    >>> runs.rms.shape, bool(runs.by_joint.max() < 1e-5)
+    ((3, 1), True)
     """
 
     coordinates: tuple[str, ...]
