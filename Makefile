@@ -15,7 +15,7 @@ export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
 STUDIES := structure single calibration faults noise further unlisted names shapes
-.PHONY: help demo test test-kernels lint format docs docs-site package gallery bench study-systems $(STUDIES:%=study-%) table1 table2 figures \
+.PHONY: help demo test test-kernels lint format docs docs-site package gallery bench bench-arms study-systems $(STUDIES:%=study-%) table1 table2 figures \
   reproduce-smoke clean
 # Two pips must not write to one environment at a time.
 .NOTPARALLEL:
@@ -31,6 +31,7 @@ help:
 	@echo "make package        build wheel and source distribution into dist/, and check and try them"
 	@echo "make gallery        run every script of examples/ as a test"
 	@echo "make bench          measure speed"
+	@echo "make bench-arms     simulated arms and peers (RUN_ARGS='--logs 20 --peer FIGAROH')"
 	@echo "make study-systems  measure accuracy on the seven mechanical systems (takes long)"
 	@echo "make study-NAME     run a study of studies/ (takes long; resumes; RUN_ARGS='--jobs 2 --trials 1'); NAME one of"
 	@echo "                    $(STUDIES)"
@@ -95,6 +96,10 @@ gallery: $(STAMPS)/test
 
 bench: $(STAMPS)/core
 	$(BIN)/python benchmarks/run.py
+
+# What has a record in build/arms.jsonl is not run again. Peers that are not installed are left out.
+bench-arms: $(STAMPS)/core
+	$(BIN)/python -m benchmarks.arms $(RUN_ARGS)
 
 study-systems: $(STAMPS)/core
 	$(BIN)/python benchmarks/accuracy.py

@@ -16,7 +16,7 @@ import leastaction as la
 from helpers import assert_refused_in_one_line
 from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
-from leastaction.arms.log import prepared
+from leastaction.arms.log import load_notes, prepared
 from leastaction.arms.planning import Bounds, Limits, Plan, Series
 from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
@@ -410,9 +410,94 @@ def test_currents_are_reported_where_the_tree_has_inertias(found):
     log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
     known = WRIST.with_inertias(true.tree.inertias)
     currents = la.Trajectory(log.t, log.q, log.forces / [0.9, 12.0, 1.1], log.coordinates)
-    notes = [note for note in arms.identify(currents, known).facts.notes if "torque constant" in note]
+    model = arms.identify(currents, known, recording=arms.Recording(delays=False))
+    notes = [note for note in model.facts.notes if "torque constant" in note]
     assert len(notes) == 1
     assert "torques of q2 are 0.08" in notes[0]
+
+
+def shifted(log: la.Trajectory, delays: list[float]) -> la.Trajectory:
+    """Torques recorded later than they act."""
+    assert log.forces is not None
+    late = [np.interp(log.t - d, log.t, column) for d, column in zip(delays, log.forces.T, strict=True)]
+    return la.Trajectory(log.t, log.q, np.stack(late, 1), log.coordinates)
+
+
+@pytest.fixture(scope="module")
+def short() -> la.Trajectory:
+    rng = np.random.default_rng(4)
+    true = truth(WRIST, rng, rotor=[0.2, 0.1, 0.05], viscous=[0.5, 0.2, 0.1], dry=[0.5, 0.4, 0.2])
+    return recorded(true, rng, 8.0, 200.0)
+
+
+@pytest.mark.thorough
+def test_gains_of_currents_are_found_where_one_is_known(short):
+    gains = np.array([1.0, 12.0, -0.7])
+    currents = la.Trajectory(short.t, short.q, short.forces / gains, short.coordinates)
+    facts = arms.identify(currents, WRIST, recording=arms.Recording(gains={"q1": 1.0})).facts
+    z = (np.array(facts.gains) - gains)[1:] / facts.gain_errors[1:]
+    assert np.abs(z).max() < 4.0
+    assert (np.array(facts.gain_errors)[1:] < 0.03 * np.abs(gains[1:])).all()
+    assert facts.gain_errors[0] == 0.0
+    assert any("torque per unit of the log: q2 12" in note for note in facts.notes)
+
+
+@pytest.mark.parametrize(
+    ("gains", "words"),
+    [({}, "determine only ratios"), ({"q9": 1.0}, "q9"), ({"q1": 0.0}, "is 0.0"), ({"q1": np.inf}, "is inf")],
+)
+def test_bad_gains_are_refused_in_one_line(short, gains, words):
+    with pytest.raises(la.InputError, match=words) as caught:
+        arms.identify(short, WRIST, recording=arms.Recording(gains=gains))
+    assert "\n" not in str(caught.value)
+
+
+def test_delays_that_joints_share_are_found(found, short):
+    assert found[1].facts.delays == (0.0, 0.0, 0.0)  # punctual torques stay as they are
+    model = arms.identify(shifted(short, [4e-3] * 3), WRIST)
+    z = (np.array(model.facts.delays) - 4e-3) / model.facts.delay_errors
+    assert np.abs(z).max() < 4.0
+    assert any("delays of the recorded torques" in note for note in model.facts.notes)
+    # and the same shift is made before another log is compared
+    apart = model.validate(shifted(short, [4e-3] * 3)).overall[0]
+    assert apart < 0.5 * model.validate(short).overall[0]
+
+
+@pytest.mark.thorough
+def test_delays_of_single_joints_are_found_on_request(short):
+    delays = [0.0, 4e-3, 20e-3]
+    facts = arms.identify(shifted(short, delays), WRIST, recording=arms.Recording(delays=True)).facts
+    assert np.abs((np.array(facts.delays) - delays) / facts.delay_errors).max() < 4.0
+
+
+@pytest.mark.parametrize("distance", [pytest.param(0.0, marks=pytest.mark.thorough), 2e-3])
+def test_free_runs_follow_the_motion_of_the_true_arm(rng, distance):
+    """Forward dynamics undo inverse dynamics, with either kind of dry friction."""
+    acting = {"rotor": [0.2, 0.1, 0.05], "dry": [0.5, 0.4, 0.2], "viscous": [0.5, 0.2, 0.1]}
+    true = arms.ArmModel.of_tree(WRIST.with_inertias(bodies(3, rng)), acting, distance=distance, width=0.01)
+    t, *states = motion(3, 1.25, 1000.0, rng)
+    log = la.Trajectory(t, states[0], true.torques(*states, successive=True), WRIST.coordinates)
+    runs = true.free_runs(log, horizon=0.2)
+    assert runs.rms.shape == (3, 3)
+    assert runs.by_joint.max() < 1e-3
+    heavy = arms.ArmModel.of_tree(WRIST.with_inertias(1.1 * true.tree.inertias), acting, distance=distance)
+    assert heavy.free_runs(log, horizon=0.2).by_joint.max() > 5.0 * runs.by_joint.max()
+    assert "free runs of 0.2 s" in str(runs)
+    with pytest.raises(la.DataError, match="no run is longer"):
+        true.free_runs(log, horizon=5.0)
+    with pytest.raises(la.InputError, match="horizon is"):
+        true.free_runs(log, horizon=-1.0)
+
+
+def test_a_mujoco_model_keeps_rotors_that_links_hide(tmp_path, rng):
+    """The rotor of a first joint and its link are one base parameter; the file needs both."""
+    acting = {"rotor": [0.2, 0.1, 0.05], "spring": [1.0, 2.0, 3.0]}
+    true = arms.ArmModel.of_tree(WRIST.with_inertias(bodies(3, rng)), acting)
+    true.to_mjcf(tmp_path / "arm.xml")
+    tree = arms.read_mjcf(tmp_path / "arm.xml")
+    again = arms.ArmModel.of_tree(tree, tree.dynamics)
+    q = rng.normal(size=(5, 3))
+    np.testing.assert_allclose(again.mass_matrix(q), true.mass_matrix(q), rtol=1e-6, atol=1e-9)
 
 
 def test_degrees_show_by_the_limits_of_the_file(found, file):
@@ -433,13 +518,16 @@ def test_names_may_come_in_any_sequence(found):
     np.testing.assert_array_equal(ready.forces, log.forces)
 
 
+def as_csv(log: la.Trajectory, coordinates: tuple[str, ...] = ("q1", "q2", "q3")) -> str:
+    """A log with the columns t, the coordinates, and tau1 to tau3."""
+    rows = np.column_stack([log.t, log.q, log.forces])
+    head = ",".join(["t", *coordinates, "tau1", "tau2", "tau3"])
+    return "\n".join([head, *(",".join(map(repr, row)) for row in rows.tolist())])
+
+
 def test_the_command_writes_an_arm(found, file, tmp_path):
     true, _ = found
-    log = recorded(true, np.random.default_rng(6), 8.0, 200.0)
-    names = [f"{kind}{i + 1}" for kind in ("q", "tau") for i in range(3)]
-    rows = np.column_stack([log.t, log.q, log.forces])
-    lines = [",".join(["t", *names]), *(",".join(map(repr, row)) for row in rows.tolist())]
-    data = file("\n".join(lines))
+    data = file(as_csv(recorded(true, np.random.default_rng(6), 8.0, 200.0)))
     table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
     out = tmp_path / "found"
     given = ["arm", str(data), "--dh", str(table), "--forces", "tau1,tau2,tau3", "--output", str(out)]
@@ -457,6 +545,55 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
         failed = runner.invoke(program, [*given, *wrong])
         assert failed.exit_code == 2
         assert words in failed.output
+
+
+def test_the_command_reads_currents_and_a_mujoco_model_without_its_meshes(found, file, tmp_path):
+    true, _ = found
+    true.to_mjcf(tmp_path / "arm.xml")
+    text = (tmp_path / "arm.xml").read_text()
+    mesh = '<asset><mesh name="m" file="missing.stl"/></asset><worldbody><geom type="mesh" mesh="m"/>'
+    model = file(text.replace("<worldbody>", mesh), "arm.xml")
+    log = recorded(true, np.random.default_rng(6), 5.0, 200.0)
+    currents = la.Trajectory(log.t, log.q, log.forces / [1.0, 4.0, 1.0], log.coordinates)
+    out = tmp_path / "found"
+    given = ["arm", str(file(as_csv(currents))), "--mjcf", str(model), "--forces", "tau1,tau2,tau3"]
+    given += ["--output", str(out), "--gains"]
+    done = CliRunner().invoke(program, [*given, "q1=1, q3=1"])
+    assert done.exit_code == 0, done.output
+    assert "torque per unit of the log: q2 " in done.output
+    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "arm.xml", "inverse_dynamics.py"]
+    tree, q = arms.read_mjcf(out / "arm.xml"), log.q[::100]
+    masses = arms.ArmModel.of_tree(tree, tree.dynamics).mass_matrix(q)
+    assert np.linalg.norm(masses - true.mass_matrix(q)) < 0.05 * np.linalg.norm(masses)
+    for wrong, words in [("q1", "expected JOINT=NUMBER"), ("q9=1", "expected joints of the tree")]:
+        failed = CliRunner().invoke(program, [*given, wrong])
+        assert failed.exit_code == 2
+        assert words in failed.output
+
+
+@pytest.mark.parametrize(
+    ("change", "names", "words"),
+    [
+        (1.0, ("a", "b", "c"), "q1"),
+        (57.3, ("q1", "q2", "q3"), "convert the angles to radians"),
+        (0.0, ("q1", "q2", "q3"), "move every joint"),
+    ],
+)
+def test_the_command_refuses_bad_logs_in_one_line(found, file, tmp_path, change, names, words):
+    log = recorded(found[0], np.random.default_rng(6), 3.0, 100.0)
+    data = file(as_csv(la.Trajectory(log.t, change * log.q, log.forces, log.coordinates), names))
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    given = ["arm", str(data), "--dh", str(table), "--convention", "modified", "--forces", "tau1,tau2,tau3"]
+    failed = CliRunner().invoke(program, [*given, "--output", str(tmp_path / "out")])
+    assert failed.exit_code in (1, 2)
+    assert words in failed.output
+    assert len(failed.output.strip().splitlines()) == 1
+
+
+def test_links_without_inertia_are_named(found):
+    (note,) = [note for note in found[1].bodies().facts.notes if "no inertia" in note]
+    assert "link1, link2, link3" in note
+    assert "with_inertias" in note
 
 
 # ------------------------ exciting motions: gradients, limits, and what they are worth for an identification
@@ -654,6 +791,21 @@ def exact(tree: arms.KinematicTree, inertias: np.ndarray) -> arms.ArmModel:
     model = arms.ArmModel.of_tree(tree.with_inertias(inertias))
     size = len(model.coefficients)
     return arms.ArmModel(tree, model.base, model.coefficients, 1e-8 * np.eye(size), inertias, model.facts)
+
+
+def test_a_load_that_is_not_in_the_tree_is_reported(rng):
+    """Masses of the tree are off by up to 30 %: a load of 2 kg is reported, and nothing without a load."""
+    for _ in range(6):
+        true = bodies(7, rng)
+        tree = SEVEN.with_inertias(true * rng.uniform(0.7, 1.3, (7, 1)))
+        heavy = true.copy()
+        heavy[-1] += parameters(2.0)
+        for inertias, count in ((true, 0), (heavy, 1)):
+            model = exact(SEVEN, inertias)
+            notes = load_notes(tree, model.base, model.coefficients, model.covariance)
+            assert len(notes) == count
+        assert "kg heavier than the tree states" in notes[0]
+        assert "\n" not in notes[0]
 
 
 def test_any_link_may_carry(rng):

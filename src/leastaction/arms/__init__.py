@@ -10,19 +10,22 @@ Examples
 
 from __future__ import annotations
 
-from leastaction.arms.file import load
+from leastaction.arms.compare import FreeRuns, TorqueErrors
+from leastaction.arms.files import load
 from leastaction.arms.identify import identify
-from leastaction.arms.log import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.arms.payload import Payload, payload
+from leastaction.arms.signals import Recording
 from leastaction.library.mjcf import read_mjcf, write_mjcf
 from leastaction.library.tree import KinematicTree
 from leastaction.library.urdf import read_urdf, write_urdf
 
 __all__ = [
     "ArmModel",
+    "FreeRuns",
     "KinematicTree",
     "Payload",
+    "Recording",
     "TorqueErrors",
     "identify",
     "load",

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from leastaction.errors import InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
@@ -30,11 +31,14 @@ __all__ = [
     "BaseParameters",
     "Bodies",
     "Posterior",
+    "Row",
     "can_exist",
     "find_base",
     "fit_bodies",
     "inertial_prior",
+    "table_of",
     "with_prior",
+    "with_tree",
 ]
 
 _STATES = 40  # random states at which dependences are determined
@@ -94,6 +98,32 @@ class BaseParameters:
         """The base parameters without some members that depend on no others, such as friction."""
         rows = [row for row, k in enumerate(self.members) if k in set(kept)]
         return BaseParameters(self.terms, tuple(self.members[r] for r in rows), self.matrix[rows])
+
+
+class Row(NamedTuple):
+    """One row of the table of parameters."""
+
+    parameter: str
+    meaning: str
+    value: float
+    standard_error: float
+
+
+def table_of(rows: Sequence[Row]) -> str:
+    """Rows as a table in plain text."""
+    width = max(len(_short(row.parameter)) for row in rows)
+    lines = [f"{'parameter':{width}} {'value':>12} {'std. error':>11}  meaning"]
+    lines += [
+        f"{_short(r.parameter):{width}} {r.value:>12.5g} {r.standard_error:>11.2g}  {r.meaning}" for r in rows
+    ]
+    return "\n".join(lines)
+
+
+def _short(text: str, most: int = 34) -> str:
+    """The text of a combination, cut at a sign."""
+    if len(text) <= most:
+        return text
+    return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."
 
 
 def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
@@ -160,6 +190,33 @@ def with_prior(
     values = mean + solved.T @ (estimates - base.matrix @ mean)
     variance = np.clip(scale**2 - np.einsum("bk,bk->k", gain, solved), 0.0, None)
     return Posterior(values, np.sqrt(variance), 1.0 - variance / scale**2)
+
+
+def with_tree(
+    tree: KinematicTree, base: BaseParameters, estimates: np.ndarray, covariance: np.ndarray, share: float
+) -> Posterior:
+    """All parameters, with the inertias of the tree as priors.
+
+    Raises
+    ------
+    InputError
+        If a link has no inertia in the tree.
+    """
+    means, spreads = inertial_prior(tree, share)
+    for link, row in zip(tree.links, spreads, strict=True):
+        if not np.isfinite(row).all():
+            raise InputError(
+                f"{link} has no inertia in the tree, so that there is no prior for it; use bodies(), or "
+                "tree.with_inertias(...)"
+            )
+    n = len(base.terms)
+    prior, spread = np.zeros(n), np.full(n, np.inf)
+    for k, term in enumerate(base.terms):
+        if term.kind == "inertia":
+            prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
+        elif term.kind in ("rotor", "spring", "offset") and k not in base.members:
+            spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
+    return with_prior(base, estimates, covariance, prior, spread)
 
 
 def inertial_prior(tree: KinematicTree, share: float) -> tuple[np.ndarray, np.ndarray]:

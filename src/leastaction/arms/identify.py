@@ -15,14 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, find_base
-from leastaction.arms.log import contact_notes, prepared, scale_notes
+from leastaction.arms.log import contact_notes, load_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel, FitFacts
 from leastaction.arms.regression import Choice, Regression
+from leastaction.arms.signals import Recording, Signals
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
@@ -47,6 +49,8 @@ _CHUNK = 1024  # knot intervals handled at once
 _ALWAYS = ("viscous", "dry")
 _FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
 _MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
+_CALIBRATIONS = 5  # most corrections of delays and gains
+_TORQUES = Recording()
 _QUIETER = 1.1  # factor by which doubling the knots must lower the noise of some joint
 
 
@@ -59,6 +63,12 @@ class _Laid:
     observations: Measurements
     forces: GridForces
 
+    def under(self, data: Trajectories) -> _Laid:
+        """The same motion under other torques."""
+        forces = forces_on(self.grid, [t.t for t in data], [t.forces for t in data])
+        assert forces is not None
+        return replace(self, forces=forces)
+
 
 @single_threaded()
 def identify(
@@ -69,6 +79,7 @@ def identify(
     rotors: bool = True,
     offsets: bool = True,
     springs: bool = False,
+    recording: Recording = _TORQUES,
     knots_per_second: float | None = None,
 ) -> ArmModel:
     """Find the inertial parameters and the friction of an arm.
@@ -84,6 +95,9 @@ def identify(
     rotors, offsets, springs : bool
         Whether rotors, constant torques and springs may act in every joint. Rotors and offsets are kept even
         if they are not significant.
+    recording : Recording
+        Gains and delays of the recorded torques. By default the log holds torques, and delays are estimated
+        if the joints agree that there are any.
     knots_per_second : float, optional
         Knots of the spline; by default determined from the data.
 
@@ -102,21 +116,29 @@ def identify(
         if kind not in FRICTION:
             raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
     data, notes = prepared(Trajectories.coerce(trajectories), tree)
-    laid = _lay(data, knots_per_second)
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
     extra = [kind for kind in friction if kind not in _ALWAYS]
-    regression = Regression.of(
-        tree, laid.grid, laid.smoothed.control_points, laid.forces.values, data, (fixed, always, extra)
+    laid, choice, signals, changes = _calibrated(
+        data, tree, recording, (fixed, always, extra), knots_per_second
     )
-    choice = regression.chosen(_FALSE_ALARM)
-    terms = (*inertial_terms(tree), *joint_terms(tree, fixed, choice.scales), *choice.friction)
+    terms = (
+        *inertial_terms(tree),
+        *joint_terms(tree, fixed, choice.scales),
+        *choice.friction,
+        *signals.terms(tree),
+    )
     base = find_base(tree, terms)
-    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), choice.history)
+    history = np.concatenate([choice.history, changes])
+    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
     base, columns, fit = _fitted(laid, columns, base, choice)
     fit = _weighted(laid, columns, fit)
     notes += _doubts(laid, columns, fit, tuple(data.names))
-    base, coefficients, covariance = _turned(base, columns, fit, _corrected(laid, columns, fit))
+    covariance = _corrected(laid, columns, fit)
+    signals = signals.found(columns.terms, fit.coefficients, covariance)
+    notes += signals.notes(tree)
+    base, coefficients, covariance = _turned(base, columns, fit, covariance)
+    notes += load_notes(tree, base, coefficients, covariance)
     weights = fit.weights
     facts = FitFacts(
         tuple(data.names),
@@ -125,8 +147,51 @@ def identify(
         laid.grid.n_intervals / laid.grid.duration,
         fit.status,
         tuple(notes),
+        **signals.facts(),
     )
     return ArmModel(tree, base, coefficients, covariance, choice.reference, facts)
+
+
+class _Calibrated(NamedTuple):
+    """A log with torques on time and in N m, the selected friction, and columns of remaining errors."""
+
+    laid: _Laid
+    choice: Choice
+    signals: Signals
+    changes: np.ndarray
+
+
+def _calibrated(
+    data: Trajectories,
+    tree: KinematicTree,
+    recording: Recording,
+    kinds: tuple[list[str], list[str], list[str]],
+    knots_per_second: float | None,
+) -> _Calibrated:
+    """Select friction, and shift and scale the torques, until both stay the same."""
+    signals = Signals.of(tree, recording)
+    laid = _lay(data, knots_per_second)
+
+    def regress() -> Regression:
+        corrected, points = signals.torques(data), laid.smoothed.control_points
+        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds)
+
+    if signals.unknown:
+        signals = signals.first_gains(regress())
+        laid = laid.under(signals.torques(data))
+    undecided = recording.delays is None
+    for left in reversed(range(_CALIBRATIONS)):
+        choice = regress().chosen(_FALSE_ALARM)
+        changes = signals.changes(choice)
+        steps, errors = signals.steps(choice, changes)
+        if undecided and not signals.common(steps, errors):
+            steps, signals = steps[len(tree) :], replace(signals, late=False)
+        undecided = False
+        if not (left and signals.far(steps, data.sampling_interval)):
+            return _Calibrated(laid, choice, signals, changes)
+        signals = signals.moved(steps, data.sampling_interval)
+        laid = laid.under(signals.torques(data))
+    raise AssertionError  # the last round returns
 
 
 def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
@@ -223,7 +288,7 @@ def _turned(
     shifts = {
         t.place: value for t, value in zip(columns.terms, fit.coefficients, strict=True) if t.kind == "turn"
     }
-    kept = [k for k, term in enumerate(columns.terms) if term.kind != "turn"]
+    kept = [k for k, term in enumerate(columns.terms) if term.kind not in ("turn", "delay", "gain")]
     terms = list(base.terms)
     for k, number in enumerate(base.members):
         term = terms[number]

@@ -1,4 +1,4 @@
-"""Checks of a robot's log (names, units, standstill, clock), errors of predicted torques, and notes.
+"""Checks of a robot's log (names, units, standstill, clock), facts of its fit, and notes.
 
 Programs that poll a controller log the time of the poll, not that of the state. A state appears twice or is
 missing, and time stamps scatter by a period or more.  If velocities are logged, positions give the true time
@@ -10,21 +10,20 @@ inertias of the tree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.stats import chi2
 
+from leastaction.arms.base import BaseParameters, inertial_prior
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
-__all__ = ["TorqueErrors", "contact_notes", "prepared", "scale_notes", "torque_errors"]
+__all__ = ["FitFacts", "contact_notes", "load_notes", "prepared", "scale_notes"]
 
-_TRIM = 0.3  # s at each end, where filters and splines lack data on one side
 _FEWEST = 200  # samples
 _MOST_TURNS = 12.0 * np.pi  # rad; a joint that spans more is in degrees
 _BEYOND = 2.0  # a joint that spans more than this multiple of the range of its limits is in degrees
@@ -136,90 +135,38 @@ def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | Non
 
 
 @dataclass(frozen=True)
-class TorqueErrors:
-    """Errors of predicted torques.
+class FitFacts:
+    """How a model was found.
 
     Attributes
     ----------
-    coordinates : tuple of str
-    bands : tuple of float or None
-        Cut-off frequency of the filter of measured and predicted torques, in Hz; None: unfiltered.
-    rms : (n_bands, n_dof) array
-        Root mean square of the error.
-    torque_rms, torque_std : (n_bands, n_dof) arrays
-        Root mean square and standard deviation of the measured torque.
+    trials : tuple of str
+        Names of the trajectories.
+    noise_std : tuple of float
+        Standard deviation of the noise of each coordinate.
+    torque_density : tuple of float
+        Spectral density of the error of each equation, in torque² seconds.
+    knots_per_second : float
+    status : str
+        Outcome of the solver.
+    notes : tuple of str
+        Changes to the log, and checks that failed.
+    delays, delay_errors : tuple of float
+        Delay of the recorded torque of each joint in s, and its standard error. Empty: no delay.
+    gains, gain_errors : tuple of float
+        Torque per unit of the log, and its standard error: zero for a known gain. Empty: torques.
     """
 
-    coordinates: tuple[str, ...]
-    bands: tuple[float | None, ...]
-    rms: np.ndarray
-    torque_rms: np.ndarray
-    torque_std: np.ndarray
-
-    @property
-    def by_joint(self) -> np.ndarray:
-        """(n_bands, n_dof) error relative to the torque of the joint, both as root mean squares."""
-        return self.rms / np.maximum(self.torque_rms, 1e-300)
-
-    @property
-    def overall(self) -> np.ndarray:
-        """(n_bands,) error relative to the torque, both as root mean squares over all joints."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
-
-    @property
-    def of_spread(self) -> np.ndarray:
-        """(n_bands,) error relative to the standard deviation of the torques."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
-
-    def __str__(self) -> str:
-        width = max(8, *map(len, self.coordinates)) + 1
-        lines = ["error of torques  " + "".join(f"{name:>{width}}" for name in (*self.coordinates, "all"))]
-        for band, each, every in zip(self.bands, self.by_joint, self.overall, strict=True):
-            label = "all frequencies" if band is None else f"below {band:g} Hz"
-            lines.append(f"{label:18}" + "".join(f"{100 * x:>{width - 2}.2f} %" for x in (*each, every)))
-        return "\n".join(lines)
-
-
-def torque_errors(
-    coordinates: tuple[str, ...],
-    pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    bands: Sequence[float],
-) -> TorqueErrors:
-    """Compare torques of several runs; each gives times, predicted and measured torques.
-
-    Raises
-    ------
-    DataError
-        If a run is too short.
-    """
-    frequencies = (*bands, None)
-    sums, count = np.zeros((3, len(frequencies), len(coordinates))), 0
-    for t, predicted, measured in pairs:
-        if t[-1] - t[0] <= 4.0 * _TRIM:
-            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {4.0 * _TRIM:g} s")
-        step = float(np.median(np.diff(t)))
-        times = np.arange(t[0], t[-1], step)
-        ours, theirs = (_at(times, t, values) for values in (predicted, measured))
-        inside = (times > times[0] + _TRIM) & (times < times[-1] - _TRIM)
-        count += int(inside.sum())
-        for row, band in enumerate(frequencies):
-            a, b = ours, theirs
-            if band is not None:
-                low = butter(4, min(2.0 * band * step, 0.99), output="sos")
-                a, b = sosfiltfilt(low, ours, axis=0), sosfiltfilt(low, theirs, axis=0)
-            a, b = a[inside], b[inside]
-            sums[:, row] += np.sum((a - b) ** 2, axis=0), np.sum(b**2, axis=0), np.sum(b, axis=0)
-    error, size, mean = sums / count
-    spread = np.sqrt(np.maximum(size - mean**2, 0.0))
-    return TorqueErrors(coordinates, frequencies, np.sqrt(error), np.sqrt(size), spread)
-
-
-def _at(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values interpolated between the samples of a run."""
-    out = np.empty((times.size, values.shape[1]))
-    for k, column in enumerate(values.T):
-        out[:, k] = np.interp(times, t, column)
-    return out
+    trials: tuple[str, ...]
+    noise_std: tuple[float, ...]
+    torque_density: tuple[float, ...]
+    knots_per_second: float
+    status: str
+    notes: tuple[str, ...] = ()
+    delays: tuple[float, ...] = ()
+    delay_errors: tuple[float, ...] = ()
+    gains: tuple[float, ...] = ()
+    gain_errors: tuple[float, ...] = ()
 
 
 #                                                       notes on a contact, or on currents in place of torques
@@ -228,6 +175,8 @@ _PUSHED = 4.0  # times the usual size of these averages: above this, a contact i
 _LASTING = 3  # windows that it must last, in one direction; a measured arm without contact reached 3.2
 _SCALE = 3.0  # factor by which torques may differ from those of the tree's inertias
 _ALIKE = 0.9  # correlation above which torques differ by a factor alone
+_SHARE = 0.3  # standard deviation of the tree's inertias, as a share of each link's mass and size
+_LOADED = 1e-3  # p-value below which a load is reported
 _NORMAL = 1.4826  # standard deviation over median absolute deviation, of normal numbers
 
 
@@ -307,6 +256,47 @@ def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> lis
         if not 1.0 / _SCALE < factor < _SCALE:
             notes.append(
                 f"the torques of {name} are {factor:.3g} times those that the inertias of the tree need: if "
-                "they are currents or motor torques, multiply by the torque constant and the gear ratio"
+                "they are currents or motor torques, give the gain (torque constant times gear ratio) in "
+                "Recording(gains=...) or --gains"
+            )
+    return notes
+
+
+def load_notes(
+    tree: KinematicTree, base: BaseParameters, estimates: np.ndarray, covariance: np.ndarray
+) -> list[str]:
+    """Links at the end of a chain that are heavier than the tree states.
+
+    The difference β − B x₀ of the base parameters from those of the tree has the covariance Σ + B S Bᵀ, where
+    S holds the variances of the tree's inertias x₀.  A load is reported if a body on such a link reduces χ²
+    significantly, relative to what it leaves.
+
+    Parameters
+    ----------
+    estimates, covariance : (n_base,) and (n_base, n_base) arrays
+    """
+    means, spreads = inertial_prior(tree, _SHARE)
+    if not np.isfinite(spreads).all():
+        return []
+    inertial = np.array([term.kind == "inertia" for term in base.terms])
+    rows = ~base.matrix[:, ~inertial].any(axis=1)
+    matrix = base.matrix[np.ix_(rows, inertial)]
+    difference = estimates[rows] - matrix @ means.ravel()
+    inverse = np.linalg.inv(covariance[np.ix_(rows, rows)] + (matrix * spreads.ravel() ** 2) @ matrix.T)
+    carried = {joint.parent for joint in tree.joints}
+    notes: list[str] = []
+    for k in set(range(len(tree))) - carried:
+        own = matrix[:, 10 * k : 10 * k + 10]
+        spread = np.linalg.pinv(own.T @ inverse @ own, rcond=1e-12, hermitian=True)
+        body = spread @ (own.T @ (inverse @ difference))
+        rest = difference - own @ body
+        rank = int(np.linalg.matrix_rank(own))
+        left = float(rest @ inverse @ rest)
+        gain = float(difference @ inverse @ difference) - left
+        excess = max(left / max(len(rest) - rank, 1), 1.0)
+        if body[0] > 0.0 and chi2.sf(gain / excess, rank) < _LOADED:
+            notes.append(
+                f"{tree.links[k]} is {body[0]:.2g} kg heavier than the tree states, as with a load that is "
+                "not in the tree; add it to the inertia of the link, or see arms.payload"
             )
     return notes

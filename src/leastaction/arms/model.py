@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,13 +14,16 @@ from numpy.typing import ArrayLike
 from leastaction.arms.base import (
     BaseParameters,
     Posterior,
+    Row,
     can_exist,
     find_base,
     fit_bodies,
-    inertial_prior,
-    with_prior,
+    table_of,
+    with_tree,
 )
-from leastaction.arms.log import TorqueErrors, prepared, torque_errors
+from leastaction.arms.compare import FreeRuns, TorqueErrors, free_runs, torque_errors
+from leastaction.arms.log import FitFacts, prepared
+from leastaction.arms.signals import Signals
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
@@ -38,48 +41,13 @@ from leastaction.mechanics.arm_columns import (
     inertial_terms,
     joint_terms,
     presliding,
+    smooth_sign,
 )
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel", "FitFacts"]
 
 _BANDS = (5.0, 10.0)  # Hz
-
-
-@dataclass(frozen=True)
-class FitFacts:
-    """Facts of the fit of a model.
-
-    Attributes
-    ----------
-    trials : tuple of str
-        Names of the trajectories.
-    noise_std : tuple of float
-        Standard deviation of the noise of each coordinate.
-    torque_density : tuple of float
-        Spectral density of the error of each equation, in torque² seconds.
-    knots_per_second : float
-    status : str
-        Outcome of the solver.
-    notes : tuple of str
-        Changes to the log, and checks that failed.
-    """
-
-    trials: tuple[str, ...]
-    noise_std: tuple[float, ...]
-    torque_density: tuple[float, ...]
-    knots_per_second: float
-    status: str
-    notes: tuple[str, ...] = ()
-
-
-class Row(NamedTuple):
-    """One row of the table of parameters."""
-
-    parameter: str
-    meaning: str
-    value: float
-    standard_error: float
 
 
 class ArmModel:
@@ -161,14 +129,7 @@ class ArmModel:
         return f"<ArmModel of {self.tree.name!r}: {len(self.coefficients)} base parameters>"
 
     def __str__(self) -> str:
-        rows = self.rows()
-        width = max(len(_short(row.parameter)) for row in rows)
-        lines = [f"{'parameter':{width}} {'value':>12} {'std. error':>11}  meaning"]
-        lines += [
-            f"{_short(r.parameter):{width}} {r.value:>12.5g} {r.standard_error:>11.2g}  {r.meaning}"
-            for r in rows
-        ]
-        return "\n".join([*lines, *(f"note: {note}" for note in self.facts.notes)])
+        return "\n".join([table_of(self.rows()), *(f"note: {note}" for note in self.facts.notes)])
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -232,8 +193,13 @@ class ArmModel:
         if successive:
             ways = np.zeros((2, len(states[0]), 1, len(self.tree)))
             for term in self.terms:
-                if term.kind == "dry" and term.distance:
-                    ways[:, :, 0, term.place] = presliding(states[0][:, term.place], term.distance)
+                if term.kind == "dry":
+                    i, way = term.place, term.distance
+                    ways[:, :, 0, i] = (
+                        presliding(states[0][:, i], way)
+                        if way
+                        else smooth_sign(states[1][:, i], term.width)[:2]
+                    )
             columns = ArmColumns(self.tree, self.terms, self.reference, (), ways)
             points = Points(*states, intervals=slice(0, len(states[0])))
         return np.tensordot(self.coefficients, columns.strong(points), 1).T
@@ -284,21 +250,7 @@ class ArmModel:
         InputError
             If a link has no inertia in the tree.
         """
-        means, spreads = inertial_prior(self.tree, share)
-        for link, row in zip(self.tree.links, spreads, strict=True):
-            if not np.isfinite(row).all():
-                raise InputError(
-                    f"{link} has no inertia in the tree, so that there is no prior for it; use bodies(), or "
-                    "tree.with_inertias(...)"
-                )
-        n = len(self.base.terms)
-        prior, spread = np.zeros(n), np.full(n, np.inf)
-        for k, term in enumerate(self.base.terms):
-            if term.kind == "inertia":
-                prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
-            elif term.kind in ("rotor", "spring", "offset") and k not in self.base.members:
-                spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
-        return with_prior(self.base, self.coefficients, self.covariance, prior, spread)
+        return with_tree(self.tree, self.base, self.coefficients, self.covariance, share)
 
     @single_threaded()
     def bodies(self) -> ArmModel:
@@ -310,11 +262,20 @@ class ArmModel:
         """
         found = fit_bodies(self.tree, self.base, self.coefficients, self.covariance)
         values = found.values[: 10 * len(self.tree)].reshape(-1, 10)
-        note = (
+        notes: list[str] = []
+        unknown = [
+            x for x, own in zip(self.tree.links, self.tree.inertias, strict=True) if np.isnan(own).any()
+        ]
+        if unknown:
+            notes.append(
+                f"the tree has no inertia for {', '.join(unknown)}: what the log leaves open there is as in "
+                "balls of 2 kg and 0.1 m; add the manufacturer's values to the file or by with_inertias(...)"
+            )
+        notes.append(
             f"bodies that can exist: chi-squared of the {len(self.coefficients)} base parameters rises by "
             f"{found.price:.3g}"
         )
-        facts = replace(self.facts, notes=(*self.facts.notes, note))
+        facts = replace(self.facts, notes=(*self.facts.notes, *notes))
         tree = self.tree.with_inertias(values)
         coefficients = self.base.matrix @ found.values
         return ArmModel(tree, self.base, coefficients, self.covariance, self.reference, facts)
@@ -340,16 +301,40 @@ class ArmModel:
         bands : tuple of float
             Frequencies in Hz. Torques are compared below each of them, and unfiltered.
         """
-        data, _ = prepared(Trajectories.coerce(trajectories), self.tree)
+        data = self._calibrated(trajectories)
         pairs = [(run.t, self._predicted(run), run.forces) for run in data if run.forces is not None]
         return torque_errors(self.coordinates, pairs, bands)
 
+    @single_threaded()
+    def free_runs(
+        self, trajectories: Trajectory | Trajectories | Iterable[Trajectory], *, horizon: float = 0.5
+    ) -> FreeRuns:
+        """Simulate pieces of another log under its measured torques, and compare the angles.
+
+        Parameters
+        ----------
+        trajectories
+            As for `identify`.
+        horizon : float
+            Length of a piece in s. Pieces follow each other; each begins at the smoothed log.
+        """
+        data = self._calibrated(trajectories)
+        return free_runs(self, data, [self._smoothed(run) for run in data], horizon)
+
+    def _calibrated(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
+        """The log with torques on time and in N m, by the delays and gains of the fitted log."""
+        data, n = prepared(Trajectories.coerce(trajectories), self.tree)[0], len(self.tree)
+        delays, gains = np.array(self.facts.delays or [0.0] * n), np.array(self.facts.gains or [1.0] * n)
+        return Signals(delays, gains, False, ()).torques(data)
+
     def _predicted(self, run: Trajectory) -> np.ndarray:
         """(n_times, n_dof) torques along a smoothed run."""
+        return self.torques(*self._smoothed(run), successive=True)
+
+    def _smoothed(self, run: Trajectory) -> list[np.ndarray]:
         grid = uniform_grid([run.t], self.facts.knots_per_second, 5)
         points = smooth(grid, [run.t], [run.q]).control_points
-        states = [grid.evaluate(points, [run.t], nu)[0] for nu in range(3)]
-        return self.torques(*states, successive=True)
+        return [grid.evaluate(points, [run.t], nu)[0] for nu in range(3)]
 
     def to_urdf(self, source: str | Path, path: str | Path) -> None:
         """Write the inertias of the tree into a copy of the URDF that it was read from; see `bodies`."""
@@ -362,38 +347,45 @@ class ArmModel:
         """
         values = np.zeros((4, len(self.tree)))
         kinds = ("rotor", "viscous", "dry", "spring")
-        for term, value in zip(self.terms, self.coefficients.tolist(), strict=True):
+        for term, value in self._in_joints():
             if term.kind in kinds:
                 values[kinds.index(term.kind), term.place] = value
+        np.maximum(values[0], 0.0, out=values[0])  # without bodies() the links may have too much inertia
         write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
+
+    def _in_joints(self) -> list[tuple[ArmTerm, float]]:
+        """What acts in the joints, beside the inertias of the tree.
+
+        A base parameter of a link may hold a rotor: it is what the inertias of the tree leave of it.
+        """
+        terms, matrix = self.base.terms, self.base.matrix
+        given = np.nan_to_num(self.tree.inertias)
+        links = np.array([given[t.place, t.component] if t.kind == "inertia" else 0.0 for t in terms])
+        places = [k for k, term in enumerate(terms) if term.kind != "inertia" and matrix[:, k].any()]
+        left = self.coefficients - matrix @ links
+        found: np.ndarray = np.linalg.lstsq(matrix[:, places], left, rcond=None)[0]
+        return [(terms[k], float(value)) for k, value in zip(places, found, strict=True)]
 
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""
-        from leastaction.arms import file
+        from leastaction.arms import files
 
-        file.save(self, path)
+        files.save(self, path)
 
     def to_python(self, path: str | Path) -> None:
         """Write a module with ``torques``, ``gravity`` and ``friction``, in NumPy alone."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        code.write_python(self, path)
+        files.write_python(self, path)
 
     def to_c(self, path: str | Path) -> None:
         """Write C99 code with ``arm_torques``, ``arm_gravity`` and ``arm_friction``; needs math.h alone."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        code.write_c(self, path)
+        files.write_c(self, path)
 
     def to_casadi(self) -> dict[str, Any]:
         """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as CasADi functions, by name."""
-        from leastaction.arms import code
+        from leastaction.arms import files
 
-        return code.casadi_functions(self)
-
-
-def _short(text: str, most: int = 34) -> str:
-    """The text of a combination, cut at a sign."""
-    if len(text) <= most:
-        return text
-    return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."
+        return files.casadi_functions(self)

@@ -23,6 +23,7 @@ from scipy.stats import chi2, norm
 from leastaction.arms.base import BaseParameters, fit_bodies
 from leastaction.arms.identify import identify
 from leastaction.arms.model import ArmModel
+from leastaction.arms.signals import Recording
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
@@ -131,7 +132,8 @@ def payload(
     arm : ArmModel
         The arm without load, as `identify` returns it; not the result of ``bodies()``.
     loaded : Trajectory, Trajectories, iterable of Trajectory, or ArmModel
-        Log of the arm with the load, or the result of `identify` for it.
+        Log of the arm with the load, or the result of `identify` for it. Gains that were found for the arm
+        are used for the log, without their errors.
     link : str, optional
         The link that carries the load; by default the last one.
     origin, rpy : array_like, shape (3,)
@@ -156,8 +158,14 @@ def payload(
     place = len(tree) - 1 if link is None else tree.links.index(link)
     if not isinstance(loaded, ArmModel):
         kinds = {arm.base.terms[k].kind for k in arm.base.members}
+        gains = dict(zip(tree.coordinates, arm.facts.gains, strict=True)) if arm.facts.gains else None
         loaded = identify(
-            loaded, tree, rotors="rotor" in kinds, offsets="offset" in kinds, springs="spring" in kinds
+            loaded,
+            tree,
+            rotors="rotor" in kinds,
+            offsets="offset" in kinds,
+            springs="spring" in kinds,
+            recording=Recording(gains=gains),
         )
     names, difference, covariance = _difference(arm, loaded)
     columns = [k for k, term in enumerate(arm.base.terms) if term.kind == "inertia" and term.place == place]

@@ -36,7 +36,7 @@ from leastaction.mechanics.arm_columns import (
     smooth_sign,
 )
 
-__all__ = ["Choice", "Regression"]
+__all__ = ["Acting", "Choice", "Regression", "Solution"]
 
 _CHUNK = 512  # knot intervals handled at once
 _BLOCKS = 6  # of time, each left out once
@@ -63,6 +63,10 @@ class Choice(NamedTuple):
         Dry friction that reverses over a distance, and its derivative; see `ArmColumns`.
     reference : (n_links, 10) array
         Inertial parameters from which the load of the joints is computed.
+    regression : Regression
+        At these scales.
+    members, dry, solution
+        The columns that were selected, the history that acts in each joint, and all coefficients.
     """
 
     scales: JointScales
@@ -70,13 +74,17 @@ class Choice(NamedTuple):
     values: dict[str, float]
     history: np.ndarray
     reference: np.ndarray
+    regression: Regression
+    members: list[int]
+    dry: Acting
+    solution: Solution
 
 
-_Dry = list[tuple[int, int]]
+Acting = list[tuple[int, int]]
 """Joints, and the history that acts in each."""
 
 
-class _Solution(NamedTuple):
+class Solution(NamedTuple):
     """Coefficients, and the residual sum of squares of each equation."""
 
     values: np.ndarray
@@ -177,25 +185,26 @@ class Regression:
         loads = [k for k, term in enumerate(self.columns.terms) if term.kind == "load"]
         others = [k for k in range(len(self.columns)) if k not in set(loads)]
         first = replace(self, columns=self.columns.subset(others))
-        grams = first._summed()
+        grams = first.summed()
         place = {k: row for row, k in enumerate(others)}
         begin = [place[k] for k in (*self.fixed, *self.always)]
         first = replace(first, grams=grams, counts=np.full(self.columns.n_dof, 1.0))
-        solution = first._solved(begin, first._no_distance)
+        solution = first.solved(begin, first._no_distance)
         coefficients = np.zeros(len(self.columns))
         coefficients[[*self.fixed, *self.always]] = solution.values[: len(begin)]
         reference = self.columns.parameters(coefficients)
         whole = replace(self, columns=ArmColumns(self.columns.tree, self.columns.terms, reference))
-        grams = whole._summed() if loads else grams
+        grams = whole.summed() if loads else grams
         whole = replace(whole, grams=grams)
         return replace(whole, counts=whole._independent(coefficients, solution.values[len(begin) :]))
 
     @property
-    def _no_distance(self) -> _Dry:
+    def _no_distance(self) -> Acting:
         """Dry friction that follows the sign of the velocity."""
         return [(i, 0) for i in range(self.columns.n_dof)] if len(self.histories) else []
 
-    def _summed(self) -> np.ndarray:
+    def summed(self) -> np.ndarray:
+        """(n_blocks, n_dof, n, n) products of columns, histories and forces of each joint."""
         n, k = self.columns.n_dof, len(self.columns)
         size = k + len(self.histories) + 1
         edges = np.linspace(0, self.grid.n_intervals, _BLOCKS + 1).astype(int).tolist()
@@ -218,14 +227,14 @@ class Regression:
         """(n, n_intervals, n_quadrature, n_dof) → (n, n_dof, n_points), in the sequence of points."""
         return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
 
-    def _own(self, members: Sequence[int], dry: _Dry, joint: int) -> tuple[list[int], list[int]]:
+    def own(self, members: Sequence[int], dry: Acting, joint: int) -> tuple[list[int], list[int]]:
         """Indices of one joint among the unknowns and the torque, and its indices in the sums."""
         k, m = len(self.columns), len(members)
         acting = [(row, d) for row, (i, d) in enumerate(dry) if i == joint]
         places = [*range(m), *(m + row for row, _ in acting), m + len(dry)]
         return places, [*members, *(k + d for _, d in acting), k + len(self.histories)]
 
-    def _solved(self, members: Sequence[int], dry: _Dry, left_out: int | None = None) -> _Solution:
+    def solved(self, members: Sequence[int], dry: Acting, left_out: int | None = None) -> Solution:
         """Weighted least squares with the given columns and dry friction."""
         n, size = self.columns.n_dof, len(members) + len(dry) + 1
         total = self.grams.sum(axis=0)
@@ -233,7 +242,7 @@ class Regression:
             total = total - self.grams[left_out]
         local = np.zeros((n, size, size))
         for i in range(n):
-            places, numbers = self._own(members, dry, i)
+            places, numbers = self.own(members, dry, i)
             local[i][np.ix_(places, places)] = total[i][np.ix_(numbers, numbers)]
         squares = np.maximum(local[:, -1, -1], 1e-300)
         floor, values = 1e-12 * squares, np.zeros(size - 1)
@@ -242,15 +251,15 @@ class Regression:
             values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
             residual = np.append(values, -1.0)
             squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), floor)
-        return _Solution(values, squares)
+        return Solution(values, squares)
 
-    def _unseen(self, members: Sequence[int], dry: _Dry, squares: np.ndarray) -> float:
+    def _unseen(self, members: Sequence[int], dry: Acting, squares: np.ndarray) -> float:
         """Squared errors of blocks that are predicted from the others, relative to ``squares``."""
         error = 0.0
         for block in range(len(self.grams)):
-            residual = np.append(self._solved(members, dry, block).values, -1.0)
+            residual = np.append(self.solved(members, dry, block).values, -1.0)
             for i, each in enumerate(squares):
-                places, numbers = self._own(members, dry, i)
+                places, numbers = self.own(members, dry, i)
                 part = residual[places]
                 error += part @ self.grams[block, i][np.ix_(numbers, numbers)] @ part / each
         return float(error)
@@ -273,13 +282,13 @@ class Regression:
     def chosen(self, false_alarm: float) -> Choice:
         """Select distances, then further friction."""
         members, dry = [*self.fixed, *self.always], self._no_distance
-        best = self._solved(members, dry)
+        best = self.solved(members, dry)
         for _ in range(2 if dry else 0):
             before = list(dry)
             for row, (i, _) in enumerate(before):
                 for d in range(len(self.histories)):
                     tried = [*dry[:row], (i, d), *dry[row + 1 :]]
-                    found = self._solved(members, tried)
+                    found = self.solved(members, tried)
                     if self._gain(best, found) > (_WORTH if dry[row][1] == 0 and d else 0.0):
                         dry, best = tried, found
             if dry == before:
@@ -292,11 +301,11 @@ class Regression:
         scales = self.scales._replace(distance=distances)
         dry = [(i, row) for row in (0, 1) for i in range(len(distances))]
         for _ in range(_REFINED):
-            best = self._at(scales)._solved(members, dry)
+            best = self._at(scales).solved(members, dry)
             sizes, shifts = np.split(best.values[len(members) :], 2)
             scales = self._changed(scales, shifts / np.where(sizes == 0.0, np.inf, sizes))
         refined = self._at(scales)
-        best = refined._solved(members, dry)
+        best = refined.solved(members, dry)
         members, best = refined._extended(members, dry, best, false_alarm)
         return refined._choice(members, dry, best, scales)
 
@@ -328,19 +337,19 @@ class Regression:
     def _at(self, scales: JointScales) -> Regression:
         """The regression with the histories at these scales only."""
         made = replace(self, histories=self._turning(scales))
-        return replace(made, grams=made._summed())
+        return replace(made, grams=made.summed())
 
-    def _gain(self, before: _Solution, after: _Solution) -> float:
+    def _gain(self, before: Solution, after: Solution) -> float:
         """Twice the increase of the log likelihood."""
         return float(self.counts @ np.log(before.squares / after.squares))
 
     def _extended(
-        self, members: list[int], dry: _Dry, best: _Solution, false_alarm: float
-    ) -> tuple[list[int], _Solution]:
+        self, members: list[int], dry: Acting, best: Solution, false_alarm: float
+    ) -> tuple[list[int], Solution]:
         left = list(self.extra)
         cut = float(chi2.isf(false_alarm / max(len(left), 1), 1))
         while left:
-            tries = [(self._solved([*members, k], dry), k) for k in left]
+            tries = [(self.solved([*members, k], dry), k) for k in left]
             gains = [self._gain(best, found) for found, _ in tries]
             if max(gains) < cut:
                 break
@@ -351,7 +360,7 @@ class Regression:
                 members, best = [*members, k], found
         return members, best
 
-    def _choice(self, members: list[int], dry: _Dry, best: _Solution, scales: JointScales) -> Choice:
+    def _choice(self, members: list[int], dry: Acting, best: Solution, scales: JointScales) -> Choice:
         tree = self.columns.tree
         friction = [self.columns.terms[k] for k in members if k not in set(self.fixed)]
         names = [self.columns.terms[k].text for k in members]
@@ -364,4 +373,4 @@ class Regression:
         if reference is None:
             reference = self.columns.parameters(coefficients)
         history = self.histories if dry else np.zeros((2, *self.forces.shape))
-        return Choice(scales, tuple(friction), values, history, reference)
+        return Choice(scales, tuple(friction), values, history, reference, self, members, dry, best)

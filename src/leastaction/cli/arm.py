@@ -68,6 +68,12 @@ Example:
     help="Roll, pitch and yaw of the base in the world, in rad: how the arm is mounted (default: 0 0 0).",
 )
 @click.option(
+    "--gains",
+    metavar="A=X,B=Y",
+    help="The columns of --forces are motor currents. Torque per ampere of the joints for which it is known, "
+    "at least one; the others are estimated.",
+)
+@click.option(
     "--hold-out",
     metavar="N|P%|NAMES",
     help="Not fitted but predicted: the last N trials; the last 20% of them, or of a single trial its end; "
@@ -82,6 +88,7 @@ Example:
 )
 def arm(
     data: Callable[..., DataOptions],
+    gains: str | None,
     hold_out: str | None,
     output: str,
     urdf: str | None,
@@ -106,8 +113,9 @@ def arm(
         raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
     log = options.read()
     fitted, rest = _split(log, hold_out)
+    recording = arms.Recording() if gains is None else arms.Recording(gains=_gains(gains))
     with live_progress("verify"):
-        found = arms.identify(fitted, tree)
+        found = arms.identify(fitted, tree, recording=recording)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
     writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
@@ -119,7 +127,8 @@ def arm(
         writers["arm.xml"] = solid.to_mjcf
     write_together(folder, writers)
     say(str(found))
-    say(f"note: {one_line(solid.facts.notes[-1])}")
+    for note in solid.facts.notes[len(found.facts.notes) :]:
+        say(f"note: {one_line(note)}")
     if errors is not None:
         say(f"\nheld out, with bodies that can exist:\n{errors}")
     say("\n" + "\n".join(shown(folder / name) for name in writers))
@@ -180,6 +189,18 @@ def _table(path: str) -> list[dict[str, Any]]:
                         f"{shown(path)}, line {number}: {key} is {quoted(given[key])}; expected a number"
                     )
         out.append(one)
+    return out
+
+
+def _gains(text: str) -> dict[str, float]:
+    """Torque per ampere of each joint that is named."""
+    out: dict[str, float] = {}
+    for part in text.split(","):
+        name, _, value = part.partition("=")
+        try:
+            out[name.strip()] = float(value)
+        except ValueError:
+            raise InputError(f"--gains holds {quoted(part)}; expected JOINT=NUMBER, e.g. q1=10.5") from None
     return out
 
 

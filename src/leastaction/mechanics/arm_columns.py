@@ -35,6 +35,7 @@ from leastaction.mechanics.rigid_bodies import (
 
 __all__ = [
     "FRICTION",
+    "HISTORIES",
     "ArmColumns",
     "ArmTerm",
     "JointScales",
@@ -57,6 +58,8 @@ class JointScales(NamedTuple):
 
 FRICTION = ("viscous", "dry", "stribeck", "load", "quadratic", "asymmetric")
 """Kinds of friction."""
+HISTORIES = ("dry", "turn", "delay", "gain")
+"""Kinds that depend on the motion, not on the state."""
 _KINDS = {
     "rotor": "inertia of the rotor of joint {}, through the gear",
     "viscous": "viscous friction of joint {}",
@@ -67,6 +70,8 @@ _KINDS = {
     "asymmetric": "viscous friction of joint {} that differs between the directions",
     "spring": "spring of joint {}",
     "offset": "constant torque in joint {}",
+    "delay": "error of the delay of the torque of joint {}",
+    "gain": "relative error of the gain of the torque of joint {}",
     "turn": "relative error of the distance, or speed, over which dry friction of joint {} reverses",
 }
 
@@ -207,9 +212,10 @@ class ArmColumns:
         Inertial parameters from which the load of load-dependent friction is computed.
     prescribed : sequence of int
         Joints whose equations are not used.
-    history : (2, n_intervals, n_quadrature, n_dof) array, optional
-        Dry friction that depends on the motion, and its derivative in log δ, at the quadrature points; see
-        `presliding`. Without it, dry friction follows the sign of the velocity at once.
+    history : (n, n_intervals, n_quadrature, n_dof) array, optional
+        Columns that depend on the motion, at the quadrature points, of the first n `HISTORIES`: dry friction
+        and its derivative in log δ, see `presliding`, and the changes of the torque with delays and gains.
+        Without it, dry friction follows the sign of the velocity at once.
     """
 
     def __init__(
@@ -252,9 +258,10 @@ class ArmColumns:
             if term.kind == "load":
                 load = self._load(points)[term.place]
                 local = _Local(local.value * load, (0.0, local.slope[1] * load, 0.0))
-            elif term.distance and self.history is not None:
+            elif term.kind in HISTORIES and self.history is not None:
                 assert points.intervals is not None
-                way = self.history[int(term.kind == "turn"), points.intervals, :, term.place].T.ravel()
+                row = HISTORIES.index(term.kind)
+                way = self.history[row, points.intervals, :, term.place].T.ravel()
                 local = _Local(way, (0.0, 0.0, 0.0))  # its slope is neglected, too
             found.append((k, term, local))
         return found
