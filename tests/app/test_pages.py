@@ -218,7 +218,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         await user.should_see("Simple numbers inside the intervals")
         await user.should_see("0.50030(40)")
         await user.should_see("All together: χ²")
-        await user.should_see("Symmetries and conserved quantities.")
+        await user.should_see("Symmetries and conserved quantities")
         await user.should_see("rotation of (x, y)")
         await user.should_see("within the error bars (0.")
         await user.should_see("angular momentum")

@@ -352,11 +352,10 @@ def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
 def _symmetries(model: LagrangianModel, notation: Notation) -> None:
     rows = symmetry_rows(model, notation)
     with panel("symmetries"):
-        title("Symmetries")
+        title(captions.SYMMETRY_TITLE)
         if not rows:
             say(captions.NO_SYMMETRIES, "help")
             return
-        say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
         table(
             "Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows]
@@ -367,7 +366,7 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
 def _small_motions(model: LagrangianModel, notation: Notation) -> None:
     rows = motion_rows(model, notation)
     with panel("motions"):
-        title("Equilibria and small motions")
+        title(captions.MOTION_TITLE)
         if not rows:
             say(captions.NO_MOTIONS, "help")
             return
