@@ -325,7 +325,7 @@ def app() -> None:
         page.get_by_role("button", name="Double pendulum").first.click()
         shoot(page, "data", "What was measured")
         page.get_by_role("button", name="Continue to the candidates").first.click()
-        shoot(page, "candidates", "What may the Lagrangian be made of?")
+        shoot(page, "candidates", "Which terms may the Lagrangian contain?")
         page.get_by_role("button", name="Find the Lagrangian").first.click()
         shoot(page, "result", "How many terms?")
         browser.close()

@@ -44,8 +44,8 @@ print(films[0][:5])
 
 # %%
 # **What the camera measures.** The bob is at the end of a link that turns about the pivot. Pivot, length in
-# pixels and roll are numbers in braces: they are estimated together with the law. `leastaction.measure` has
-# the functions ready.
+# pixels and roll are numbers in braces: they are estimated together with the law. `leastaction.measure`
+# returns these functions as texts.
 
 measure = la.measure.camera(["theta"], [("u", "v")])
 print("\n".join(measure))
@@ -53,9 +53,9 @@ data = la.Trajectories(la.Trajectory(t, pixels, coordinates=["u", "v"]) for pixe
 print(data)
 
 # %%
-# **The law.** The columns are pixels, and the library is written in the angle. L is known up to a factor.
-# With ½ for ``theta_dot**2`` it is L / (m l²), so the coefficient of ``cos(theta)`` is g / l. No start values
-# are needed.
+# **The law.** The columns are pixels, but the candidates are functions of the angle. The data determine L up
+# to a factor. With ½ for ``theta_dot**2`` it is L / (m l²), so the coefficient of ``cos(theta)`` is g / l. No
+# start values are needed.
 
 library = la.Library(
     ["theta_dot**2", "theta_dot**2*cos(theta)", "cos(theta)", "cos(2*theta)", "theta**2"],
@@ -72,8 +72,9 @@ model = la.discover(
 print(model.format_table())
 
 # %%
-# Gravity acts along the vertical of the laboratory, where the candidates have their zero. So the law tells
-# the roll of the camera, and g/l tells the length. Rounding to whole pixels counts as noise of the columns.
+# The candidates have their zero at the vertical of the laboratory, along which gravity acts. The law
+# therefore determines the roll of the camera, and g/l determines the length. Rounding to whole pixels counts
+# as noise of the columns.
 
 found = {number.name: number for number in model.calibration.numbers}
 strength = next(term for term in model.terms if term.expression == "cos(theta)")
@@ -86,8 +87,8 @@ print("noise of the columns:", np.round(model.calibration.noise_std, 2), "pixels
 print("\n".join(f"- {note}" for note in model.diagnostics.notes))
 
 # %%
-# Left: the positions that the camera reports. Right: half a second around a turning point, with the curve
-# that obeys the law. The steps are whole pixels.
+# Left: the positions that the camera reports. Right: half a second around a turning point, with the fitted
+# curve. The steps are whole pixels.
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.4), layout="constrained", width_ratios=[1, 1.25])
 for pixels, colour in zip(films, ["tab:blue", "tab:orange"], strict=True):
@@ -110,6 +111,6 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** Convert recordings as little as possible. Do not filter, and do not difference frames.
-# Write down what a sensor measures, with a name in braces for each number that you do not know, and let the
-# law tell them. If ``sin(theta)`` is a candidate, too, the law could absorb the roll.
+# **What to learn.** Convert recordings as little as possible: do not filter them, and do not take differences
+# of frames. Write what a sensor measures as a function, with a name in braces for each unknown number. The
+# fit estimates these numbers. If ``sin(theta)`` were a candidate, too, it could absorb the roll.

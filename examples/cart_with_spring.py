@@ -3,8 +3,8 @@ A cart on a spring, with friction
 =================================
 
 A pendulum hangs from a cart, a spring holds the cart, and the bearings of the cart have viscous friction.
-Both positions are recorded with 5 % noise. Is there friction, where, and how strong is it? And what happens
-to the other coefficients if friction is not among the candidates?
+Both coordinates are recorded with 5 % noise. Where is friction, and how strong is it? And what happens to the
+other coefficients if friction is not among the candidates?
 """
 
 import matplotlib.pyplot as plt
@@ -48,8 +48,8 @@ power = coefficient * qdot[:, 0] ** 2
 lost = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.2), layout="constrained", width_ratios=[1, 1.1])
-left.plot(t, energy, color="tab:blue", label="energy of the found model")
-left.plot(t, energy[0] - lost, "--", color="tab:red", label="start minus work of the found friction")
+left.plot(t, energy, color="tab:blue", label="energy of the model")
+left.plot(t, energy[0] - lost, "--", color="tab:red", label="initial energy minus work of friction")
 left.set(xlabel="t (s)", ylabel="energy (J)")
 left.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
 

@@ -1,10 +1,10 @@
 """
-An arm identified while its controller runs
-===========================================
+Identification under feedback
+=============================
 
-Robots are usually identified under feedback. A controller tracks a motion, feeds the steps of its encoders
+Robots are usually identified while a controller runs. It tracks a motion, feeds the steps of the encoders
 back into the torques, and holds each torque until its next cycle. The logs therefore contain noisy torques
-that jump. They are good enough, if they are used as they are.
+that jump. Use them without filtering.
 """
 
 import matplotlib.pyplot as plt
@@ -89,8 +89,8 @@ for warning in first.fit.warnings:
 
 # %%
 # The structure is right and the model forecasts well, so it is usable, but not ok. The warning states the
-# reason: a torque that is held acts half a cycle later than its time stamp says. One line corrects this (on
-# the command line: ``--force-delay 0.0025``).
+# reason: a torque that is held acts half a cycle later than its time stamp. One line corrects this (on the
+# command line: ``--force-delay 0.0025``).
 
 held = la.delay.shift_forces(data, 0.5 / rate)
 model = la.discover(held, library, dissipation=friction)
@@ -136,6 +136,5 @@ axes[1].legend(frameon=False, fontsize=8)
 plt.show()
 
 # %%
-# **What to learn.** Do not filter torques, and do not switch off the controller. Use the log as it is. The
-# fit averages the noise of the torques and estimates its size. If the time stamps are off by half a cycle,
-# the result says so.
+# **What to learn.** Keep the controller running, and do not filter the torques: the fit averages their noise
+# and estimates its size. If the time stamps are off by half a cycle, the result says so.

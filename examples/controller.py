@@ -39,7 +39,7 @@ cart = module_from_spec(spec)
 spec.loader.exec_module(cart)
 
 # %%
-# **The equilibrium.** The pendulum can stand where the acceleration vanishes near θ = π.
+# **The equilibrium** near θ = π is where the acceleration vanishes.
 
 rest = fsolve(lambda q: cart.acceleration(q, [0.0, 0.0]), [0.5, np.pi])
 print("equilibrium: x = {:.4f} m, theta = {:.6f} rad".format(*rest))
@@ -105,6 +105,6 @@ right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** The recordings never came near the upright position with a controller in the loop, and
-# yet the model is good enough to stabilise it. It is a law, not a fit of the recorded region. Still, check
-# how far your recordings reach: a spring that is a parabola in the recorded range may not be one elsewhere.
+# **What to learn.** The recordings are free swings, and yet the model is accurate enough to stabilise the
+# upright position, because the law also holds outside the recorded motions. Still, check how far your
+# recordings reach: a spring that is linear in the recorded range may not be linear elsewhere.

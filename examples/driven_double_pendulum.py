@@ -40,9 +40,9 @@ model = la.discover(fitted, la.Library(candidates, ["q1", "q2"]), dissipation=fr
 print(model.format_table())
 
 # %%
-# The result has seven terms of L and dry friction in both joints. This is the structure that the builders of
-# the robot derived. Their coefficients, in the same order, are 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42
-# and 1.09, with dry friction of 0.146 and 0.123 N m.
+# The result has seven terms of L and dry friction in both joints, as the model that the builders of the robot
+# derived. Their coefficients, in the same order, are 0.0673, 0.0333, 0.0235, 0.0333, 0.0134, 3.42 and 1.09,
+# with dry friction of 0.146 and 0.123 N m.
 #
 # The fit averages the noise of the measured torques (see "Machines" on the page about the method). Otherwise
 # all coefficients would be two per cent too large.
@@ -86,7 +86,7 @@ published = la.LagrangianModel.from_dict(
 )
 ours = model.validate(held_out, horizon=0.4, window=0.04)
 theirs = published.validate(held_out, horizon=0.4, window=0.04)
-print("rms error of free runs over 0.4 s (rad)")
+print("rms error of forecasts over 0.4 s (rad)")
 print("found:    ", ours.rms.round(3))
 print("published:", theirs.rms.round(3))
 
@@ -101,11 +101,11 @@ axis.plot(measured.t[first], measured.q[first, 1], color="0.6", linewidth=4, lab
 runs = [trace for trace in ours.traces if trace.trial == "3" and trace.origin < 3.6]
 for number, trace in enumerate(runs):
     axis.plot(
-        trace.t, trace.forecast[:, 1], color="C0", label="found, free runs of 0.4 s" if number == 0 else None
+        trace.t, trace.forecast[:, 1], color="C0", label="found, forecasts of 0.4 s" if number == 0 else None
     )
 axis.set_xlabel("time (s)")
 axis.set_ylabel("angle of the second joint (rad)")
-axis.set_title("A model from torques forecasts trials it has not seen")
+axis.set_title("Forecasts of a held-out trial from its torques")
 axis.legend(frameon=False)
 figure.tight_layout()
 plt.show()

@@ -1,9 +1,9 @@
 """
-A pendulum that nobody measured
-===============================
+A pendulum without a sensor
+===========================
 
-A double pendulum has one encoder, at its first joint. The second link swings unseen. It pulls on the first
-one, however, and that is enough to find the law of both and the motion of the second.
+A double pendulum has one encoder, at its first joint. The angle of the second link is not measured. But the
+second link pulls on the first, and this is enough to find the law of both and the motion of the second.
 
 The recording has a second encoder (Kaheman et al., HardwareX 15, 2023, MIT licence). We withhold it, and use
 it at the end to check. Angles are measured from upright, so both links hang at π.
@@ -23,8 +23,8 @@ data, withheld = data[:12], withheld[:12]
 print(data)
 
 # %%
-# We write down what two links on two joints have: kinetic energies, one coupling, two weights, and viscous
-# friction in each joint. Nothing drives the pendulum, so one coefficient sets the scale.
+# We offer the terms of two links on two joints: kinetic energies, one coupling, two weights, and viscous
+# friction in each joint. Nothing drives the pendulum, so one coefficient must set the scale.
 
 library = la.Library(
     [
@@ -45,8 +45,8 @@ for finding in model.fit.findings:
         print(finding)
 
 # %%
-# The coefficients published for this pendulum, from a fit with both encoders, are 0.5568, 0.9827, -117.92 and
-# -55.81. How far is the unseen angle from its encoder?
+# The coefficients published for this pendulum, from a fit with both encoders, are 0.5568, 0.9827, −117.92 and
+# −55.81. How accurate is the estimated angle? We compare it with the encoder:
 
 motions = model.diagnostics.hidden_motion["theta2"]
 errors = []
@@ -72,9 +72,9 @@ axes[1].legend(loc="upper center")
 plt.show()
 
 # %%
-# The error leaves the band for some tenths of a second. The band allows for noise, coefficients, and an
-# equation error without memory. Friction that this model lacks, as dry friction would be, has one.
+# The error leaves the band for some tenths of a second. The band includes noise, the coefficients, and a
+# white equation error. The error from a missing friction term, such as dry friction, is correlated in time.
 #
-# **What to learn.** A coordinate without a sensor is named in ``hidden``; its name occurs in the candidates.
-# Offer few candidates, and read what the findings say: which choice of its zero or sign was made, and whether
-# the candidates leave more open.
+# **What to learn.** Name a coordinate without a sensor in ``hidden``, and offer few candidates that contain
+# it. Read the findings: they state how its sign or zero was chosen, and whether the candidates leave more
+# open.

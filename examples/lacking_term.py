@@ -2,8 +2,8 @@
 When the library lacks a term
 =============================
 
-A term that was not offered cannot be found. The result must then say so. A cart on a spring carries a
-pendulum; the spring stiffens when it is stretched, and the candidates do not include such a spring.
+A term that is not a candidate cannot be found, and the result should then say so. A cart on a spring carries
+a pendulum; the spring stiffens when it is stretched, and the candidates do not include such a spring.
 """
 
 import matplotlib.pyplot as plt
@@ -43,7 +43,7 @@ x, x_dot, force = q[:, 0], qdot[:, 0], rest[:, 0]
 
 # %%
 # Plotted against the velocity, the remaining force is a cloud, so it is not friction. Plotted against the
-# position, it is a cubic curve, so the potential has a fourth power. With that candidate, the discovery
+# position, it is a cubic curve, so the potential has a fourth power. With this candidate, the discovery
 # succeeds.
 
 complete = la.discover(data, la.Library(cart.library, ["x", "theta"], angles=["theta"]), known=cart.known)
@@ -70,10 +70,10 @@ found = {t.expression: t.coefficient for t in lacking.terms}
 line = np.linspace(x.min(), x.max(), 200)
 true_spring = stiffening.lagrangian["x"] + 2 * stiffening.lagrangian["x**2"] * line - 4 * 0.6 * line**3
 bent_spring = found["x"] + 2 * found["x**2"] * line
-right.plot(line, true_spring - bent_spring, color="tab:red", label="true spring minus the straight one found")
+right.plot(line, true_spring - bent_spring, color="tab:red", label="true spring minus the linear one found")
 right.legend(fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** "Doubtful" is an answer. The warnings name the equation. The remaining force, plotted
-# against each coordinate and each velocity, usually shows what kind of term to add.
+# **What to learn.** The warnings of a doubtful result name the equation that does not hold. Plot its
+# remaining force against each coordinate and each velocity: this usually shows what kind of term to add.

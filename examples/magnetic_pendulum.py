@@ -70,5 +70,5 @@ axes[0].set_ylabel("y (m) at the start")
 plt.show()
 
 # %%
-# **What to learn.** A Lagrangian is more than a fit of the recorded motions. You can add a force that was
-# absent when the data were taken, and the global picture is still right.
+# **What to learn.** A Lagrangian also describes motions that were not recorded. You can add a force that was
+# absent in the recordings, and the model still predicts the motion.

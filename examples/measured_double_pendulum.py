@@ -25,9 +25,9 @@ print(fitted)
 print(held_out)
 
 # %%
-# The candidates are those that one would write down without knowing the answer: products of two velocities
-# with cosines and sines, the first harmonics of a potential, and viscous and dry friction in both joints. The
-# friction of the second joint depends on the angle between the links.
+# The candidates do not presume the answer: products of two velocities with cosines and sines, the first
+# harmonics of a potential, and viscous and dry friction in both joints. The friction of the second joint
+# depends on the angle between the links.
 #
 # Nothing drives the pendulum, so its motion determines L only up to a factor. We set the coefficient of the
 # first squared velocity to one. All other coefficients are relative to it.
@@ -69,9 +69,8 @@ for note in model.diagnostics.notes:
     print("-", note)
 
 # %%
-# A coefficient can look right and still be useless. The decisive test is to forecast motions that the fit has
-# not seen. Each forecast starts from the state that best fits the half second of data before it, and
-# simulates one second.
+# The decisive test is to forecast motions that were not used in the fit. Each forecast starts from the state
+# that best fits the half second of data before it, and simulates one second.
 
 forecast = model.validate(held_out, horizon=1.0)
 print("rms error (rad):", forecast.rms.round(4), "in", len(forecast.traces), "forecasts")
@@ -103,8 +102,8 @@ axes[1, 0].set_ylabel("error (mrad)")
 plt.show()
 
 # %%
-# **What to learn.** Forecasts over one second that are off by some thousandths of a radian say more than any
-# standard error: this model is fit for use. Its intervals are narrow because there are 48 000 samples, and
-# they are conditional on the terms. The friction is the least certain part.
+# **What to learn.** Judge a model by its forecasts. Here they are off by some thousandths of a radian after
+# one second. Standard errors say less: they are small because there are 48 000 samples, and they assume that
+# the terms are right. The friction is the least certain part.
 
 assert np.all(forecast.rms < 0.01)

@@ -131,5 +131,5 @@ right.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3,
 plt.show()
 
 # %%
-# **What to learn.** If two structures cannot be distinguished, more data of the same kind do not help. One
-# motion in which they differ does, and the models tell you which.
+# **What to learn.** If two structures cannot be distinguished, more data of the same kind do not help. Record
+# a motion in which they differ; the models tell you which.

@@ -2,8 +2,8 @@
 What a payload changes
 ======================
 
-A motor turns a link that hangs from its shaft. Three trials run with the empty link, three with a weight of
-1 kg at an unknown place. Which coefficients differ, and by how much? And where does the weight sit?
+A motor turns a link that hangs from its shaft. Three trials are recorded with the empty link, three with a
+weight of 1 kg at an unknown place. Which coefficients differ, and by how much? And where is the weight?
 """
 
 import matplotlib.pyplot as plt
@@ -18,13 +18,13 @@ MASS, ARM = 1.0, 0.35  # kg, m: the payload
 
 
 def torque(t, trial):
-    """Three slow sines, of other phases in every trial."""
+    """Return three slow sines, whose phases depend on the trial."""
     phases = np.random.default_rng(trial).uniform(0.0, 6.0, 3)
     return sum(2.0 * np.sin(w * t + p) for w, p in zip((0.9, 2.3, 4.1), phases, strict=True))
 
 
 def motion(t, trial, mass):
-    """Angles of the link with a weight."""
+    """Simulate the angle of the link with a weight."""
 
     def rate(time, state):
         q, v = state
@@ -45,8 +45,8 @@ for trial in range(8):
     loads.append(load)
 
 # %%
-# ``groups`` names the group of every trial. The noise of the encoder and the friction may be the same in
-# both; nobody has to say so. All coefficients are shared unless the data show that they differ.
+# ``groups`` names the group of every trial. Coefficients are shared by all groups unless the data show that
+# they differ; you need not know which.
 
 library = la.Library.mechanical(["q"], ["q"])
 model = la.discover(trials[:6], library, dissipation="auto", groups=loads[:6])
@@ -56,8 +56,8 @@ for difference in model.groups.differences:
 print(model.fit.status)
 
 # %%
-# Two coefficients differ, and friction is none of them. A mass m at the distance l from the shaft adds
-# ½ m l² to the one and m g l to the other, so their ratio is l, and then m follows.
+# Two coefficients differ, neither of them of friction. A mass m at the distance l from the shaft adds ½ m l²
+# to the one and m g l to the other. Their ratio gives l, and then m follows.
 
 change = {d.expression: d.difference for d in model.groups.differences}
 arm = 2 * G * change["q_dot**2"] / change["cos(q)"]
@@ -83,5 +83,5 @@ figure.tight_layout()
 plt.show()
 
 # %%
-# **What to learn.** Record with and without the change, and give the group of each trial. The differences
-# are determined better than from two separate fits, because everything else is shared.
+# **What to learn.** Record with and without the change, and state the group of each trial. The differences
+# are more accurate than those of two separate fits, because all other coefficients are shared.

@@ -3,8 +3,8 @@ A robot arm with two joints
 ===========================
 
 Torques drive both joints of a planar arm. The second angle is measured from the first link, as with encoders
-on gear motors. We find its Lagrangian in newton metres (the torques set the scale). Then we use it as
-identified robot models are used: to compute the torques for a desired motion.
+on gear motors. We find its Lagrangian in newton metres (the torques set the scale). Then we use it to compute
+the torques for a desired motion.
 """
 
 import matplotlib.pyplot as plt
@@ -88,7 +88,7 @@ q, qdot, qddot = ((a - b)[:, None] * raised for a, b in zip(up, down, strict=Tru
 torque = np.einsum("tij,tj->ti", model.mass_matrix(q), qddot - model.acceleration(q, qdot))
 
 # %%
-# Apply these torques to the *true* arm in open loop, so that nothing corrects an error. For comparison, we
+# Apply these torques to the *true* arm in open loop, where no feedback corrects an error. For comparison, we
 # also apply the torques of a model without friction candidates.
 
 rigid = la.discover(data, library)
@@ -103,7 +103,7 @@ figure, axes = plt.subplots(
 )
 for i, colour in enumerate(["tab:blue", "tab:orange"]):
     axes[0].plot(t, torque[:, i], color=colour, label=f"joint {i + 1}")
-    axes[1].plot(t, q[:, i], color="0.75", lw=6, label="wanted" if i == 0 else None)
+    axes[1].plot(t, q[:, i], color="0.75", lw=6, label="desired" if i == 0 else None)
     axes[1].plot(t, driven.q[:, i], color=colour, label=f"joint {i + 1}, torques of the found model")
     axes[1].plot(t, driven_without.q[:, i], ":", color=colour, label="the same, friction not offered")
     axes[2].plot(t, 1e3 * (driven.q - q)[:, i], color=colour)

@@ -2,9 +2,10 @@
 Seven joints from a torque log
 ==============================
 
-Makers of robot arms give the geometry of their arms, but rarely masses, inertias and friction. A log of
-joint angles and torques holds them. The geometry makes the equations linear in ten parameters a link, so
-that no form has to be searched: `leastaction.arms` fits the curve, the parameters and the friction together.
+Manufacturers publish the geometry of their robot arms, but rarely masses, inertias and friction. A log of
+joint angles and torques contains this information. With the geometry known, the equations are linear in ten
+parameters per link, and no terms of L are searched. `leastaction.arms` fits the curve, the parameters and the
+friction together.
 """
 
 import matplotlib.pyplot as plt
@@ -14,7 +15,7 @@ import leastaction as la
 from leastaction import arms
 
 # %%
-# The geometry is a table of Denavit and Hartenberg (here modified, as Craig writes it), or a URDF:
+# The geometry is a Denavit–Hartenberg table (here in Craig's modified convention) or a URDF, read by
 # ``arms.read_urdf("robot.urdf")``.
 
 quarter = np.pi / 2
@@ -32,9 +33,9 @@ tree = arms.KinematicTree.from_dh(
 )
 
 # %%
-# The arm that is simulated: links like ellipsoids, lighter towards the hand; rotors; friction. Dry friction
-# turns over 2 mrad after a reversal, because gears yield before they slide. The fourth joint has no viscous
-# friction, and the last one no dry friction.
+# The simulated arm has ellipsoidal links, lighter towards the hand, rotors, and friction. After a reversal,
+# dry friction changes sign over 2 mrad, because gears deform before they slide. The fourth joint has no
+# viscous friction, and the last one no dry friction.
 
 rng = np.random.default_rng(7)
 
@@ -85,9 +86,9 @@ model = arms.identify(log(16.0), tree)
 print(model)
 
 # %%
-# Each row is a combination of parameters that the torques determine. Masses of inner links are not among
-# them: they act on the first joints only as parts of larger moments. ``bodies()`` chooses masses, centres and
-# inertias that can exist and agree with the table; a URDF with them is written by ``to_urdf``.
+# Each row is a combination of parameters that the torques determine. The masses of single links are not among
+# them: they act on the joints only as parts of larger moments. ``bodies()`` returns physically consistent
+# masses, centres and inertias that agree with the table; ``to_urdf`` writes them to a URDF.
 
 solid = model.bodies()
 print(solid.facts.notes[-1])
@@ -99,7 +100,7 @@ for name in ("mass_matrix", "gravity"):
     print(f"{name}: off by {np.linalg.norm(ours - theirs) / np.linalg.norm(theirs):.2%}")
 
 # %%
-# Prediction is what decides: torques of another log, from its angles alone.
+# The decisive test is prediction: the torques of another log, from its angles alone.
 
 other = log(6.0)
 print(solid.validate(other))
@@ -111,7 +112,7 @@ figure, axes = plt.subplots(2, 4, figsize=(12, 5), layout="constrained")
 for i, axis in enumerate(axes.ravel()[:7]):
     axis.plot(other.t, other.forces[:, i], color="0.75", lw=1.5, label="measured")
     axis.plot(other.t, predicted[:, i], lw=0.8, label="predicted")
-    axis.set(title=tree.coordinates[i], xlabel="t in s", ylabel="torque in N m")
+    axis.set(title=tree.coordinates[i], xlabel="t (s)", ylabel="torque (N m)")
 known = dict(zip([term.text for term in true.terms], true.coefficients, strict=True))
 scores = [
     (value - known.get(term.text, 0.0)) / error  # there are no offsets
@@ -119,12 +120,12 @@ scores = [
 ]
 last = axes.ravel()[7]
 last.hist(scores, bins=np.arange(-4.0, 4.1, 0.5), color="0.6")
-last.set(title="errors over standard errors", xlabel="z")
+last.set(title="parameters", xlabel="error / standard error")
 axes[0, 0].legend()
 plt.show()
 
 # %%
-# **What to learn.** With the geometry known, a log of some seconds gives the torques that any other motion
-# needs, to the noise of the sensors. Trust the combinations in the table and their errors; single masses
-# only if the table names them alone. Friction that is not there is left out, and errors over standard errors
-# spread by one, as they should.
+# **What to learn.** With the geometry known, a log of some seconds predicts the torques of other motions to
+# within the noise of the sensors. Trust the combinations in the table and their standard errors. Trust single
+# masses only if the table lists them alone. Absent friction is not selected, and the errors of the parameters
+# have the size of their standard errors.

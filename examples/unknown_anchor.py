@@ -1,6 +1,6 @@
 """
-A spring whose anchor nobody measured
-=====================================
+A spring with an unknown anchor
+===============================
 
 A mass swings on a spring in a vertical plane, in front of a camera. The spring has a rest length and hangs on
 a nail above the picture. Its energy is ½k(ρ − ℓ)², where ρ is the distance from the nail. The coordinates of
@@ -65,7 +65,7 @@ length = coefficients["sqrt((x-{p})**2+(y-{r})**2)"] / stiffness
 print(f"stiffness {stiffness:.2f} N/m (true: {STIFFNESS}), rest length {length:.4f} m (true: {LENGTH})")
 
 # %%
-# The motions, the estimated nail, and the potential of the model at rest.
+# The motions, the estimated nail, and the potential of the model.
 
 x, y = np.meshgrid(np.linspace(-0.9, 1.5, 121), np.linspace(-0.9, 1.6, 121))
 q = np.stack([x, y], axis=-1)
@@ -86,12 +86,12 @@ axes.errorbar(
     label="nail, found",
 )
 axes.plot(*NAIL, "o", ms=10, mfc="none", mec="tab:red", label="nail, true")
-axes.set(xlabel="x in m", ylabel="y in m", aspect="equal", title="found potential, motions and nail")
+axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="found potential, motions and nail")
 axes.legend(loc="lower right", fontsize=9)
 plt.show()
 
 # %%
-# **What to learn.** A number inside a function is not a coefficient, but it need not be known: write its name
-# in braces. The same fit that finds the law estimates it, with a standard error. Each such number makes a
-# term more flexible, so use few of them. Record motions along which the term changes in a way that the others
-# cannot imitate: here the mass comes close to the nail and swings far to both sides.
+# **What to learn.** If a number inside a function is unknown, write a name in braces. The fit that finds the
+# law estimates it, with a standard error. Each such number makes a term more flexible, so use few of them.
+# Record motions along which other terms cannot imitate this one: here the mass comes close to the nail and
+# swings far to both sides.

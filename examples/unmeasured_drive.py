@@ -1,10 +1,10 @@
 """
-A drive that nobody measured
-============================
+An unmeasured drive
+===================
 
 A trolley of a crane carries a load on a rope of 0.8 m. The position of the trolley and the angle of the rope
-are recorded, but not the force of the motor. The equation of the trolley is therefore useless. The equation
-of the load is all that is needed to move it without swinging.
+are recorded, but not the force of the motor, so the equation of the trolley cannot be used. The equation of
+the load is enough to move it without swinging.
 """
 
 import matplotlib.pyplot as plt
@@ -17,7 +17,7 @@ g, rope, load, trolley = 9.81, 0.8, 5.0, 20.0
 
 
 def crane(motor, start, t):
-    """Positions of the trolley and angles of the rope: the machine, which the method never sees."""
+    """Simulate the position of the trolley and the angle of the rope."""
 
     def rates(time, y):
         _, theta, x_dot, theta_dot = y
@@ -59,8 +59,8 @@ print(*model.diagnostics.dropped[:3], sep="\n")
 print(swing)
 
 # %%
-# and this acceleration drives the model: where the model takes forces, the entry of x is its acceleration.
-# The last recording was held out. Its trolley moves as measured, and the model predicts the rope.
+# which drives the model: where the model takes forces, the entry of x is its acceleration. The last recording
+# was held out. Its trolley moves as measured, and the model predicts the rope.
 
 check = model.validate(recordings[3], horizon=4.0)
 print(check)
@@ -98,6 +98,6 @@ axis.legend()
 plt.show()
 
 # %%
-# **What to learn.** If something unmeasured moves a coordinate (a drive, a hand, the ground), name the
-# coordinate in ``prescribed``. Otherwise the fit would try to express the force of the motor by terms of L,
-# and the result would not be *ok*.
+# **What to learn.** If an unmeasured force moves a coordinate (a drive, a hand, the ground), name the
+# coordinate in ``prescribed``. Otherwise the fit expresses the force of the motor by terms of L, and the
+# result is not *ok*.

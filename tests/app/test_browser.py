@@ -124,7 +124,7 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     roles = page.locator(".role .q-field__native").all_inner_texts()
     assert [text.strip() for text in roles] == ["trial", "time (s)", "angle (rad)", "force on theta"]
     tab.click("Continue to the candidates")
-    tab.see("What may the Lagrangian be made of?")
+    tab.see("Which terms may the Lagrangian contain?")
     page.get_by_text("compact:").click()
     page.get_by_text("viscous, θ").click()
     tab.see("1 for friction; 2 trials fitted, 1 held out")
@@ -207,7 +207,7 @@ def test_a_cancelled_run_leaves_the_app_usable(open_tab):
     page.get_by_role("button", name="Fewer terms").click()
     tab.see("The criterion prefers the chosen structure by")
     tab.see("taken from the trade-off curve by hand")
-    tab.see("The model runs freely for")
+    tab.see("Simulated for")
     page.wait_for_function("before => document.querySelector('.formula').innerText !== before", arg=before[0])
     fewer = page.locator(".formula").all_inner_texts()
     assert fewer != before
@@ -343,7 +343,7 @@ def test_axe_finds_nothing_serious_in_the_app(open_tab, size, scheme):
     tab.page.locator(".figure svg").first.wait_for(state="attached")
     found += findings_of_axe(tab.page)
     tab.click("Continue to the candidates")
-    tab.see("What may the Lagrangian be made of?")
+    tab.see("Which terms may the Lagrangian contain?")
     found += findings_of_axe(tab.page)
     tab.click("Find the Lagrangian")
     tab.page.locator(".running").wait_for()

@@ -218,6 +218,21 @@ def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
         choice.task(data, ["theta"])
 
 
+def test_lengths_of_links_are_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("single_pendulum", trials=1, duration=2.0)
+    choice = Choice(lengths="theta = 0.3  # m\n")
+    assert given_to_discover(choice.task(data, ["theta"]), monkeypatch)["lengths"] == {"theta": 0.3}
+    for text, problem in (
+        ("0.3", "COORDINATE = METRES"),
+        ("phi = 0.3", "'phi', which is not a coordinate"),
+        ("theta = -1", "expected metres"),
+        ("theta = a", "not a finite number"),
+    ):
+        choice.lengths = text
+        with pytest.raises(InputError, match=problem):
+            choice.task(data, ["theta"])
+
+
 def test_forces_are_shifted_to_when_they_act(monkeypatch):
     data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
     choice = Choice(held_out=1, delay=0.05)

@@ -109,7 +109,7 @@ def test_from_an_example_to_a_result_and_along_the_curve():
             assert not next(iter(user.find(marker="model").elements)).enabled
         await until(lambda: session.current.stage == "forecast")
         await user.should_see("taken from the trade-off curve by hand")
-        await user.should_see("The model runs freely for")
+        await user.should_see("Simulated for")
         await user.should_not_see("provisional")
         await until(lambda: session.job is None)
         user.find(marker="report").click()
@@ -218,7 +218,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         await user.should_see("Simple numbers inside the intervals")
         await user.should_see("0.50030(40)")
         await user.should_see("All together: χ²")
-        await user.should_see("Symmetries and conserved quantities.")
+        await user.should_see("Symmetries and conserved quantities")
         await user.should_see("rotation of (x, y)")
         await user.should_see("within the error bars (0.")
         await user.should_see("angular momentum")
@@ -255,7 +255,7 @@ def test_faults_are_lines_in_the_page():
 def test_a_coordinate_may_be_moved_by_something_unmeasured():
     async def script(user) -> None:
         session = await open_candidates(user, "double")
-        await user.should_see("Moved by something that was not measured")
+        await user.should_see("Moved by unmeasured forces")
         first, second = session.data.coordinates
         user.find(marker=f"prescribed-{first}").click()
         await until(lambda: session.choice.prescribed)
@@ -345,7 +345,7 @@ def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
 def test_cancelling_keeps_the_page():
     async def script(user) -> None:
         await open_candidates(user, "double")
-        await user.should_see("What may the Lagrangian be made of?")
+        await user.should_see("Which terms may the Lagrangian contain?")
         user.find(marker="discover").click()
         await user.should_see("Searching")
         user.find(marker="cancel").click()

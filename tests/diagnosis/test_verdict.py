@@ -15,8 +15,7 @@ from leastaction.diagnosis import verdict
 from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
-from leastaction.diagnosis.verdict import _perhaps_degrees
-from leastaction.diagnosis.wider_search import begun_anew
+from leastaction.diagnosis.wider_search import begun_anew, perhaps_degrees
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
@@ -385,9 +384,23 @@ def test_a_wheel_that_turns_is_not_in_degrees_if_its_simulations_follow():
     library = la.Library(["phi_dot**2", "cos(phi)"], ["phi"], angles=["phi"])
     search = find_structure(begin_search(build_problem(wheel, Request(library))))
     assert np.ptp(wheel.q) > 4.0 * np.pi
-    assert _perhaps_degrees(search.found, 2.0, np.array([0.01])) == []
+    assert perhaps_degrees(search.found, 2.0, np.array([0.01]), []) == []
     # an equation that is off by more than its forces explains nothing, whatever a simulation does
-    assert [f.code for f in _perhaps_degrees(search.found, 2.0, np.array([1.5]))] == ["angle-in-degrees"]
+    assert [f.code for f in perhaps_degrees(search.found, 2.0, np.array([1.5]), [])] == ["angle-in-degrees"]
+
+
+def test_small_swings_in_degrees_nearly_have_the_law_of_a_spring():
+    t = np.arange(0.0, 6.0, 0.02)
+    swing = 40.0 * np.cos(2.0 * t) + np.random.default_rng(0).normal(0.0, 0.1, t.size)
+    library = la.Library(["phi_dot**2", "phi**2", "cos(phi)"], ["phi"], angles=["phi"])
+    data = la.Trajectory(t, swing, coordinates=["phi"])
+    found = find_structure(
+        begin_search(build_problem(data, Request(library, known={"phi_dot**2": 0.5})))
+    ).found
+    (degrees,) = perhaps_degrees(found, np.pi, np.array([0.02]), [])
+    assert (degrees.code, degrees.subject) == ("angle-in-degrees", ("phi",))
+    # with another cause, the law may be that of a real spring
+    assert perhaps_degrees(found, np.pi, np.array([0.02]), [degrees]) == []
 
 
 def test_rivals_come_with_the_experiment_that_separates_them():

@@ -8,7 +8,7 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-from leastaction.cli.values import check_known, known_coefficients, name_list
+from leastaction.cli.values import check_known, known_coefficients, name_list, number, pairs
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names
 
@@ -38,8 +38,9 @@ class Choice:
         Whether the candidates are those of `text` instead of generated ones of `size`.
     size : str
         As for `leastaction.Library.mechanical`; "auto", the default, is the choice of `discover`.
-    text, known, more_friction : str
-        One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
+    text, known, lengths, more_friction : str
+        One expression a line; one "EXPR = VALUE" a line; one "COORDINATE = METRES" a line; more friction, one
+        expression a line.
     friction, families : list of str
         Selected friction candidates, and selected families for all coordinates.
     gyroscopic : bool
@@ -65,6 +66,7 @@ class Choice:
     friction: list[str] = field(default_factory=list)
     more_friction: str = ""
     known: str = ""
+    lengths: str = ""
     delay: float = 0.0
     offsets: list[str] = field(default_factory=list)
     prescribed: list[str] = field(default_factory=list)
@@ -176,6 +178,24 @@ class Choice:
             )
         return known
 
+    def links(self, coordinates: Sequence[str]) -> dict[str, float]:
+        """Lengths of links in metres.
+
+        Raises
+        ------
+        InputError
+            If a line cannot be read, or does not name a coordinate.
+
+        Examples
+        --------
+        >>> Choice(lengths="theta = 0.3").links(["theta"])
+        {'theta': 0.3}
+        """
+        from leastaction.model.gravity import checked_lengths
+
+        given = pairs(lines(self.lengths), "COORDINATE = METRES, for example theta = 0.3")
+        return checked_lengths({name: number(value) for name, value in given}, coordinates)
+
     def forces(self, data: Trajectories) -> Forces:
         """Assumptions on forces.
 
@@ -207,7 +227,8 @@ class Choice:
         library = self.library(data.coordinates, angles)
         fitted, held_out = split_trials(data, self.held_out, self.every_third)
         known, forces = self.known_terms(library, data.driven), self.forces(data)
-        return Task(fitted, held_out, library, known, forces, self.unseen(data.coordinates))
+        unseen, links = self.unseen(data.coordinates), self.links(library.coordinates)
+        return Task(fitted, held_out, library, known, forces, unseen, links)
 
 
 @dataclass(frozen=True)
@@ -229,6 +250,7 @@ class Task:
     known: dict[str, float]
     forces: Forces = Forces()
     hidden: tuple[str, ...] = ()
+    lengths: dict[str, float] = field(default_factory=dict[str, float])
     relevance: float = 0.05
 
     def shifted(self) -> Task:
@@ -260,11 +282,11 @@ def faults(text: str, coordinates: Sequence[str]) -> list[str]:
     if len(everything) > _MOST_LINES:
         return [f"there are {len(everything)} lines; give at most {_MOST_LINES} candidates"]
     found = []
-    for number, line in enumerate(everything, start=1):
+    for place, line in enumerate(everything, start=1):
         line = line.partition("#")[0].strip()
         fault = _fault(line, tuple(coordinates)) if line else None
         if fault:
-            found.append(f"line {number}: {fault}")
+            found.append(f"line {place}: {fault}")
     return found
 
 

@@ -50,7 +50,7 @@ class CandidatesView:
         self.page, self.choice, self.data = page, page.session.choice, page.session.data
 
     def build(self) -> None:
-        title("What may the Lagrangian be made of?", "h1")
+        title("Which terms may the Lagrangian contain?", "h1")
         with html.div().classes("halves"):
             with panel():
                 self._candidates()
@@ -58,6 +58,7 @@ class CandidatesView:
                 self.friction = html.div().classes("stack")
                 self._friction()
                 self._known()
+                self._lengths()
                 self._hidden()
                 self._forces()
                 if len(self.data) > 1:
@@ -110,7 +111,7 @@ class CandidatesView:
         names, angles, gyroscopic = self.names, self.angles, self.choice.gyroscopic
         sizes = self.choice.sizes(names, angles)
         options = {size: f"{size}: {counted(count, 'candidate')}" for size, count in sizes.items()}
-        say("From the kinds of your coordinates: products of velocities, and potentials.", "help")
+        say("Generated from the kinds of your coordinates: products of velocities, and potentials.", "help")
         radio = ui.radio(options, value=self.choice.size_for(names, angles)).classes("sizes").mark("size")
         radio.on_value_change(self.page.guarded(lambda e: self._set(size=e.value)))
         self.size_words = say("", "help")
@@ -146,7 +147,7 @@ class CandidatesView:
 
     def _friction(self) -> None:
         self.friction.clear()
-        words = "Tick what could be there; what the data do not show is left out."
+        words = "Tick every kind that may exist; absent friction is not selected."
         with self.friction, field("Friction", words):
             self._boxes("friction", friction_choices(self.names))
             more = bool(self.choice.more_friction or self.choice.families)
@@ -174,11 +175,21 @@ class CandidatesView:
             words = f"Optional: known forces set the scale. One a line, as in {first}_dot**2 = 0.5."
         else:
             words = (
-                "Without known forces L and 2 L have the same motions, so one coefficient must be given. One "
-                "a line; the others come out in its units."
+                "Without known forces, L and 2 L describe the same motion, so one coefficient must be given. "
+                "It sets the scale of the others. One a line."
             )
         with field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
+
+    def _lengths(self) -> None:
+        if not self.angles:
+            return
+        words = (
+            "Optional, in metres: from joint to joint, or of the equivalent simple pendulum. The result then "
+            f"states g, which shows whether the units are right. One a line, as in {self.angles[0]} = 0.3."
+        )
+        with field("Lengths of links", words):
+            self._area(self.choice.lengths, "lengths", "Lengths of links", rows=2).mark("lengths")
 
     def _hidden(self) -> None:
         words = (
@@ -212,11 +223,11 @@ class CandidatesView:
                 self._number(
                     "delay", 1e3 * self.choice.delay, "Milliseconds", lambda ms: 1e-3 * ms, suffix="ms"
                 )
-        with field("Unknown constant force", "A sensor with a bias, a load on one side; it is estimated."):
+        with field("Unknown constant force", "The bias of a sensor, or a load on one side. It is estimated."):
             self._boxes("offsets", names)
         if len(names) > 1:
-            words = "By a motor, a hand or the ground: only the equations of the others are used."
-            with field("Moved by something that was not measured", words):
+            words = "By a motor, a hand or the ground. Only the equations of the other coordinates are used."
+            with field("Moved by unmeasured forces", words):
                 self._boxes("prescribed", names)
 
     def _number(
@@ -227,7 +238,7 @@ class CandidatesView:
         number.on_value_change(self.page.guarded(lambda e: self._set(**{name: convert(e.value or 0)})))
 
     def _held_out(self) -> None:
-        with field("Trials held out", "Not fitted, but forecast: the honest test of the result."):
+        with field("Trials held out", "They are not fitted but forecast, as a test of the result."):
             if self.choice.every_third:
                 say("Every third trial, as in the published comparison.")
                 return
@@ -256,6 +267,7 @@ class CandidatesView:
             if not choice.written:
                 self._show_formulas(library)
             choice.known_terms(library, data.driven)
+            choice.links(library.coordinates)
             choice.forces(data)
             fitted, held_out = split_trials(data, choice.held_out, choice.every_third)
             text = (

@@ -83,6 +83,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
         force_offset=task.forces.offsets,
         prescribed=task.forces.prescribed,
         hidden=task.hidden,
+        lengths=task.lengths,
         relevance=task.relevance,
         progress=lambda s, d: progress(s, _plain(d)),
     )

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from leastaction import LagrangianModel
     from leastaction.app.jobs import Motion
 
-__all__ = ["Kind", "effective_length", "frames", "hanging_angles", "stick_kind"]
+__all__ = ["Kind", "effective_length", "frames", "hanging_angles", "stick_kind", "stick_words"]
 
 
 Kind = Literal["links", "cart", "plane", "blocks", ""]
@@ -151,6 +151,25 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
         "down": down is not None,
         "length": None if length is None else round(length * scale, 2),
     }
+
+
+def stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
+    """What is not to scale in the drawing of `frames`."""
+    parts = []
+    if kind == "links" and model.n_dof > 1:
+        parts.append("All links are drawn equally long, because the data do not determine their lengths.")
+    if kind == "cart":
+        to_scale = shown["length"] is not None and model.n_dof == 2
+        parts.append(
+            "The link has its effective length, to the scale of the cart's position."
+            if to_scale
+            else "The lengths of links are not to the scale of the cart's position."
+        )
+    if kind in ("links", "cart") and not shown["down"]:
+        parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
+    if kind == "blocks" and model.n_dof > 1:
+        parts.append("The distance between the blocks is not to scale; their motions are.")
+    return " ".join(parts)
 
 
 def _filled(q: np.ndarray) -> np.ndarray:

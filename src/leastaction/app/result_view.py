@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
-from leastaction.app.motion import Kind, frames, stick_kind
+from leastaction.app.motion import frames, stick_kind, stick_words
 from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
 from leastaction.app.walk_view import WalkPanel
+from leastaction.errors import InputError
 from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["show"]
 
 _MOST_DRAWN = 4
-_USABLE = "Its free runs follow the data; its equations hold only to a few per cent:"
+_USABLE = "Simulations follow the data, but the equations hold only to a few per cent:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
@@ -110,6 +111,7 @@ class ResultView:
             self._provisional()
         else:
             _status(model)
+            _notes(model)
             self._remedies()
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
@@ -162,7 +164,7 @@ class ResultView:
             elif motion.valid_time <= 0:
                 holds = "is off from the start"
             say(
-                f"The model runs freely for {length:.3g} s through {where}, {kind}; it {holds}."
+                f"Simulated for {length:.3g} s along {where}, {kind}, the model {holds}."
                 + (f" It ends early: {motion.note}." if motion.note else "")
             )
             with html.p().classes("keys"):
@@ -174,7 +176,7 @@ class ResultView:
                     with html.div():
                         data = frames(motion, model, kind=kind)
                         Stick(data)
-                        say(_stick_words(kind, model, data), "help")
+                        say(stick_words(kind, model, data), "help")
                 self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
             0.01, self.page.guarded(lambda box=self.figures: self._draw(box, found, notation)), once=True
@@ -303,6 +305,15 @@ def _status(model: LagrangianModel) -> None:
                 say(text, "", "li")
 
 
+def _notes(model: LagrangianModel) -> None:
+    """The notes of the fit, folded."""
+    notes = model.fit.sentences("note", "page")
+    if notes:
+        with ui.expansion(f"Worth knowing ({len(notes)})").classes("formulas"), html.ul():
+            for text in notes:
+                say(text, "", "li")
+
+
 def _coefficients(found: Found, notation: Notation) -> None:
     model = found.model
     title("Coefficients")
@@ -341,11 +352,10 @@ def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
 def _symmetries(model: LagrangianModel, notation: Notation) -> None:
     rows = symmetry_rows(model, notation)
     with panel("symmetries"):
-        title("Symmetries")
+        title(captions.SYMMETRY_TITLE)
         if not rows:
             say(captions.NO_SYMMETRIES, "help")
             return
-        say(f"{captions.SYMMETRY_TITLE}.", "help")
         columns = ("name", "reach", "quantity", "outcome")
         table(
             "Table of symmetries", captions.SYMMETRY_HEAD, [[row[name] for name in columns] for row in rows]
@@ -356,7 +366,7 @@ def _symmetries(model: LagrangianModel, notation: Notation) -> None:
 def _small_motions(model: LagrangianModel, notation: Notation) -> None:
     rows = motion_rows(model, notation)
     with panel("motions"):
-        title("Equilibria and small motions")
+        title(captions.MOTION_TITLE)
         if not rows:
             say(captions.NO_MOTIONS, "help")
             return
@@ -370,21 +380,16 @@ def _small_motions(model: LagrangianModel, notation: Notation) -> None:
         table("Table of equilibria", captions.MOTION_HEAD, cells)
         left_out = next((system.left_out for _, system in model.small_motions if system is not None), ())
         say(captions.motion_note([unsmoothed(text, notation.widths) for text in left_out]), "help")
+        _gravity(model)
 
 
-def _stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
-    parts = []
-    if kind == "links" and model.n_dof > 1:
-        parts.append("All links are drawn equally long, because the data do not determine their lengths.")
-    if kind == "cart":
-        to_scale = shown["length"] is not None and model.n_dof == 2
-        parts.append(
-            "The link has its effective length, to the scale of the cart's position."
-            if to_scale
-            else "The lengths of links are not to the scale of the cart's position."
-        )
-    if kind in ("links", "cart") and not shown["down"]:
-        parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")
-    if kind == "blocks" and model.n_dof > 1:
-        parts.append("The distance between the blocks is not to scale; their motions are.")
-    return " ".join(parts)
+def _gravity(model: LagrangianModel) -> None:
+    """Gravity over length of links, or gravity where lengths are given; a wrong one is among the warnings."""
+    lengths = model.provenance.get("options", {}).get("lengths", {})
+    try:
+        ratios = model.gravity(lengths)
+    except InputError:  # no ratio for one of the lengths, which is a note of the fit
+        ratios = model.gravity()
+    for ratio in ratios:
+        if ratio.clock is None:
+            say(f"Gravity: {ratio}.", "help")

@@ -20,14 +20,20 @@ from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.time_dependence import time_dependence
-from leastaction.diagnosis.wider_search import MOST_SAMPLES, perhaps_angles, search_afresh, undeclared_angles
+from leastaction.diagnosis.wider_search import (
+    MOST_SAMPLES,
+    perhaps_angles,
+    perhaps_degrees,
+    search_afresh,
+    undeclared_angles,
+)
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.findings import Finding, doubtful, find, inexact
 from leastaction.library import time_symbol
 from leastaction.selection.alternatives import Alternative
-from leastaction.selection.forecast_error import followed, forecast_error, left_out
+from leastaction.selection.forecast_error import followed, left_out
 from leastaction.selection.search_state import Search
 from leastaction.selection.settings import SELECTION
 
@@ -83,7 +89,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
     if unexplained:
-        found += _perhaps_degrees(fit, period, share)
+        found += perhaps_degrees(fit, period, share, causes)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
@@ -228,25 +234,6 @@ def _looks_like_noise(fit: Fit, noise: np.ndarray) -> list[Finding]:
         for name, part in zip(fit.problem.trajectories.coordinates, noise / spread, strict=True)
         if part > DIAGNOSIS.much_noise
     ]
-
-
-def _perhaps_degrees(fit: Fit, period: float, share: np.ndarray) -> list[Finding]:
-    """An angle that covers more than two turns within a recording may be in degrees.
-
-    Not where free runs follow the data: few laws whose sines and cosines are those of degrees do, and where
-    the angle does not matter, nor does its unit. An equation that is off by more than its forces explains
-    nothing, even where a simulation happens to follow.
-    """
-    spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
-    names = fit.problem.trajectories.coordinates
-    found = {
-        name: find("angle-in-degrees", name, span=span)
-        for name, span in zip(names, spans, strict=True)
-        if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
-    }
-    nothing = {name for name, part in zip(names, share, strict=True) if part >= 1.0}
-    follows = found and fit.converged and forecast_error(fit, period) <= DIAGNOSIS.follows
-    return [finding for name, finding in found.items() if name in nothing or not follows]
 
 
 def _perhaps_angles(fit: Fit) -> list[Finding]:

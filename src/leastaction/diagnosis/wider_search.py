@@ -7,8 +7,9 @@ again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import sympy as sp
@@ -19,16 +20,25 @@ from leastaction.diagnosis.missing_terms import common_terms, missing_term
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
-from leastaction.findings import Finding
+from leastaction.findings import Finding, find
 from leastaction.identifiers import ANGLE_NAMES
+from leastaction.library import Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.families import searched_with
+from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
 from leastaction.selection.strategies import feeding_friction, weak_start
 from leastaction.selection.weak_proposals import explicable
 
-__all__ = ["MOST_SAMPLES", "begun_anew", "perhaps_angles", "search_afresh", "undeclared_angles"]
+__all__ = [
+    "MOST_SAMPLES",
+    "begun_anew",
+    "perhaps_angles",
+    "perhaps_degrees",
+    "search_afresh",
+    "undeclared_angles",
+]
 
 MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 
@@ -69,6 +79,46 @@ def perhaps_angles(columns: EulerLagrange) -> list[str]:
     """Coordinates with the name of an angle of which no candidate holds a sine or cosine."""
     plain = [name for name in columns.coordinates if name not in columns.turning]
     return [name for name in plain if name.lower().startswith(ANGLE_NAMES)]
+
+
+def perhaps_degrees(fit: Fit, period: float, share: np.ndarray, causes: Sequence[Finding]) -> list[Finding]:
+    """Angles that cover more than two turns within a recording, which may be in degrees.
+
+    Where simulations follow the data, the unit of the angle hardly matters, with two exceptions. An equation
+    that is off by more than its forces explains nothing, even if a simulation happens to follow. And small
+    swings in degrees nearly follow the law of a spring: the angle is outside of sines and cosines, and no
+    other cause is found for an equation that is off.
+    """
+    spans = np.max([np.ptp(curve, axis=0) for curve in fit.curves()], axis=0)
+    names = fit.problem.trajectories.coordinates
+    found = {
+        name: find("angle-in-degrees", name, span=span)
+        for name, span in zip(names, spans, strict=True)
+        if name in fit.problem.candidates.turning and span > DIAGNOSIS.two_turns
+    }
+    lagrangian = [
+        term for term in map(fit.problem.terms.__getitem__, fit.structure) if term.kind == "lagrangian"
+    ]
+    suspect = outside_sines([] if causes else lagrangian)
+    suspect |= {name for name, part in zip(names, share, strict=True) if part >= 1.0}
+    follows = found and fit.converged and forecast_error(fit, period) <= DIAGNOSIS.follows
+    return [finding for name, finding in found.items() if name in suspect or not follows]
+
+
+def outside_sines(terms: Sequence[Term]) -> frozenset[str]:
+    """Names that terms contain outside of sines and cosines.
+
+    Examples
+    --------
+    >>> from leastaction.library import make_term
+    >>> sorted(outside_sines([make_term("a**2*cos(b)", ["a", "b"])]))
+    ['a']
+    """
+    plain: list[sp.Expr] = []
+    for term in terms:
+        waves = cast("Iterable[sp.Expr]", term.expr.atoms(sp.sin, sp.cos))
+        plain.append(term.expr.xreplace({wave: sp.Integer(1) for wave in waves}))
+    return frozenset(str(symbol) for expr in plain for symbol in expr.free_symbols)
 
 
 def _searched(search: Search, turning: Sequence[str]) -> list[Finding]:

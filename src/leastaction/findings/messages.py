@@ -392,7 +392,7 @@ CODES: dict[str, Message] = {
     ),
     "length-unused": Message(
         "note",
-        "the length of {subject} was not used: the model has no potential and coupling that give g over it",
+        "the length of {subject} was not used, because L lacks the potential or coupling that determines g",
     ),
     "slow-force": Message("note", _slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),

@@ -79,5 +79,7 @@ class Names:
         if time and names:
             cure = "; give the name of the column of times (time=...)"
         elif role == f"coordinate {name}" and names:
-            cure = f"; give its column: coordinates={{{name!r}: {names[-1]!r}}}"
+            others = [c for c in names if normal(parted(c, True)[0]).casefold() not in TIME_NAMES]
+            meant = others if len(others) == 1 else ["COLUMN"]
+            cure = f"; give its column: coordinates={{{name!r}: {meant[0]!r}}}"
         raise InputError(f"{self.source} has no {self.kind} {quoted(name)} ({role}); {there}{cure}")

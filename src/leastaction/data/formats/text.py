@@ -157,7 +157,7 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
     if len(text.header) == 1:
         raise InputError(
             f"{source}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
-            "separate columns by comma, semicolon, tab or spaces"
+            "separate columns by comma, semicolon, tab or spaces: one for the time, one for each coordinate"
         )
     found = layout.find(text.header, source, row=dict(zip(text.header, text.units, strict=False)))
     if not text.body.strip():
