@@ -128,11 +128,7 @@ CODES: dict[str, Message] = {
         on_command_line=partial(templates.imitated_remedy, on_command_line=True),
     ),
     # shape parameters
-    "shape-undetermined": Message(
-        "warning",
-        templates.undetermined,
-        templates.undetermined_remedy,
-    ),
+    "shape-undetermined": Message("warning", templates.undetermined, templates.undetermined_remedy),
     "shape-at-bound": Message(
         "warning",
         "the shape parameter {subject} is at the end of its range ({value:.3g}, range {low:.3g} to "
@@ -147,6 +143,13 @@ CODES: dict[str, Message] = {
         on_command_line="bound it around the value that you expect: --shape {subject}=LOW..HIGH",
     ),
     # coordinates without a sensor
+    "hidden-freedom": Message(
+        "warning",
+        "a degree of freedom without a sensor seems to act on {subject}: a mass on a spring of its own, at "
+        "{frequency:.3g} ± {error:.1g} Hz, explains at least {share:.0f%} of the equation error",
+        "add it with hidden=['{hidden}'] and candidates such as {terms}",
+        on_command_line="add it with --hidden {hidden} and candidates such as {terms}",
+    ),
     "hidden-coordinate": Message("note", templates.hidden_coordinate),
     "hidden-gauge": Message(
         "warning",
@@ -353,9 +356,7 @@ CODES: dict[str, Message] = {
         "let the search run to its end",
     ),
     "knots-not-settled": Message(
-        "note",
-        "the coefficients still changed at the last refinement of the knots",
-        "sample faster",
+        "note", "the coefficients still changed at the last refinement of the knots", "sample faster"
     ),
     "coefficients-of-free-runs": Message(
         "note",
@@ -368,14 +369,10 @@ CODES: dict[str, Message] = {
         "samples, forces are {between}",
     ),
     "forecasts": Message(
-        "note",
-        templates.followed,
-        "compare forecasts of held-out trials with the accuracy that you need",
+        "note", templates.followed, "compare forecasts of held-out trials with the accuracy that you need"
     ),
     "forecast-reach": Message(
-        "note",
-        templates.reach,
-        "estimated from the intervals: forecast a trial that was held out",
+        "note", templates.reach, "estimated from the intervals: forecast a trial that was held out"
     ),
     "gravity-off": Message(
         "warning",
