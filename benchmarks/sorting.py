@@ -127,7 +127,8 @@ def carried_out(case: Case) -> dict:
     known = {term: _SCALE * machine.law[term] for term in list(machine.law)[:1] if case.setup == "known"}
     model = la.discover(fitted, asked.library, known=known, dissipation=asked.offered)
     seconds = time.process_time() - begun
-    stated: dict[str, Any] = next(({**f.values} for f in model.fit.findings if f.code == "forecasts"), {})
+    codes = "forecasts", "forecasts-fail"
+    stated: dict[str, Any] = next(({**f.values} for f in model.fit.findings if f.code in codes), {})
     horizon = stated.get("horizon", 0.5)
     spread = np.sqrt(np.mean([np.nanvar(t.q, axis=0) for t in fitted], axis=0))
     truth = _truth(model, machine) if model.n_dof == machine.data.n_dof else None

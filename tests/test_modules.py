@@ -282,9 +282,9 @@ def test_texts_that_are_no_units(text):
 def test_bad_arguments(monkeypatch):
     with pytest.raises(InputError, match="the unit of theta is missing"):
         la.units.check(CART, {"x": "m"})
-    with pytest.raises(InputError, match="'phi' is no coordinate"):
+    with pytest.raises(InputError, match="'phi' is not a coordinate"):
         la.units.check(CART, SI | {"phi": "rad"})
-    with pytest.raises(InputError, match="'y' is no coordinate"):
+    with pytest.raises(InputError, match="'y' is not a coordinate"):
         la.units.check(CART, SI, {"y": "N"})
     with pytest.raises(InputError, match="which is not a time"):
         la.units.check(CART, SI, time="m")

@@ -332,6 +332,7 @@ def test_grid_search_chooses_the_library_that_forecasts_better():
     assert high > 0.99
 
 
+@pytest.mark.thorough
 def test_times_of_each_are_divided_with_the_trajectories():
     data = passive()
     q = [data[0].q, data[1].q[:500], data[2].q[:550]]

@@ -112,8 +112,8 @@ def discover(
         Columns that are functions of the coordinates, such as ``"u = {s}*(x + {l}*sin(theta)) + {u0}"``: a
         column, and an expression in coordinates, velocities ``x_dot``, accelerations ``x_ddot``, and
         calibration numbers in braces. These are estimated (``model.calibration``). ``{s=800}`` gives a start
-        value, `shapes` a range. Such a column is no coordinate; coordinates without a column of their own are
-        those of the library, or `hidden`. See :doc:`/measure`.
+        value, `shapes` a range. Such a column is not a coordinate; coordinates without a column of their own
+        are those of the library, or `hidden`. See :doc:`/measure`.
     robust : bool
         Leave out isolated samples more than five standard deviations off a smooth motion (glitches of a
         camera, lost counts); a note says how many. Heavy-tailed noise, with more than 5 % of the samples out

@@ -11,6 +11,7 @@ import numpy as np
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.errors import InputError
 from leastaction.estimation.build import Setup
+from leastaction.estimation.error_spectrum import error_spectrum
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.groups import GroupedColumns, GroupTerm, laws
 from leastaction.findings import Finding, find, status_of
@@ -78,7 +79,13 @@ def assemble_model(
         tuple(term for kind, term in terms if kind == "dissipation"),
         None if unknown else _covariance(fit),
         fit.position_std,
-        FitSummary(status_of(findings), verdict.chi2_per_sample, density.tolist(), findings=findings),
+        FitSummary(
+            status_of(findings),
+            verdict.chi2_per_sample,
+            density.tolist(),
+            findings=findings,
+            error_spectrum=[] if unknown else error_spectrum(fit).rows(),
+        ),
         {
             "version": _version(),
             "options": options,

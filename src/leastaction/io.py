@@ -16,7 +16,7 @@ conversion.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Unpack
 
 from leastaction.data.formats.arrays import read_mat_table, read_npz_table
 from leastaction.data.formats.atomic import StrPath, write_bytes, write_text
@@ -24,7 +24,7 @@ from leastaction.data.formats.bags import read_mcap
 from leastaction.data.formats.csv import read_csv_table, write_csv
 from leastaction.data.formats.dispatch import combined_trajectories, group_names, to_trajectories
 from leastaction.data.formats.frames import frame_table, read_parquet_table
-from leastaction.data.formats.layout import Coordinates, Forces, Layout, Units
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, UnitOptions
 from leastaction.data.formats.streams import stream
 from leastaction.data.trajectories import Trajectories
 
@@ -54,9 +54,7 @@ def read_csv(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read trajectories from a CSV file.
 
@@ -91,6 +89,7 @@ def read_csv(
         ``"SI"``: columns with a unit in their name (``angle [deg]``, ``x / mm``, ``phi_deg``) or in the row
         below the header are converted to rad, m, N, N m and their rates. ``"as-written"`` keeps all numbers
         as they are, including times. A mapping sets the unit of a coordinate or column: ``{"theta": "deg"}``.
+        The default is ``"SI"``.
 
     Returns
     -------
@@ -133,7 +132,7 @@ def read_csv(
     numbers were read with a decimal comma
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return combined_trajectories(path, layout, read_csv_table)
 
 
@@ -146,9 +145,7 @@ def read_parquet(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read trajectories from a Parquet file; needs ``pip install 'leastaction[parquet]'``.
 
@@ -167,7 +164,7 @@ def read_parquet(
         As for `read_csv`, with rows counted from 0 in place of lines; InputError if pyarrow is not installed.
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return combined_trajectories(path, layout, read_parquet_table)
 
 
@@ -180,9 +177,7 @@ def read_npz(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read trajectories from an NPZ file of NumPy. Pickled objects are refused.
 
@@ -213,7 +208,7 @@ def read_npz(
     <Trajectory 'run': x, y; 11 times, 1 s>
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return combined_trajectories(path, layout, read_npz_table)
 
 
@@ -226,9 +221,7 @@ def read_mat(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read trajectories from a MATLAB file; version 7.3 needs ``pip install 'leastaction[mat73]'``.
 
@@ -248,7 +241,7 @@ def read_mat(
 
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return combined_trajectories(path, layout, read_mat_table)
 
 
@@ -261,9 +254,7 @@ def from_frame(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read trajectories from a data frame: pandas, polars, Arrow, or any other that narwhals supports.
 
@@ -291,7 +282,7 @@ def from_frame(
     5
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return to_trajectories(*frame_table(frame, layout))
 
 
@@ -304,9 +295,7 @@ def read(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     r"""Read trajectories from one or several files, whose suffix determines the format.
 
@@ -341,7 +330,7 @@ def read(
     (('monday', 'tuesday'), [6, 8])
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return combined_trajectories(path, layout)
 
 
@@ -387,10 +376,8 @@ def read_many(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     """Read several files as trials of one system: `read` under another name."""
     rest = (time, forces, trial, angles, velocities, accelerations)
-    return read(paths, coordinates, *rest, time_unit=time_unit, units=units)
+    return read(paths, coordinates, *rest, **unit_options)

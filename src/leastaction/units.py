@@ -109,7 +109,7 @@ def check(
         if name not in coordinates:
             hint = close_match(name, coordinates) if isinstance(name, str) else ""
             raise InputError(
-                f"{quoted(name)} is no coordinate; the coordinates are {listed(coordinates)}{hint}"
+                f"{quoted(name)} is not a coordinate; the coordinates are {listed(coordinates)}{hint}"
             )
     missing = [name for name in coordinates if name not in units]
     if missing:

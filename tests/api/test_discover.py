@@ -600,7 +600,7 @@ def test_too_few_samples():
         ({"x_dot**2": 0.0}, "zero"),
         ({"cos(x)": 1.0}, "not among the 9"),
         ({"x*x_dot": 1.0}, "no effect"),
-        (dict.fromkeys(DUFFING_LIBRARY, 1.0), "nothing is left to find"),
+        (dict.fromkeys(DUFFING_LIBRARY, 1.0), "no candidate is free"),
     ],
 )
 def test_bad_known_coefficients(known, message):

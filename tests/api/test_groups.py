@@ -195,7 +195,7 @@ def test_groups_in_a_file_are_checked(model, change, says):
     ("groups", "says"),
     [
         (["a", "b"], "2 entries, but there are 4 trajectories"),
-        (["a"] * 4, "two groups to compare"),
+        (["a"] * 4, "at least two groups"),
         (["a", "a", "b", None], "empty"),
         ("aabb", "one for each trajectory"),
         (4, "one for each trajectory"),

@@ -267,7 +267,7 @@ def test_exported_python_takes_the_acceleration_as_force(tmp_path, model):
 def test_report_says_that_there_is_no_balance(tmp_path, model):
     la.write_report(model, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
-    assert "the forces that move x are not known" in text
+    assert "the forces that move x are unknown" in text
     assert "nan" not in text.lower().replace("finance", "")
 
 
@@ -293,9 +293,7 @@ def test_a_motion_that_is_given_is_followed():
     forces = np.array([[a(time), push(time)[1]] for time in t])
     known = model.simulate([x(0.0), 0.7], [v(0.0), 0.0], t, forces)
     assert np.abs(given.q - known.q).max() < 1e-6
-    with pytest.raises(
-        la.InputError, match="inputs gives the motion of 'theta'; in this model x can be moved"
-    ):
+    with pytest.raises(la.InputError, match=r"inputs gives the motion of 'theta'; .* is allowed, here x"):
         model.simulate([0.0, 0.7], [0.0, 0.0], t, inputs={"theta": t})
     with pytest.raises(la.InputError, match=r"an input has shape \(3,\); expected finite numbers of shape"):
         model.simulate([0.0, 0.7], [0.0, 0.0], t, inputs={"x": t[:3]})

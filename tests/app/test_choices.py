@@ -141,7 +141,7 @@ def test_degrees_become_radians_and_are_unwrapped(tmp_path):
         ({"time": TIME, "theta": UNUSED}, "no column is a coordinate"),
         ({"time": UNUSED, "theta": ANGLE}, "no column is the time"),
         ({"time": TIME, "run": TIME, "theta": ANGLE}, "both marked as time"),
-        ({"time": TIME, "theta": ANGLE, "tau": FORCE + "phi"}, "no coordinate any more"),
+        ({"time": TIME, "theta": ANGLE, "tau": FORCE + "phi"}, "not a coordinate any more"),
         ({"time": TIME, "theta": ANGLE}, r"\(trial=\.\.\.\)"),
     ],
 )
@@ -211,7 +211,7 @@ def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
     assert (given["prescribed"], given["force_offset"]) == (("x",), ("theta",))
     assert given["trajectories"] is task.fitted  # nothing to shift
     choice.prescribed = ["theta"]
-    with pytest.raises(InputError, match="one of the two is enough"):
+    with pytest.raises(InputError, match="select only one"):
         choice.task(data, ["theta"])
     choice.prescribed, choice.offsets = ["theta", "x"], []
     with pytest.raises(InputError, match="no equation is left"):
@@ -298,9 +298,9 @@ def test_walk_has_one_structure_of_each_size():
         (
             "irrelevant",
             -40.0,
-            "this one by 40. It was not chosen because each of its additional terms removes less than 5 %",
+            "better by 40. It was not chosen because each of its additional terms removes less than 5 %",
         ),
-        ("fit-is-worse", -7.0, "this one by 7. It was not chosen because its own fit does not confirm"),
+        ("fit-is-worse", -7.0, "better by 7. It was not chosen because its own fit does not confirm"),
         (
             "not-worth-its-terms",
             8.0,

@@ -78,6 +78,7 @@ async def until(condition, seconds: float = 60.0) -> None:
     raise AssertionError("this has not happened in time")
 
 
+@pytest.mark.thorough
 def test_from_an_example_to_a_result_and_along_the_curve():
     """A step shows a provisional model, and then the refined one."""
 
@@ -121,14 +122,14 @@ def test_from_an_example_to_a_result_and_along_the_curve():
         await user.should_see("Search again with one change:")
         before = session.current.model
         user.find(marker="keep").click()
-        await user.should_see("Kept: another result will stand beside this one.")
+        await user.should_see("Kept: the next result will be compared with this one.")
         user.find(marker="remedy").click()
         await until(lambda: session.found and session.current.model is not before)
         assert session.choice.more_friction == "abs(theta_dot)**3/3"
         friction = [term.expression for term in session.current.model.dissipation]
         assert any(text.startswith("theta_dot**2*sqrt(") for text in friction)  # drag of the air
         await until(lambda: session.current.stage == "forecast")
-        await user.should_see("Compared with the model that was kept")
+        await user.should_see("Compared with the kept model")
         notation = Notation(["theta"])
         rows = compared(session.current, session.kept, notation)
         assert rows[0] == ("verdict", session.current.model.fit.status, "ok")
@@ -217,7 +218,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         await user.should_see("Simple numbers inside the intervals")
         await user.should_see("0.50030(40)")
         await user.should_see("All together: χ²")
-        await user.should_see("What leaves L as it is, and what is conserved with it.")
+        await user.should_see("Symmetries and conserved quantities.")
         await user.should_see("rotation of (x, y)")
         await user.should_see("within the error bars (0.")
         await user.should_see("angular momentum")
@@ -227,7 +228,7 @@ def test_the_result_shows_simple_numbers_and_symmetries():
         terms = [ModelTerm("x_dot**2", 0.5421, 0.0004), ModelTerm("x*cos(3*t)", 0.237, 0.0002)]
         session.found = {0: Found(LagrangianModel(["x"], terms), "fitted")}
         user.find(marker="step-result").click()
-        await user.should_see("None are looked for where the law holds the time.")
+        await user.should_see("Not computed if the law depends on time.")
         await user.should_not_see("Simple numbers")
 
     simulate(script)
@@ -348,7 +349,7 @@ def test_cancelling_keeps_the_page():
         user.find(marker="discover").click()
         await user.should_see("Searching")
         user.find(marker="cancel").click()
-        await user.should_see("Data and candidates are as they were")
+        await user.should_see("Data and candidates are unchanged")
         assert session_of_page().job.state == "cancelled"
         user.find(marker="back").click()
         await user.should_see("16 candidates, 5 for friction; 18 trials fitted, 8 held out")
@@ -429,7 +430,7 @@ def test_without_the_token_or_its_cookie_nothing_is_answered(address):
         for path, method, headers in [*ASKED, (script, "GET", {})]:
             status, _, text = ask(home + path, method, **headers, **more)
             assert status == 403, path
-            assert "the whole address that it printed in the terminal" in text
+            assert "the complete address that it printed in the terminal" in text
             assert len(text.splitlines()) == 1
     for token in ("?token=", "?token=wrong", "?token=%C3%A9", address.partition(home)[2][:-1]):
         assert ask(home + token)[0] == 403
@@ -479,7 +480,7 @@ def test_pages_of_other_origins_are_refused(address):
         ]:
             status, found, text = ask(home + path, method, **headers, cookie=cookie, origin=origin)
             assert status == 403, (origin, path)
-            assert "A page of another address may not use this app" in text
+            assert "A page from another address may not use this leastaction app" in text
             assert not [name for name in found if name.startswith("access-control")]
         assert ask(address, origin=origin)[0] == 403
 

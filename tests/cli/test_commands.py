@@ -196,7 +196,10 @@ def test_notes_do_not_repeat_the_statements_or_the_law(capsys):
         )  # fmt: skip
         assert len([*_show._notes(model)]) == expected
         _show.show_fit(model)
-        assert "forecast: simulations over 1 s are off by 3 % of the spread" in capsys.readouterr().out
+        assert (
+            "forecast: simulations over 1 s of fitted trials are off by 3 % of the spread"
+            in capsys.readouterr().out
+        )
 
 
 def test_discover_shows_a_doubtful_model(work, tmp_path):

@@ -204,7 +204,7 @@ def test_lines_are_counted_with_comments_and_blanks(file):
         (
             [f"a,{k},0" for k in range(5)] + ["b,0,0", "a,5,0"],
             InputError,
-            r"line 8, column 'trial': trial 'a' goes on",
+            r"line 8, column 'trial': trial 'a' continues",
         ),
         (
             [f"a,{k},0" for k in range(5)] + [",5,0"],

@@ -106,7 +106,7 @@ def without(**changes):
         (without(u=[0.0] * 11 + [None]), InputError, r"row 11 .*column 'u': the force is missing"),
         (without(a=[0.0] * 5 + [np.inf] * 7), InputError, r"row 5 .*infinite"),
         (without(trial=[None] * 12), InputError, r"row 0 .*name of the trial is missing"),
-        (without(trial=[1] * 5 + [2] * 6 + [1]), InputError, r"row 6 .*|row 11 .*goes on"),
+        (without(trial=[1] * 5 + [2] * 6 + [1]), InputError, r"row 6 .*|row 11 .*continues"),
         (without(trial=None), InputError, r"row 6 .*time 0.0 goes backwards"),
         (without(t=list(T), trial=[1] * 8 + [2] * 4), DataError, "trial '2': there are only 4"),
         ({name: [] for name in COLUMNS}, InputError, "has no data"),
@@ -486,7 +486,7 @@ def test_a_cell_may_hold_line_ends_and_a_piece_does_not_cut_it(tmp_path, monkeyp
     ("lines", "message"),
     [
         (["a,0,1"] * 5, r"line 3, column 't': time 0.0 repeats"),
-        ([f"{'aabab'[k // 6]},{k},1" for k in range(30)], "goes on after another trial .it began at line 2"),
+        ([f"{'aabab'[k // 6]},{k},1" for k in range(30)], "continues after another trial .it started at"),
         (
             [f"{'ab'[k // 6]},{k},{'x' if k == 11 else 1}" for k in range(12)],
             r"line 13, column 'x': 'x'",

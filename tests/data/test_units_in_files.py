@@ -88,8 +88,8 @@ def test_the_column_of_the_times_may_have_another_name(file, header, row, name):
 @pytest.mark.parametrize(
     ("header", "message"),
     [
-        ("Time,time,phi", r"has no column 't' \(time\), but Time, time; give the name of one in full"),
-        ("clock,tick,phi", r"has no column 't' \(time\); its columns are clock, tick, phi; name the one of"),
+        ("Time,time,phi", r"has no column 't' \(time\), but Time, time; give one of these names in full"),
+        ("clock,tick,phi", r"has no column 't' \(time\); .*tick, phi; give the name of the column"),
     ],
 )
 def test_the_column_of_the_times_is_not_guessed(file, header, message):
@@ -170,7 +170,7 @@ def test_encodings(file, encoding, said, reader, monkeypatch):
 def test_a_stream_that_changes_its_encoding(file, monkeypatch):
     monkeypatch.setattr(text_module, "_PIECE", 40)
     path = file(table("t,x,note", "{k},{k},abc", count=30).encode() + b"30,30,\xe9\n")
-    with pytest.raises(InputError, match="does not go on as the kind of text that it began with"):
+    with pytest.raises(InputError, match="changes its encoding within the file"):
         io.stream(path, ["x"])
     assert io.read(path, ["x"])[0].n_times == 31
 
@@ -317,7 +317,7 @@ def test_what_the_user_says_wins(file):
         ("t [m],x", None, {}, r"column 't \[m\]' is in m, which is not a unit of time"),
         ("t_ms,x", "s,m", {}, "'t_ms' is in ms by its name, but in s by the row below .*with time_unit"),
         ("t,x_mm", "s,cm", {}, "'x_mm' is in mm by its name, but in cm by the row below .*with units"),
-        ("t_ms,t [us],x", None, {}, r"no column 't' \(time\), but t_ms, 't \[us\]'; give the name of one"),
+        ("t_ms,t [us],x", None, {}, r"no column 't' \(time\), but t_ms, 't \[us\]'; give one of these"),
     ],
 )
 def test_units_that_are_refused(file, header, units, arguments, message):
@@ -548,7 +548,7 @@ def test_dates_in_frames_that_are_refused():
     with pytest.raises(InputError, match=r"row 0 .*column 't': the time is missing"):
         io.from_frame(missing, ["x"])
     mixed = pd.DataFrame({"t": [*MOMENTS[:5], "soon"], "x": K})
-    with pytest.raises(InputError, match=r"row 5 .*'soon' is not a date as the first one is"):
+    with pytest.raises(InputError, match=r"row 5 .*'soon' is not a date like the first one"):
         io.from_frame(mixed, ["x"])
 
 

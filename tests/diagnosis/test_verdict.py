@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 import leastaction as la
 from helpers import PENDULUM_LIBRARY, _pendulum, changed, findings_of, pendulum, record
 from leastaction import systems
+from leastaction.diagnosis import verdict
 from leastaction.diagnosis.effects import Effects, gain_of_terms, is_minor
 from leastaction.diagnosis.forces import exchanged_forces
 from leastaction.diagnosis.missing_terms import common_terms
@@ -20,7 +21,7 @@ from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.findings import Finding
 from leastaction.mechanics.euler_lagrange import EulerLagrange
-from leastaction.selection.forecast_error import forecast_error
+from leastaction.selection.forecast_error import Followed, forecast_error
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
@@ -303,6 +304,7 @@ def test_a_machine_whose_equations_hold_to_some_per_cent_is_usable():
     assert again.fit == model.fit
 
 
+@pytest.mark.thorough
 def test_the_error_of_trials_left_out_is_that_of_fits_without_them():
     data = measured(geared(0.4), ["theta"], 0.003, 2.0)
     model = la.discover(data, PENDULUM_LIBRARY)
@@ -317,6 +319,15 @@ def test_the_error_of_trials_left_out_is_that_of_fits_without_them():
         errors.append(float(result.rms_over_std[0]))
     assert found.values["worst_left_out"] == pytest.approx(max(errors), rel=0.3)
     assert found.values["left_out"] == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.3)
+
+
+@pytest.mark.parametrize(("error", "code"), [(0.19, "forecasts"), (0.21, "forecasts-fail")])
+def test_the_error_of_trials_left_out_decides_and_is_stated(monkeypatch, error, code):
+    monkeypatch.setattr(verdict, "followed", lambda *_: Followed(0.5, 0.02, 0.03, 3))
+    monkeypatch.setattr(verdict, "left_out", lambda *_: (error, 0.4))
+    (found,) = verdict._forecasts(None, 1.0)
+    assert found.code == code
+    assert f"left out of the fit are off by {100 * error:.0f} % of the spread" in str(found)
 
 
 def test_a_machine_that_free_runs_do_not_follow_is_doubtful():

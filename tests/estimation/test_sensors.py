@@ -99,7 +99,7 @@ def test_slopes_are_those_of_differences() -> None:
         (["u = {s}*phi"], "unknown name 'phi'"),
         (["u = {s}"], "holds no coordinate"),
         (["u = {s=1e}*theta"], "expected a number"),
-        (["w = {s}*theta", "u = theta", "v = theta"], "no column of the data"),
+        (["w = {s}*theta", "u = theta", "v = theta"], "not a column of the data"),
         (["u = {s}*theta"], "neither a coordinate"),
         (["u = {s}*__import__('os')", "v = theta"], "cannot read"),
     ],

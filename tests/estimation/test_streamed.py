@@ -223,6 +223,7 @@ def step_of(crew):
 
 
 @pytest.mark.parametrize("crew", ["alone"], indirect=True)
+@pytest.mark.thorough
 def test_children_that_are_killed_cost_time_and_not_the_result(crew):
     expected = step_of(crew)
     doomed = ProcessCrew(2)
@@ -441,6 +442,7 @@ def just_too_long():
         yield data, la.discover(data, systems.compact_library("single_pendulum"))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("workers", [2, Cluster(10**9)])
 def test_the_law_of_a_long_recording_does_not_depend_on_who_computes(workers, just_too_long):
     data, model = just_too_long

@@ -429,10 +429,10 @@ def test_masses_of_a_chain_have_the_coefficients_of_the_law(name):
 
 def test_what_is_no_chain_says_so():
     for name in ("passive", "spherical", "free", "swapped", "odd"):
-        with pytest.raises(InputError, match="not that of a chain of links in a plane"):
+        with pytest.raises(InputError, match="not a chain of links in a plane"):
             export(MODELS[name](), "mjcf")
     dry = LagrangianModel(
         ["a"], [ModelTerm("a_dot**2", 1.0), ModelTerm("cos(a)", 9.0)], [ModelTerm("abs(a_dot)", 0.2)]
     )
     assert chain_of(dry).left_out == ("abs(a_dot)",)
-    assert "Left out, no joint has it: friction abs(a_dot)" in export(dry, "mjcf")
+    assert "Left out, because a joint cannot have it: friction abs(a_dot)" in export(dry, "mjcf")

@@ -357,10 +357,10 @@ def test_name_of_the_file_is_that_of_the_function(tmp_path):
     [
         ("spring.c", "does not end in .m"),
         ("spring", "does not end in .m"),
-        ("3springs.m", "cannot be called in MATLAB"),
-        ("my-spring.m", "cannot be called in MATLAB"),
-        ("while.m", "no keyword"),
-        ("θ.m", "cannot be called"),
+        ("3springs.m", "is not a name of a MATLAB function"),
+        ("my-spring.m", "is not a name of a MATLAB function"),
+        ("while.m", "not a keyword"),
+        ("θ.m", "is not a name"),
     ],
 )
 def test_names_that_matlab_cannot_call(name, says, tmp_path):

@@ -16,6 +16,7 @@ import pytest
 
 import leastaction as la
 from leastaction.cli import program
+from leastaction.data.formats.layout import UnitOptions
 from leastaction.errors import InputError
 from leastaction.findings import (
     CODES,
@@ -26,8 +27,8 @@ from leastaction.findings import (
     Finding,
     find,
     sentence,
+    stated,
     status_of,
-    templates,
 )
 from leastaction.model.term import FitSummary
 
@@ -333,7 +334,9 @@ def arguments() -> set[str]:
     methods = [m for c in things if inspect.isclass(c) for n, m in vars(c).items() if not n.startswith("_")]
     errors = (la.DataError, la.InputError)  # without a signature of their own
     named = [t for t in (*things, *methods) if callable(t) and t not in errors]
-    return {name for thing in named for name in inspect.signature(thing).parameters}
+    return {name for thing in named for name in inspect.signature(thing).parameters} | {
+        *UnitOptions.__annotations__
+    }
 
 
 def unknown_names(said: set[str]) -> set[str]:
@@ -381,6 +384,9 @@ OFF = find(
     "equations-off", "x", equation_error=0.04, residual_ratio=2.0, cause_named=False, may_be_prescribed=False
 )
 FOLLOWED = find("forecasts", horizon=0.5, error=0.031)
+FAILS = find(
+    "forecasts-fail", horizon=0.5, error=0.031, worst=0.05, trials=3, left_out=0.3, worst_left_out=0.5
+)
 RIVAL = find("competing-structures", ["x"], others=["y"], at_names=[], at_values=[])
 
 
@@ -391,6 +397,7 @@ RIVAL = find("competing-structures", ["x"], others=["y"], at_names=[], at_values
         ([find("equation-error", "x", equation_error=0.002)], "ok", "determined"),
         ([OFF], "doubtful", "in doubt, since the equations do not hold"),
         ([OFF, FOLLOWED], "usable", "determined"),
+        ([OFF, FAILS], "doubtful", "in doubt, since the equations do not hold"),
         ([OFF, FOLLOWED, RIVAL], "doubtful", "one of several that explain the data"),
         ([FOLLOWED, RIVAL], "doubtful", "one of several that explain the data"),
         ([RIVAL, find("not-converged", reason="step limit")], "doubtful", "not found"),
@@ -414,9 +421,11 @@ def test_a_forecast_is_stated_as_far_as_it_is_known():
     def reach(end):
         return said(find("forecast-reach", seconds=2.31, share=0.05, to_the_end=end, window=1.0))
 
-    assert runs(worst=0.09, trials=3).endswith("off by 3.1 % of the spread, 9 % in the worst trial")
+    fitted = "simulations over 0.5 s of fitted trials are off by 3.1 % of the spread, 9 % in the worst trial"
+    assert runs(worst=0.09, trials=3) == fitted
     out = runs(worst=0.09, trials=3, left_out=0.05, worst_left_out=0.12)
-    assert out.endswith("worst trial; of trials left out of the fit, by 5 % and 12 %")
+    assert out.endswith("of trials left out of the fit are off by 5 % of the spread, 12 % in the worst trial")
+    assert said(FAILS).endswith("are off by 30 % of the spread, 50 % in the worst trial")
     assert runs(worst=0.031, trials=1) == runs()  # as in files of former versions
     assert "less than 5 % of the spread for 2.3 s (by its intervals, not tested)" in reach(False)
     assert "2.3 s and more" in reach(True)
@@ -426,7 +435,7 @@ def test_a_forecast_is_stated_as_far_as_it_is_known():
 def test_every_code_of_a_status_or_statement_exists():
     warnings = {code for code, row in CODES.items() if row.severity == "warning"}
     assert warnings >= INEXACT
-    assert warnings >= {code for some in templates._STRUCTURES.values() for code in some}
+    assert warnings >= {code for some in stated.STRUCTURES.values() for code in some}
 
 
 def test_nothing_is_stated_where_nothing_was_fitted():

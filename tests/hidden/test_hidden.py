@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
-from leastaction.data.columns import arranged, joined
+from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
 from leastaction.diagnosis import hidden_freedom as hidden_freedom_module
 from leastaction.diagnosis.hidden_freedom import hidden_freedom

@@ -227,7 +227,7 @@ def test_a_found_law_says_what_is_conserved_in_its_recording(tmp_path):
     model.save(tmp_path / "model.json")
     again = load(tmp_path / "model.json").symmetries
     assert [s.quantity for s in again] == [s.quantity for s in model.symmetries]
-    assert outcome(again[0]) == "conserved where no force acts along it"
+    assert outcome(again[0]) == "conserved if no force acts along it"
     assert math.isnan(again[0].drift)
 
 
@@ -248,12 +248,12 @@ def test_drift_and_known_forces():
     driven = {s.kind: s for s in with_forces(free, np.sin).symmetries}["time translation"]
     assert driven.obstacles == ("forces",)
     assert math.isnan(driven.drift)
-    assert outcome(driven) == "not conserved: it would be without the known forces"
+    assert outcome(driven) == "not conserved because of the known forces"
     assert {s.kind: s.obstacles for s in with_forces(free, np.zeros_like).symmetries}[
         "time translation"
     ] == ()
     damped = {s.kind: s for s in with_forces(spring(friction=0.1), np.sin).symmetries}["time translation"]
-    assert outcome(damped) == "not conserved: it would be without friction and the known forces"
+    assert outcome(damped) == "not conserved because of friction and the known forces"
 
 
 def test_a_prescribed_coordinate_has_no_momentum_and_gives_energy():
@@ -365,7 +365,7 @@ def test_offers_that_exclude_each_other_are_said_to():
     assert {o.text for o in found.offers} == {"1"}
     assert not found.compatible
     assert found.chi2 > 100.0
-    assert "does not fit" in simple_lines(measured(terms, np.sqrt(np.diag(close)), close))[-1]
+    assert "incompatible" in simple_lines(measured(terms, np.sqrt(np.diag(close)), close))[-1]
     apart = measured(terms, [0.00021] * 2).simple_constants
     assert apart.compatible
     assert apart.chi2 == pytest.approx(2 * (4 / 2.1) ** 2, rel=1e-6)

@@ -357,9 +357,9 @@ def test_wrong_use():
     with pytest.raises(InputError, match=r"is not an equilibrium; equilibria\(\).*forces = \[-1.0, 0.0\]"):
         model.linearise([0.0, 0.0])
     np.testing.assert_allclose(model.linearise([0.0, 0.0], forces=[-1.0, 0.0]).q, 0.0, atol=1e-12)
-    with pytest.raises(InputError, match=r"where x may be.*give within=\{'x': \(low, high\)\}"):
+    with pytest.raises(InputError, match=r"the range of x is unknown.*give within=\{'x': \(low, high\)\}"):
         model.equilibria()
-    with pytest.raises(InputError, match="'z' is no coordinate; expected x, y"):
+    with pytest.raises(InputError, match="'z' is not a coordinate; expected x, y"):
         model.equilibria(within={"z": (0.0, 1.0)})
     with pytest.raises(InputError, match="expected two rising numbers"):
         model.equilibria(within={"x": (1.0, 0.0)})

@@ -254,7 +254,7 @@ def test_wrong_terms_and_summaries_are_refused(make, message):
         (lambda m: m.acceleration([1.0, 2.0], [1.0]), r"the last axis for x"),
         (
             lambda m: m.acceleration([[1.0]] * 2, [[1.0]] * 3),
-            r"do not fit together: q \(2, 1\), qdot \(3, 1\)",
+            r"cannot be broadcast: q \(2, 1\), qdot \(3, 1\)",
         ),
         (lambda m: m.acceleration([1.0], [1.0], forces=[1.0, 2.0]), "forces has shape"),
         (lambda m: m.energy(["a"], [1.0]), "real numbers"),

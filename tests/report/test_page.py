@@ -87,7 +87,7 @@ def test_sections_follow_the_reading_sequence(source, pendulum):
     rows = page.by_id("symmetries").one("tbody").all("tr")
     cells = [[cell.text.strip() for cell in row.all("th", "td")] for row in rows]
     assert cells[0] == ["time reversal", "in form", "", ""]
-    assert cells[1][2:] == ["energy", "not conserved: it would be without the known forces"]
+    assert cells[1][2:] == ["energy", "not conserved because of the known forces"]
     facts = {d.one("dt").text: d.all("dd")[0].text for d in page.by_id("lagrangian").one("dl").all("div")}
     assert facts["Terms found"] == str(len(model.terms))
     assert facts["Forecast error"] == percent(float(validation.rms_over_std.max()))
@@ -244,7 +244,11 @@ def test_the_law_follows_the_verdict_which_holds_every_reservation(tmp_path):
 def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
     findings = [
         find("late-forces", delay=0.02, half_a_sample=False, gain=90.0),
-        find("forecasts", horizon=0.5, error=0.031, worst=0.062, trials=3),
+        find(
+            "forecasts",
+            **{"horizon": 0.5, "error": 0.01, "worst": 0.02, "trials": 3},
+            **{"left_out": 0.031, "worst_left_out": 0.062},
+        ),
     ]
     page = Page(written(tmp_path, replace(spring(), fit=FitSummary("usable", 2.0, [1.0], findings=findings))))
     verdict = next(c for c in page.root.one("main").children if not isinstance(c, str))
@@ -254,7 +258,9 @@ def test_a_usable_model_says_how_far_it_forecasts(tmp_path):
     )
     said = [li.text for li in verdict.one(class_="statements").all("li")]
     assert said[0] == "Structure: determined"
-    assert said[2].startswith("Forecast: simulations over 0.5 s are off by 3.1 % of the spread, 6.2 % in")
+    assert said[2].startswith(
+        "Forecast: simulations over 0.5 s of trials left out of the fit are off by 3.1 %"
+    )
 
 
 def test_units_known_terms_and_friction(tmp_path):
@@ -262,7 +268,7 @@ def test_units_known_terms_and_friction(tmp_path):
     assert "known, not estimated" in page.text
     assert "x (rad)" in page.text
     assert "dx/dt (rad/s)" in page.text
-    assert "Friction takes energy, from" in page.by_id("energy").one(class_="seen").text
+    assert "Friction lowers the energy from" in page.by_id("energy").one(class_="seen").text
     assert "expected from friction" in page.text
     assert "keep some trials back" in page.text
     model = spring()
@@ -408,7 +414,7 @@ def test_long_tables_are_cut(tmp_path):
 def test_misuse_is_explained(tmp_path, pendulum):
     model, validation = pendulum
     model.save(tmp_path / "model.json")
-    with pytest.raises(InputError, match=r"no diagnostics.*Run discover"):
+    with pytest.raises(InputError, match=r"no diagnostics.*run discover"):
         write_report(load(tmp_path / "model.json"), tmp_path / "report.html")
     with pytest.raises(InputError, match="expected a LagrangianModel"):
         write_report("model.json", tmp_path / "report.html")  # type: ignore[arg-type]

@@ -138,7 +138,7 @@ def test_small_motions_in_a_table():
     assert {row["standing"] for row in others} == {"unstable"}
     assert len(others) == 3
     note = motion_note(model.small_motions[0][1].left_out)
-    assert note.endswith("dry friction, abs(theta2_dot).")
+    assert note.endswith("at rest: abs(theta2_dot).")
     assert "dry friction" not in motion_note(())
     timed = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x*cos(t)", 1.0)])
     nowhere = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -1.0)])
@@ -292,10 +292,10 @@ def with_residuals(r: np.ndarray) -> Series:
 @pytest.mark.parametrize(
     ("result", "text"),
     [
-        (forecast(0.05, 0.049), "off by 10 % of the spread (rms): as an exact model would be"),
+        (forecast(0.05, 0.049), "off by 10 % of the spread (rms): as for an exact model"),
         (
             forecast(0.05, 0.005),
-            "off by 10 % of the spread (rms): 10 times as far as an exact model would be",
+            "off by 10 % of the spread (rms): 10 times the error of an exact model",
         ),
         (forecast(0.05, 0.005, std=0.02), "(rms); 73 % of the samples are in the 95 % band"),
         (forecast(0.6, np.nan), "off by 120 % of the spread (rms)"),
@@ -309,7 +309,9 @@ def test_forecast_titles(result, text):
 
 def test_residual_titles_tell_noise_from_pattern(rng):
     noise = 0.01 * rng.standard_normal(301)
-    assert residual_title(with_residuals(noise), 0, "x").endswith("looks like white, normal noise")
+    assert residual_title(with_residuals(noise), 0, "x").endswith(
+        "the residuals resemble white, normal noise"
+    )
     smooth = 0.01 * np.sqrt(2) * np.sin(np.arange(301) / 3)
     assert "correlated from sample to sample (+0.9" in residual_title(with_residuals(smooth), 0, "x")
     echo = noise.copy()
@@ -317,10 +319,12 @@ def test_residual_titles_tell_noise_from_pattern(rng):
     assert "correlated at a lag of 5 samples (+0." in residual_title(with_residuals(echo), 0, "x")
     jumps = noise.copy()
     jumps[::20] = 0.05 * rng.choice([-1, 1], jumps[::20].size)
-    assert "beyond 3 σ, where normal noise leaves 0.27 %" in residual_title(with_residuals(jumps), 0, "x")
+    assert "beyond 3 σ (0.27 % for normal noise)" in residual_title(with_residuals(jumps), 0, "x")
 
 
-@pytest.mark.parametrize(("scale", "text"), [(1.0, "as far from"), (0.3, "closer to"), (3.0, "farther from")])
+@pytest.mark.parametrize(
+    ("scale", "text"), [(1.0, "agrees with"), (0.3, "smaller than"), (3.0, "larger than")]
+)
 def test_curve_titles(rng, scale, text):
     series = with_residuals(scale * 0.01 * rng.standard_normal(301))
     assert text in curve_title(series, 0, "x")
@@ -329,11 +333,9 @@ def test_curve_titles(rng, scale, text):
 
 def test_energy_and_path_titles():
     facts = {"driven": False, "friction": False, "start": "3", "stop": "2", "shown": "a", "imbalance": "1 %"}
-    assert energy_title(facts).startswith(
-        "Nothing drives or brakes this motion: the energy should stay at 3; 1 %"
-    )
+    assert energy_title(facts).startswith("No force or friction acts: the energy should stay at 3; 1 %")
     assert energy_title(facts | {"friction": True}).startswith(
-        "Friction takes energy, from 3 to 2 on trial a"
+        "Friction lowers the energy from 3 to 2 on trial a"
     )
     assert energy_title(facts | {"driven": True, "imbalance": None}) == "Known forces change the energy"
     points = [
@@ -342,9 +344,9 @@ def test_energy_and_path_titles():
         PathPoint(("x", "z"), 0.0, 7.0),
     ]
     assert path_title(points) == (
-        "2 free terms; difference in BIC: one term less +50.0, the best rival of this size +7.0"
+        "2 free terms; difference in BIC: one term less +50.0, best competing structure +7.0"
     )
-    assert path_title(points[1:2]) == "2 free terms, without a rival"
+    assert path_title(points[1:2]) == "2 free terms, with no alternative"
 
 
 def test_length_against_likelihood_is_put_in_words():
@@ -390,7 +392,7 @@ def test_least_sure_term_is_named():
     model = spring()
     model = replace(model, dissipation=(ModelTerm("x_dot**2", 0.1, 0.02),), fit=FitSummary("ok", 1.0))
     facts = {f["name"]: f for f in verdict(model, None, Notation(["x"]))["facts"]}
-    assert facts["Least sure coefficient"]["value"] == "± 20 %"
+    assert facts["Least precise coefficient"]["value"] == "± 20 %"
     assert "Forecast error" not in facts
     assert facts["Terms found"]["value"] == "2"
 
@@ -478,15 +480,13 @@ def test_long_names_are_shortened_in_figures_and_wrapped_in_headings():
 
 def test_only_words_that_the_table_of_symmetries_has_are_explained():
     energy = Symmetry("time translation", ("x",), "t + c", "in form", drift=0.01)
-    assert symmetry_note([energy]).startswith(
-        "In form: whatever the coefficients are. “Conserved to”: the rms"
-    )
+    assert symmetry_note([energy]).startswith("In form: for any coefficients. “Conserved to”: the rms")
     held_up = replace(energy, obstacles=("friction",))
-    assert symmetry_note([held_up]) == "In form: whatever the coefficients are."
+    assert symmetry_note([held_up]) == "In form: for any coefficients."
     turn = Symmetry("rotation", ("x", "y"), "turn of (x, y)", "within errors", 1, 0.4, 0.0031)
     assert symmetry_note([turn]).startswith("Within the error bars: ")
     assert "Conserved to" not in symmetry_note([turn])
     back = Symmetry("time reversal", ("x",), "t -> -t", "in form")
     assert symmetry_note([held_up, back]).endswith(
-        "Nothing is conserved with a reversal of time or an exchange."
+        "A reversal of time or an exchange has no conserved quantity."
     )

@@ -140,6 +140,7 @@ def fake_case(method: str, trial: int = 0) -> Case:
     return Case("single_pendulum", 0.0, method, trial, trajectories=1)
 
 
+@pytest.mark.thorough
 def test_killed_run_goes_on_without_loss_or_repetition(fake):
     first = fake.start("--trials", "3", "--jobs", "2")
     wait_for(lambda: len(fake.records()) == 1 and len(fake.noted("started")) == 3)

@@ -120,6 +120,7 @@ class TestScore:
         assert scores["undefined"] == pytest.approx(0.25, abs=1e-3)
         assert scores["equation_error"] == pytest.approx(0.5, rel=0.1)
 
+    @pytest.mark.thorough
     def test_test_motions_are_not_in_the_data(self):
         p = problem()
         starts = [tuple(m.q[0]) for m in (*p.truth, *scoring.fresh_motions(p))]

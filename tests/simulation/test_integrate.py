@@ -13,6 +13,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.simulation.integrate import rk4, simulate
+from leastaction.simulation.law import Spectrum
 
 T = np.linspace(0.0, 2.0, 21)
 
@@ -252,7 +253,7 @@ def test_a_model_without_errors_states_none():
     bare = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -2.0)])
     t = np.linspace(0.0, 1.0, 11)
     assert bare.simulate([1.0], [0.0], t).std is None
-    with pytest.raises(la.InputError, match="start_std asks for the error"):
+    with pytest.raises(la.InputError, match="with start_std the simulation states its error"):
         bare.simulate([1.0], [0.0], t, start_std=0.0)
     result = bare.validate(
         Trajectory(np.arange(400) / 100, np.cos(2 * np.arange(400) / 100), coordinates="x")
@@ -269,19 +270,22 @@ def test_standard_deviations_that_make_no_sense(value):
         oscillator().simulate([1.0], [0.0], [0.0, 1.0], start_std=value)
 
 
-def pushed(density: float, noise: float, n_trials: int, rate: float = 100.0) -> Trajectories:
-    """Oscillators under white noise, exactly (a linear recursion), with noise of measurement."""
+def pushed(
+    density: float, noise: float, n_trials: int, rate: float = 100.0, slow: float = np.inf
+) -> Trajectories:
+    """Oscillators under noise, white or below `slow` (Hz), exactly (a recursion), and of measurement."""
     rng, h = np.random.default_rng(5), 1.0 / (20 * rate)
     step = 20
     c, s = np.cos(OMEGA * h), np.sin(OMEGA * h)
     turn = np.array([[c, s / OMEGA], [-OMEGA * s, c]])
     trials = []
     for _ in range(n_trials):
-        state, q = np.array([1.0, 0.0]), []
+        state, q, error, kept = np.array([1.0, 0.0]), [], 0.0, np.exp(-2.0 * np.pi * slow * h)
         for k in range(int(8 * rate) * step):
             if k % step == 0:
                 q.append(state[0])
-            state = turn @ state + [0.0, np.sqrt(density * h) * rng.standard_normal()]
+            error = kept * error + (1.0 - kept) * rng.standard_normal()
+            state = turn @ state + [0.0, np.sqrt(density * h) * error]
         q = np.array(q) + noise * rng.standard_normal(len(q))
         trials.append(Trajectory(np.arange(q.size) / rate, q, coordinates=["x"]))
     return Trajectories(trials)
@@ -293,6 +297,80 @@ def test_bands_hold_where_the_equation_holds_within_its_error():
     result = model.validate(pushed(1e-3, 1e-3, 6), horizon=2.0)
     assert result.rms[0] > 10 * result.expected_rms[0]
     assert 0.88 < result.coverage[0] < 0.99
+
+
+SLOW = 0.3
+"""Hz: half of the density of a slow force."""
+
+
+def slow_rows(density: float) -> np.ndarray:
+    """Table of the density of a first-order low-pass of white noise."""
+    begins = np.concatenate([[0.0], np.geomspace(0.05, 20.0, 40)])
+    middle = 0.5 * (begins + np.append(begins[1:], 30.0))
+    return np.column_stack([begins, density / (1.0 + (middle / SLOW) ** 2)])
+
+
+@pytest.mark.parametrize("steps", [np.full(400, 0.01), np.tile([0.005, 0.015], 200)])
+def test_drawn_errors_have_the_density_of_their_spectrum(steps):
+    rows = np.array([[0.0, 4.0, 0.0], [2.0, 1.0, 0.0], [10.0, 0.0, 9.0]])
+    errors = Spectrum(rows[:, 0], rows[:, 1:]).draw((200, 2), steps, np.random.default_rng(0))
+    assert errors.shape == (401, 200, 2, 2)
+    even = errors[:-1:2] if steps[0] < 0.01 else errors[:-1]
+    n, step = len(even), 4.0 / len(even)
+    taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(n) + 0.5) / n)[:, None, None, None]
+    density = np.mean(np.abs(np.fft.rfft(even * taper, axis=0)) ** 2, axis=(1, 2)) * step / n
+    frequencies = np.fft.rfftfreq(n, step)
+    slow, middle = (frequencies < 1.0), (frequencies > 3.0) & (frequencies < 9.0)
+    np.testing.assert_allclose(density[slow, 0].mean(), 4.0, rtol=0.1)
+    np.testing.assert_allclose(density[middle, 0].mean(), 1.0, rtol=0.1)
+    assert density[frequencies > 12.0, 0].max() < 0.02
+    if len(even) == 400:  # else what is faster than half of the sampling rate adds to it
+        np.testing.assert_allclose(density[frequencies > 12.0, 1].mean(), 9.0, rtol=0.1)
+        assert density[middle, 1].max() < 0.02
+
+
+def test_bands_hold_where_the_error_of_the_equation_is_slow():
+    data, rows = pushed(0.3, 1e-3, 6, slow=SLOW), slow_rows(0.3)
+    model = oscillator(density=0.03, noise=1e-3)
+    coverage = {}
+    for name, table in (("white", ()), ("slow", rows)):
+        fit = replace(model.fit, error_spectrum=table)
+        coverage[name] = replace(model, fit=fit).validate(data, horizon=2.0).coverage[0]
+    assert 0.88 < coverage["slow"] < 0.99
+    assert coverage["white"] < coverage["slow"] - 0.05
+
+
+@pytest.mark.thorough
+def test_the_density_of_a_slow_force_is_found():
+    data = pushed(0.3, 1e-3, 3, slow=SLOW)
+    model = la.discover(data, ["x_dot**2", "x**2"], known={"x_dot**2": 0.5})
+    found = np.array(model.fit.error_spectrum)
+    again = la.LagrangianModel.from_dict(model.to_dict())
+    assert np.array_equal(np.array(again.fit.error_spectrum), found)
+    begins, density = found.T
+    middle = 0.5 * (begins[:-1] + begins[1:])
+    seen = middle < 3.0
+    assert np.count_nonzero(seen) >= 4
+    ratio = density[:-1][seen] * (1.0 + (middle[seen] / SLOW) ** 2) / 0.3
+    assert np.all(np.abs(np.log(ratio)) < np.log(3.0))
+    assert abs(np.log(ratio).mean()) < np.log(1.5)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ([[0.1, 1.0]], "rising from zero"),
+        ([[0.0, 1.0], [0.0, 1.0]], "rising from zero"),
+        ([[0.0, 1.0], [1.0]], "not a table"),
+        ([[]], "not a table"),
+        ([[0.0, -1.0]], "at least 0"),
+        ([[0.0, 1.0, 1.0]], "expected a frequency and one for each of x"),
+        ([0.0, 1.0], "expected a sequence of rows"),
+    ],
+)
+def test_tables_of_densities_are_checked(table, message):
+    with pytest.raises(InputError, match=message):
+        replace(oscillator(), fit=replace(oscillator().fit, error_spectrum=table))
 
 
 @pytest.mark.thorough

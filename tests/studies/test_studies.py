@@ -310,6 +310,7 @@ def alive(pid: int) -> bool:
     return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
 
 
+@pytest.mark.thorough
 def test_crashes_and_late_runs_cost_nothing_but_themselves(fake):
     everything = named("good", "dies", "good", "raises", "hangs", "good", "good")
     answers = dict(solved(everything, Options(jobs=2, timeout=6.0, worker="fake_worker")))

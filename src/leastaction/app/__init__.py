@@ -1,6 +1,6 @@
-"""The local app: one page on 127.0.0.1 for what the command line does: data, candidates, result.
+"""The local app: one page on 127.0.0.1 with the functions of the command line: data, candidates, result.
 
-NiceGUI, which it is built on, is an extra and is imported when the app starts and nowhere else.
+NiceGUI, on which it is built, is an extra and is imported only when the app starts.
 
 * ``server.py``: start, port, token and cookie; guards: origins, host names, size of uploads, a policy that
   lets the browser load from this server only.
@@ -8,25 +8,24 @@ NiceGUI, which it is built on, is an extra and is imported when the app starts a
 * ``data_view.py``, ``candidates_view.py``, ``result_view.py``, ``walk_view.py``, ``parts.py``: the three
   steps, the trade-off curve, small pieces.
 * ``stick.js``, ``style.css``: moving links; colours and type, the same as in the report.
-* ``session.py``: what a tab has loaded, chosen and found.
-* ``columns.py``: what the columns may mean, and the call of the reader.
-* ``candidates.py``: candidates, friction, known coefficients, what is said of forces: checked as they are
+* ``session.py``: data, choices and results of a tab.
+* ``columns.py``: roles of the columns, and the call of the reader.
+* ``candidates.py``: candidates, friction, known coefficients, assumptions on forces: checked as they are
   typed.
-* ``worker.py``, ``jobs.py``: the process that computes and can be killed at any moment; what it runs: a
-  discovery, a refit, what follows from their laws (symmetries, simple numbers), forecasts.
+* ``worker.py``, ``jobs.py``: the process that computes and can be killed at any moment, and its jobs: a
+  discovery, a refit, properties of their laws (symmetries, simple numbers), forecasts.
 * ``path.py``, ``motion.py``, ``figures.py``: walk along the trade-off curve, stick figures, plots.
 
-Everything below ``session.py`` in this list knows nothing of NiceGUI and is tested without it. Rules:
+Modules from ``session.py`` on in this list do not depend on NiceGUI and are tested without it. Rules:
 
-* Text from a file or a user is shown with ``say``, which never reads it as HTML; ``drawn`` and ``math``
-  take only what our own ``report`` has made.
-* A handler is wrapped in ``page.guarded``: what goes wrong becomes one line in the page.
+* Text from a file or a user is shown by ``say``, which never parses it as HTML. ``drawn`` and ``math`` take
+  only markup from ``report``.
+* Handlers are wrapped in ``page.guarded``, which shows an error as one line in the page.
   ``LEASTACTION_DEBUG=1`` prints the traceback in the terminal.
 * A step along the trade-off curve shows a provisional model (`leastaction.refit.provisional`) at once.
-  ``Session`` then starts what it lacks: the refit, after it the forecasts. Nothing of another structure
-  is shown meanwhile.
-* What takes longer than a blink runs in a thread (``run.io_bound``) or, if it may have to be cancelled,
-  in the worker.
+  ``Session`` then starts the refit and the forecasts. No result of another structure is shown meanwhile.
+* Work that takes longer than 0.1 s runs in a thread (``run.io_bound``) or, if it must be cancellable, in the
+  worker.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def run(port: int | None = None, show: bool = True, announce: Callable[[str], No
     show : bool
         Open it in the browser.
     announce : callable, optional
-        Called with the address before the server starts. Who has it can use the app: it holds a token.
+        Called with the address before the server starts. The address contains a token, which gives access.
 
     Raises
     ------

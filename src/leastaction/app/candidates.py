@@ -1,4 +1,4 @@
-"""What the candidates page asks for, checked while it is typed, and the task that follows from it."""
+"""Input of the candidates page, checked while it is typed, and the task made from it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FAMILIES = (
     ("dry, growing with the load", "load"),
     ("different in the two directions", "asymmetric"),
 )
-"""Families of friction that need more than a term for each joint: what they are in words, and their names."""
+"""Families of friction with more than one term for each joint: descriptions and names."""
 
 
 @dataclass
@@ -37,25 +37,23 @@ class Choice:
     written : bool
         Whether the candidates are those of `text` instead of generated ones of `size`.
     size : str
-        As for `leastaction.Library.mechanical`; "auto", until a user picks one, is what `discover` takes by
-        itself.
+        As for `leastaction.Library.mechanical`; "auto", the default, is the choice of `discover`.
     text, known, more_friction : str
         One expression a line; one "EXPR = VALUE" a line; more friction, one expression a line.
     friction, families : list of str
-        The ready-made friction candidates, and the families for all coordinates, that are ticked.
+        Selected friction candidates, and selected families for all coordinates.
     gyroscopic : bool
         Whether generated candidates include terms linear in the velocities.
     delay : float
         Seconds by which the known forces act later than recorded.
     offsets, prescribed : list of str
-        Coordinates that are ticked: a constant force that nobody knows acts on them; forces that nobody
-        measured move them.
+        Selected coordinates: with an unknown constant force; moved by unmeasured forces.
     hidden : str
         Names of coordinates without a sensor, separated by commas.
     hidden_angles : bool
         Whether these are angles.
     held_out : int
-        How many trials are not fitted but forecast.
+        Number of trials that are forecast instead of fitted.
     every_third : bool
         Hold out every third trial instead, as the demonstration does.
     """
@@ -78,12 +76,12 @@ class Choice:
 
     @classmethod
     def default(cls, data: Trajectories) -> Choice:
-        """Begin with generated candidates, a scale where no force gives one, some trials held out."""
+        """Start with generated candidates, a known coefficient if no force acts, and some trials held out."""
         known = "" if data.driven else f"{data.coordinates[0]}_dot**2 = 1"
         return cls(known=known, held_out=len(data) // 3 or int(len(data) == 2))
 
     def unseen(self, coordinates: Sequence[str]) -> tuple[str, ...]:
-        """Coordinates without a sensor, besides those of the data.
+        """Coordinates without a sensor, in addition to those of the data.
 
         Raises
         ------
@@ -98,7 +96,7 @@ class Choice:
         return names
 
     def library(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
-        """The candidates, also with coordinates that have no sensor.
+        """The candidates, including those with coordinates that have no sensor.
 
         Raises
         ------
@@ -120,13 +118,13 @@ class Choice:
         return library.with_dissipation(friction) if friction else library
 
     def generated(self, coordinates: Sequence[str], angles: Iterable[str]) -> Library:
-        """Candidates of L of the size that is chosen."""
+        """Candidates of L of the selected size."""
         import leastaction as la
 
         return la.Library.mechanical(coordinates, angles, size=self.size, gyroscopic=self.gyroscopic)
 
     def size_for(self, coordinates: Sequence[str], angles: Iterable[str]) -> str:
-        """The size that is chosen.
+        """The selected size.
 
         Examples
         --------
@@ -142,7 +140,7 @@ class Choice:
         return choose_size(coordinates, list(angles), gyroscopic=self.gyroscopic)
 
     def sizes(self, coordinates: Sequence[str], angles: Iterable[str]) -> dict[str, int]:
-        """Sizes that are offered, and how many candidates they have; chains from three angles on."""
+        """Available sizes and their numbers of candidates; "chain" requires three angles."""
         import leastaction as la
 
         angles = list(angles)
@@ -153,7 +151,7 @@ class Choice:
         }
 
     def friction_terms(self, coordinates: Sequence[str]) -> list[str]:
-        """Ticked and written friction candidates."""
+        """Selected and written friction candidates."""
         bad = faults(self.more_friction, coordinates)
         if bad:
             raise InputError(f"friction, {bad[0]}")
@@ -167,35 +165,37 @@ class Choice:
         Raises
         ------
         InputError
-            If a line cannot be read, its term is no candidate, or the scale is missing.
+            If a line cannot be read, its term is not a candidate, or the scale is missing.
         """
         known = known_coefficients(lines(self.known))
         check_known(known, library)
         if not known and not driven:
             raise InputError(
-                "no force acts and no coefficient is known: then L = 0 solves every equation; give one "
+                "no force acts and no coefficient is known, so that L = 0 solves every equation; give one "
                 f"coefficient, for example {library[0].text} = 1, which sets the scale of L"
             )
         return known
 
     def forces(self, data: Trajectories) -> Forces:
-        """What is said of forces.
+        """Assumptions on forces.
 
         Raises
         ------
         InputError
-            If the delay leaves too little of a trial, a coordinate is ticked twice or no equation is left.
+            If the delay leaves too little of a trial, a coordinate is selected twice or no equation is left.
         """
         offsets = tuple(name for name in data.coordinates if name in self.offsets)
         prescribed = tuple(name for name in data.coordinates if name in self.prescribed)
         both = [shown_names(offsets)[name] for name in offsets if name in prescribed]
         if both:
             raise InputError(
-                f"{both[0]} is ticked twice: under an unknown constant force, and as moved by anything; one "
-                "of the two is enough"
+                f"{both[0]} is selected twice: with an unknown constant force, and as moved by unmeasured "
+                "forces; select only one"
             )
         if len(prescribed) == len(data.coordinates):
-            raise InputError("no equation is left: something that was not measured may not move everything")
+            raise InputError(
+                "no equation is left; at most all coordinates but one may move by unmeasured forces"
+            )
         delay = self.delay if data.driven else 0.0
         shortest = min(run.duration for run in data)
         if abs(delay) >= 0.5 * shortest:
@@ -203,7 +203,7 @@ class Choice:
         return Forces(delay, offsets, prescribed)
 
     def task(self, data: Trajectories, angles: Iterable[str]) -> Task:
-        """Everything that a discovery needs."""
+        """The arguments of a discovery."""
         library = self.library(data.coordinates, angles)
         fitted, held_out = split_trials(data, self.held_out, self.every_third)
         known, forces = self.known_terms(library, data.driven), self.forces(data)
@@ -212,7 +212,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Forces:
-    """What is said of forces: of the known ones, and of those that nobody knows."""
+    """Assumptions on known and unknown forces."""
 
     delay: float = 0.0
     offsets: tuple[str, ...] = ()
@@ -232,7 +232,7 @@ class Task:
     relevance: float = 0.05
 
     def shifted(self) -> Task:
-        """The same with the known forces at the times at which they act."""
+        """The task with the known forces shifted to the times at which they act."""
         from leastaction.delay import shift_forces
 
         if not self.forces.delay:
@@ -243,13 +243,13 @@ class Task:
 
 
 def lines(text: str) -> list[str]:
-    """The lines that say something: ``#`` starts a comment."""
+    """The lines without comments, which start with ``#``, and without blank ones."""
     kept = (line.partition("#")[0].strip() for line in text.splitlines())
     return [line for line in kept if line]
 
 
 def faults(text: str, coordinates: Sequence[str]) -> list[str]:
-    r"""Say for every line that is no expression what is wrong with it, in the parser's words.
+    r"""Messages of the parser for the lines that are not expressions.
 
     Examples
     --------
@@ -280,7 +280,7 @@ def _fault(line: str, coordinates: tuple[str, ...]) -> str | None:
 
 
 def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
-    """Ready-made friction candidates: what it is in words, and ψ.
+    """Friction candidates for selection: description and ψ.
 
     Examples
     --------
@@ -297,7 +297,7 @@ def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def shown_names(coordinates: Sequence[str]) -> dict[str, str]:
-    """Coordinates as people write them.
+    """Coordinates as displayed.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Second step: what the Lagrangian may be made of, friction, what is known, what is held out."""
+"""Second step: candidates, friction, known coefficients, forces, and held-out trials."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["show"]
 
 _MOST_FAULTS = 4
 _WORDS = {
-    "compact": "what most pendulums and carts need",
+    "compact": "enough for most pendulums and carts",
     "chain": "for planar links in a row, with the angles in the order from the base on",
     "standard": "also sines of sums and differences, higher powers",
     "large": "also inverse powers, logarithms and gyroscopic terms; for coordinates that stay positive",
@@ -69,7 +69,7 @@ class CandidatesView:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Coordinates of the law; those without a sensor as far as their names can be used."""
+        """Coordinates of the law; those without a sensor if their names are valid."""
         try:
             return (*self.data.coordinates, *self.choice.unseen(self.data.coordinates))
         except InputError:
@@ -157,7 +157,7 @@ class CandidatesView:
                 self._area(self.choice.more_friction, "more_friction", "Other friction terms", rows=2)
 
     def _boxes(self, name: str, options: Iterable[tuple[str, str]]) -> None:
-        """A box for everything that may be in a list of the choice: its words, and what is listed."""
+        """A box for each option of a list of the choice: its label, and its value in the list."""
         with html.div().classes("checks"):
             for words, item in options:
                 box = ui.checkbox(words, value=item in getattr(self.choice, name)).props("dense")
@@ -241,7 +241,7 @@ class CandidatesView:
         self._check()
 
     def _check(self) -> None:
-        """Say what is chosen, or what is wrong with it."""
+        """Show a summary of the choice, or its first error."""
         choice, data = self.choice, self.data
         bad: list[str] = []
         if choice.written:
@@ -298,7 +298,7 @@ class CandidatesView:
 
 
 def _problem(bad: list[str]) -> str:
-    """The lines at fault are named beside the text; here it is enough to say that there are some."""
+    """A short message; the lines with errors are listed below the text."""
     return (
         f"{counted(len(bad), 'line')} among the candidates cannot be read; see below the text" if bad else ""
     )

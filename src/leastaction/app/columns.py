@@ -1,4 +1,4 @@
-"""What the columns of an uploaded table may mean: guesses, and the call of the reader."""
+"""Roles of the columns of an uploaded table: guesses, and the call of the reader."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ UNUSED, TIME, TRIAL = "not used", "time (s)", "trial"
 MILLISECONDS, MICROSECONDS, DATES = "time (ms)", "time (µs)", "time (dates)"
 COORDINATE, ANGLE, DEGREES = "coordinate", "angle (rad)", "angle (degrees)"
 FORCE, VELOCITY, ACCELERATION = "force on ", "velocity of ", "acceleration of "
-"""A role is one of these, or one of the last three and the name of a coordinate."""
+"""A role is one of these, or one of the last three followed by the name of a coordinate."""
 
 TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
 """Role of the times -> their unit; dates have none."""
@@ -66,26 +66,26 @@ class Columns:
     units: tuple[str, ...] = ()
 
     def unit(self, column: str, time: bool = False) -> str | None:
-        """The unit that its name or the row below it says; None if neither does."""
+        """The unit in the name or in the row below the header; None if there is none."""
         place = self.header.index(column)
         by_row = unit_of(self.units[place]) if place < len(self.units) else None
         unit = by_row or parted(column, time)[1]
         return None if unit is None else unit.text
 
     def dated(self, column: str) -> bool:
-        """Whether a column begins with a date."""
+        """Whether the first value of a column is a date."""
         place = self.header.index(column)
         return bool(self.rows) and Clock.of(self.rows[0][place]) is not None
 
     def sample(self, column: str, count: int = 3) -> str:
-        """The first values of a column, for people."""
+        """The first values of a column, for display."""
         place = self.header.index(column)
         return ", ".join((row[place] or "–")[:12] for row in self.rows[:count])
 
     def numbers(self, column: str) -> np.ndarray | None:
-        """The first values as numbers (NaN: none); None if most are something else.
+        """The first values as numbers (NaN: not a number); None if most are not numbers.
 
-        A single cell at fault does not make a column of numbers one of text: the reader will name it.
+        A single wrong cell does not turn a column of numbers into text; the reader reports it.
         """
         place = self.header.index(column)
         cells = [row[place] for row in self.rows if row[place]]
@@ -138,7 +138,7 @@ def guess_roles(columns: Columns) -> dict[str, str]:
 
 
 def coordinate_names(columns: Sequence[str]) -> dict[str, str]:
-    """Return column -> name of the coordinate: the column itself if that is a name, else what is left of it.
+    """Return column -> name of the coordinate: the column if it is a valid name, otherwise derived from it.
 
     Examples
     --------
@@ -180,19 +180,19 @@ def read(path: Path | Sequence[Path], roles: Mapping[str, str]) -> Trajectories:
     moving = moving_columns(roles)
     names = coordinate_names(moving)
     if not moving:
-        raise InputError("no column is a coordinate yet; say which columns are the positions or angles")
+        raise InputError("no column is a coordinate yet; mark the columns of positions or angles")
     times = {column: role for column, role in roles.items() if role in TIMES}
     if not times:
-        raise InputError("no column is the time yet; say which column holds the times")
+        raise InputError("no column is the time yet; mark the column of times")
     if len(times) > 1:
         first, second = list(times)[:2]
         raise InputError(f"{first!r} and {second!r} are both marked as time; choose one")
     ((time, time_role),) = times.items()
     time_unit, table = TIMES[time_role], peek(path if isinstance(path, Path) else path[0])
     if time_role == TIME and table.unit(time, time=True) is None and not table.dated(time):
-        time_unit = None  # seconds, but only because nobody says anything else
+        time_unit = None  # seconds, unless the file gives a unit
     forces = _belonging(roles, FORCE, names)
-    # what is said here wins over what the file says
+    # these roles override the units in the file
     turning = [column for column in moving if roles[column] != COORDINATE]
     units = {column: "deg" if roles[column] == DEGREES else "rad" for column in turning}
     data = la.read(
@@ -217,7 +217,7 @@ def _belonging(roles: Mapping[str, str], kind: str, names: Mapping[str, str]) ->
         if role.startswith(kind):
             target = role.removeprefix(kind)
             if target not in names.values():
-                raise InputError(f"{column!r} is the {kind}{target!r}, which is no coordinate any more")
+                raise InputError(f"{column!r} is the {kind}{target!r}, which is not a coordinate any more")
             if target in found:
                 raise InputError(f"two columns are the {kind}{target!r}; choose one")
             found[target] = column
@@ -272,7 +272,7 @@ def _is_force(word: str) -> bool:
 
 
 def _driven(column: str, moving: Sequence[str], place: int) -> str | None:
-    """The coordinate that a force column probably belongs to: by name, by number, by place."""
+    """The probable coordinate of a force column: by name, by number, by position."""
     word = _word(column)
     by_name = [
         c for c in moving if len(_word(c)) > 0 and re.search(rf"(^|_){re.escape(_word(c))}(_|$)", word)

@@ -1,4 +1,4 @@
-"""First step: a table, what its columns mean, and what it holds."""
+"""First step: a table, the roles of its columns, and plots of its trials."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DataView:
             title("Find the law behind a motion", "h1")
             say(
                 "Give a table of measured angles or positions over time. leastaction finds a short "
-                "Lagrangian that explains them, with error bars, and says so when it should not be trusted.",
+                "Lagrangian that explains them, with error bars, and warns if it should not be trusted.",
                 "lead",
             )
         with html.div().classes("sources small" if self.session.title else "sources"):
@@ -73,7 +73,7 @@ class DataView:
                 "help",
             )
             button = ui.button("Choose files", color=None).props("no-caps unelevated").classes("action main")
-            # In the browser, not by way of the server: only a click may open the file dialog.
+            # In the browser, because only a click may open the file dialog.
             button.on("click", js_handler=f"() => {get}.pickFiles()")
             say("It stays on this computer.", "help")
         zone.on("dragover", js_handler="(e) => { e.preventDefault(); e.currentTarget.classList.add('over') }")
@@ -125,7 +125,7 @@ class DataView:
             self._loaded()
 
     def _begin(self) -> None:
-        """Take the old table away, so that nobody goes on with it while the new one is read."""
+        """Remove the old table while the new one is read."""
         self.table.clear()
         self.plots.clear()
         self._tell("Reading…")
@@ -151,7 +151,9 @@ class DataView:
             return
         with self.table, panel():
             title(session.title)
-            say("What each column means was guessed from its name and values. Change what is wrong.", "help")
+            say(
+                "The meaning of each column was guessed from its name and values. Correct wrong ones.", "help"
+            )
             self._roles()
             if session.fault:
                 fault(session.fault)
@@ -186,7 +188,7 @@ class DataView:
 
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
-        self.plots.clear()  # and the way on to the candidates: these are other data now
+        self.plots.clear()  # also removes the button to the candidates, because the data change
         self._tell("Reading…")
         await aside(self.session.read)
         if self.table.is_deleted:
@@ -261,7 +263,7 @@ class DataView:
 
 
 def labels(names: Sequence[str]) -> list[str]:
-    """Names without what all of them begin and end with, up to the last sign that parts words.
+    """Names without their common beginning and end, cut at separators of words.
 
     Examples
     --------
@@ -304,12 +306,12 @@ def _facts(data) -> list[tuple[str, str]]:
 
 
 def _not_radians(session) -> str:
-    """A hint where a column that is called an angle in radians moves like degrees."""
+    """A hint if a column marked as an angle in radians appears to be in degrees."""
     for column in columns.moving_columns(session.roles):
         if session.roles[column] == columns.ANGLE:
             values = session.columns.numbers(column)
             if values is not None and np.nanmax(np.abs(values)) > 30:
                 return (
-                    f"{column} reaches {np.nanmax(np.abs(values)):.0f}: if these are degrees, say so above."
+                    f"{column} reaches {np.nanmax(np.abs(values)):.0f}: if these are degrees, mark it above."
                 )
     return ""

@@ -29,7 +29,7 @@ def _both(
     title: str,
     alt: str,
 ) -> Markup:
-    """The same figure in two shapes, of which the style sheet shows one: text keeps its size."""
+    """The same figure in two shapes, of which the style sheet shows one, so that text keeps its size."""
     parts = []
     for name, size in (("wide", wide), ("narrow", narrow)):
         svg = draw(size).svg(f"figure{next(_numbers)}", title, alt)
@@ -38,7 +38,7 @@ def _both(
 
 
 def data_figure(run: Trajectory, smooth: SmoothMotion | None, i: int, name: str, unit: str) -> Markup:
-    """Samples of a coordinate, with the smoothing spline as a line once it is there."""
+    """Samples of a coordinate, and the smoothing spline as a line when it is available."""
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = Axes(size)
@@ -66,7 +66,7 @@ def forecast_figure(motion: Motion, i: int, name: str, unit: str) -> Markup:
 
 
 def walk_figure(walk: Walk, place: int) -> Markup:
-    """What each size costs: the criterion and the misfit, the chosen structure, and where one stands."""
+    """Criterion and misfit of each size, with the chosen structure and the one shown."""
 
     def draw(size: tuple[float, float]) -> Axes:
         axes = path_axes(size)

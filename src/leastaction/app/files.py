@@ -1,7 +1,7 @@
-"""Files that go into the app and out of it: checked uploads, exports, and a session as one file.
+"""Uploads and downloads of the app: checked uploads, exports, and saved sessions.
 
-A saved session is a ZIP archive of the tables and of what was chosen. Results are not in it, since reading
-them back would mean to run what a stranger's file says: they are found again from the same choices.
+A saved session is a ZIP archive of the tables and the choices. It contains no results, because loading them
+would execute content of a file. They are computed again from the same choices.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ ENDINGS = {
     "fmu2": "_fmi2.fmu",
     "fmu3": "_fmi3.fmu",
 }
-"""Format of an export -> how its file ends."""
+"""Format of an export -> suffix of its file."""
 _VERSION = 1
 _MOST_FILES = 1000
 _MOST_SAID = 100_000  # bytes of session.json
@@ -73,7 +73,7 @@ def exported(model: LagrangianModel, format: str) -> tuple[str, bytes]:
     Raises
     ------
     InputError
-        If the format needs something that is not there, such as a C compiler.
+        If a requirement of the format is missing, such as a C compiler.
     """
     import leastaction as la
 
@@ -82,7 +82,7 @@ def exported(model: LagrangianModel, format: str) -> tuple[str, bytes]:
 
 
 def everything(model: LagrangianModel, more: Mapping[str, str]) -> bytes:
-    """A ZIP archive of every export, of `more` texts by name, and of a list of what is in it."""
+    """A ZIP archive of every export, of `more` texts by name, and of a list of the contents."""
     members = {name: text.encode() for name, text in more.items()}
     lines = ["Written by leastaction: one model, for several programs.", ""]
     for format, what in FORMATS.items():
@@ -106,13 +106,13 @@ def archive(members: Mapping[str, bytes]) -> bytes:
 
 
 class Saved:
-    """What a saved session holds.
+    """Content of a saved session.
 
     Attributes
     ----------
     title : str
     tables : dict
-        Name of a file -> its content, in the order in which they were given.
+        Name of a file -> its content, in the given order.
     roles : dict
         Column -> role.
     choice : Choice
@@ -138,12 +138,12 @@ def saved(session: Saved) -> bytes:
 
 
 def open_saved(content: bytes) -> Saved:
-    """Read a saved session; nothing in it is run, and everything in it is checked.
+    """Read a saved session; its content is checked and never executed.
 
     Raises
     ------
     InputError
-        If it is no session, or a damaged one.
+        If it is not a session, or a damaged one.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
@@ -160,15 +160,15 @@ def open_saved(content: bytes) -> Saved:
                 raise ValueError("of another version")
             return Saved(str(said["title"])[:200], tables, roles, _choice(said["choice"]))
     except (zipfile.BadZipFile, KeyError, TypeError, ValueError, AttributeError, zlib.error) as error:
-        raise InputError(f"this is no session that can be opened ({type(error).__name__}: {error})") from None
+        raise InputError(f"this session cannot be opened ({type(error).__name__}: {error})") from None
 
 
 def _choice(said: Mapping[str, Any]) -> Choice:
-    """The choices, each of the kind that it has by default."""
+    """The choices, each checked against the type of its default."""
     default, out = Choice(), {}
     for field in fields(Choice):
         like = getattr(default, field.name)
-        value = said.get(field.name, like)  # a session of an earlier version says less
+        value = said.get(field.name, like)  # sessions of earlier versions have fewer entries
         if isinstance(like, list):
             value = _texts(value)
         elif isinstance(like, float):
@@ -181,17 +181,17 @@ def _choice(said: Mapping[str, Any]) -> Choice:
 
 def _texts(value: Any) -> list[str]:
     if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ValueError(f"{str(value)[:40]!r} is no list of texts")
+        raise ValueError(f"{str(value)[:40]!r} is not a list of texts")
     return value
 
 
 def plain_name(name: str) -> str:
-    """A name that may reach the disk: letters, digits and the like."""
+    """A safe file name: letters, digits and similar characters."""
     return re.sub(r"[^\w.+-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[:80] or "table"
 
 
 def by_number(name: str) -> list[tuple[int, str]]:
-    """Key that puts run2 before run10.
+    """Sort key that places run2 before run10.
 
     Examples
     --------
@@ -212,12 +212,12 @@ def kind_of(name: str) -> str:
     """
     suffix = next((s for s in sorted(SUFFIXES, key=len, reverse=True) if name.lower().endswith(s)), None)
     if suffix is None:
-        raise InputError(f"{plain_name(name)} is no table; give a file with one of {', '.join(SUFFIXES)}")
+        raise InputError(f"{plain_name(name)} is not a table; give a file with one of {', '.join(SUFFIXES)}")
     return suffix
 
 
 def check_size(name: str, content: bytes) -> None:
-    """Refuse what is too large, also when it is unpacked.
+    """Refuse files that are too large, also after unpacking.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What runs in the process of the worker: a discovery, a refit, and forecasts of their models."""
+"""Jobs of the worker: a discovery, a refit, and forecasts of their models."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Motion:
     ----------
     trial : str
     held_out : bool
-        Whether the trial took no part in the fit.
+        Whether the trial was held out of the fit.
     t, measured, forecast : arrays, shapes (n_times,), (n_times, n_dof), (n_times, n_dof)
-        NaN where nothing was measured, and where the forecast has diverged.
+        NaN if not measured, or after the forecast has diverged.
     valid_time : float
-        Seconds until the forecast is off by more than the tolerance.
+        Seconds until the error of the forecast exceeds the tolerance.
     note : str
-        Why there is no forecast to the end; empty if there is.
+        Reason why the forecast ends early; empty if it does not.
     """
 
     trial: str
@@ -51,17 +51,17 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """A model and what the page shows of it.
+    """A model and its forecasts, for the page.
 
     Attributes
     ----------
     model : LagrangianModel
     stage : {"provisional", "fitted", "forecast"}
-        How far it is: coefficients from the quadratic model of the likelihood, or fitted, or forecast, too.
+        Progress: coefficients from the quadratic model of the likelihood, fitted, or fitted and forecast.
     validation, motion
-        Forecasts; None before the last stage, and where there is none.
+        Forecasts; None before the last stage, and if there is none.
     motion_fault : str
-        Why there is no `motion`.
+        Reason why there is no `motion`.
     """
 
     model: LagrangianModel
@@ -91,7 +91,7 @@ def search(progress: Callable[[str, dict], None], task: Task) -> Found:
 
 
 def _derive(model: LagrangianModel) -> None:
-    """Compute here what the page shows of the law: it stays with the model."""
+    """Compute properties of the law for the page; they are cached with the model."""
     _ = model.symmetries, model.simple_constants, model.small_motions
 
 
@@ -113,7 +113,7 @@ def forecast(progress: Callable[[str, dict], None], task: Task, model: Lagrangia
         try:
             validation = model.validate(task.held_out)
         except (InputError, DataError):
-            validation = None  # trials too short for one: the model is no worse for that
+            validation = None  # the trials are too short; this is not a fault of the model
     try:
         motion, fault = _motion(model, task), ""
     except (InputError, DataError) as error:
@@ -142,7 +142,7 @@ def _motion(model: LagrangianModel, task: Task) -> Motion:
 
 
 def _plain(details: dict) -> dict:
-    """Numbers, and the law so far: what else a stage may report need not travel."""
+    """The numbers and the law so far; other details of a stage are not sent."""
     numbers = {k: float(v) for k, v in details.items() if isinstance(v, (int, float, np.number))}
     law = details.get("coefficients")
     return numbers if not isinstance(law, dict) else {**numbers, "coefficients": law}

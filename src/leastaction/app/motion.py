@@ -1,4 +1,4 @@
-"""Which stick figure a model deserves, and the frames for it."""
+"""Selection of a stick figure for a model, and its frames."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ __all__ = ["Kind", "effective_length", "frames", "hanging_angles", "stick_kind"]
 
 
 Kind = Literal["links", "cart", "plane", "blocks", ""]
-"""What is drawn: links from a fixed joint or on a cart, a point in a plane, blocks on a rail; or nothing."""
+"""Kind of drawing: links from a fixed joint or on a cart, a point in a plane, blocks on a rail; or none."""
 
-_REACH = 98.0  # px: length of all links together, or half the way of what slides
+_REACH = 98.0  # px: length of all links together, or half the range of sliding bodies
 _MOST_LINKS, _MOST_BLOCKS = 7, 4
 
 
 def stick_kind(coordinates: Sequence[str], angles: Sequence[str]) -> Kind:
-    """Which figure can stand for the motion.
+    """The figure for a motion.
 
     Examples
     --------
@@ -46,10 +46,10 @@ def stick_kind(coordinates: Sequence[str], angles: Sequence[str]) -> Kind:
 
 
 def hanging_angles(model: LagrangianModel, links: Sequence[str] = ()) -> tuple[list[float] | None, bool]:
-    """Where each link hangs, and whether each angle is counted from the link before.
+    """Angle at which each link points down, and whether each angle is relative to the previous link.
 
-    L = T − V holds a cos q + b sin q = R cos(q − δ) for a link in a uniform field, with its minimum of V
-    at q = δ if R is counted positive: this is where the link points down.
+    For a link in a uniform field, L = T − V contains a cos q + b sin q = R cos(q − δ) with R > 0. V has its
+    minimum at q = δ, where the link points down.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def hanging_angles(model: LagrangianModel, links: Sequence[str] = ()) -> tuple[l
     Returns
     -------
     list of float, or None
-        δ for each link; None where the model has no such field: then nothing is known to be down.
+        δ for each link; None if the model has no such field.
     bool
     """
     names = tuple(links) or model.coordinates
@@ -74,7 +74,7 @@ def hanging_angles(model: LagrangianModel, links: Sequence[str] = ()) -> tuple[l
         down.append(math.atan2(b, a) if math.hypot(a, b) > 0 else 0.0)
         if k == 0 and math.hypot(a, b) == 0:
             return None, joined
-    if joined:  # δ of each sum, less that of the one before
+    if joined:  # δ of each sum, minus that of the previous one
         down = [down[0], *(after - before for before, after in pairwise(down))]
     return down, joined
 
@@ -85,7 +85,8 @@ def _has_sum(text: str, names: Sequence[str]) -> bool:
 
 
 def effective_length(model: LagrangianModel, slide: str, link: str) -> float | None:
-    """Length of a link on a cart in units of the cart's way: twice its inertia over its coupling; or None.
+    """Length of a link on a cart in units of the cart's position: twice its inertia over its coupling; or
+    None.
 
     Examples
     --------
@@ -101,16 +102,17 @@ def effective_length(model: LagrangianModel, slide: str, link: str) -> float | N
 
 
 def _coupling(model: LagrangianModel, slide: str, link: str) -> float:
-    """Coefficient of the product of both velocities and the cosine: positive where the link points ahead."""
+    """Coefficient of the product of both velocities and the cosine; positive if the link points forward."""
     texts = {f"{a}_dot*{b}_dot*cos({link})" for a, b in ((slide, link), (link, slide))}
     return sum(term.coefficient for term in model.terms if term.expression.replace(" ", "") in texts)
 
 
 def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind = "links") -> dict[str, Any]:
-    """Times and what is drawn at each, as JSON types.
+    """Times and frames, as JSON types.
 
-    Links are given by their directions from down, anticlockwise; what slides in pixels to the right, and in
-    a plane upwards. A missing sample repeats the one before; where the forecast has ended there is null.
+    Links are given by their directions from down, anticlockwise; sliding bodies in pixels to the right, and
+    in a plane also upwards. A missing sample repeats the previous one; after the end of the forecast there is
+    null.
     """
     step = -(-motion.t.size // most)
     t = motion.t[::step]
@@ -125,12 +127,12 @@ def frames(motion: Motion, model: LagrangianModel, most: int = 900, kind: Kind =
         offset[slides:] = down
     way = max(float(np.nanmax(np.abs(measured - middle)[:, :slides], initial=0.0)), 1e-12)
     length = effective_length(model, *model.coordinates[:2]) if kind == "cart" else None
-    # Links of a cart are drawn to scale where that leaves both to be seen.
+    # Links on a cart are drawn to scale if both remain visible.
     scale = _REACH / way if length is None else min(_REACH / way, max(_REACH / (3.0 * way), 60.0 / length))
 
     turn = 1.0
     if kind == "cart" and down is not None:
-        # Which way a link leans for a positive angle, the coupling tells.
+        # The coupling gives the direction in which a link leans for a positive angle.
         turn = math.copysign(1.0, _coupling(model, *model.coordinates[:2]) * math.cos(down[0]))
 
     def places(q: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ _MOST_SESSIONS = 6
 _STEPS = {"data": "Data", "candidates": "Candidates", "result": "Result"}
 _VIEWS = {"data": data_view.show, "candidates": candidates_view.show, "result": result_view.show}
 _THEMES = {None: "Light or dark as the system", False: "Light", True: "Dark"}
-# The bar that Quasar shows while it waits for the server has a role but no name.
+# Quasar's loading bar has a role but no accessible name.
 _NAME_LOADING = """document.querySelectorAll('.q-loading-bar').forEach((bar) => {
   bar.setAttribute('aria-label', 'Waiting for the server');
 });"""
@@ -34,7 +34,7 @@ _sessions: OrderedDict[str, Session] = OrderedDict()
 
 
 async def root() -> None:
-    """Build the page for a browser tab; what it had loaded is there again after a reload."""
+    """Build the page of a browser tab; its session persists after a reload."""
     ui.add_css(_HERE / "style.css")
     client = ui.context.client
     await client.connected(timeout=60)
@@ -57,7 +57,7 @@ def close_sessions() -> None:
 
 
 class Page:
-    """What the views share: the session, the steps, the place for content, a line for faults."""
+    """Common parts of the views: the session, the steps, the content, and a line for errors."""
 
     def __init__(self, session: Session) -> None:
         self.session = session
@@ -86,7 +86,7 @@ class Page:
             ui.run_javascript("window.scrollTo(0, 0)")
 
     def mark_steps(self) -> None:
-        """Show which steps can be opened and which one is."""
+        """Mark the available steps and the open one."""
         session = self.session
         there = {
             "data": True,
@@ -108,11 +108,11 @@ class Page:
                     button.classes("here").props('aria-current="step"')
 
     def words(self, error: Exception) -> str:
-        """An error in one line, in terms of the page."""
+        """An error as one line, in the words of the page."""
         return in_words(explain(error), self.session.folder)
 
     def guarded(self, handler: Callable[..., Any]) -> Callable[..., Any]:
-        """Wrap a handler: what goes wrong in it becomes one line in the page."""
+        """Wrap a handler, so that an error becomes one line in the page."""
 
         @wraps(handler)
         async def run(*arguments: Any) -> None:

@@ -1,4 +1,4 @@
-"""Small pieces that the pages are made of."""
+"""Elements of the pages."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ async def aside(function: Callable[..., R], *arguments: Any) -> R:
 
 
 def say(text: str, classes: str = "", tag: str = "p") -> ui.label:
-    """A line of text; it is shown as it is, never read as HTML."""
+    """A line of text, which is never parsed as HTML."""
     line = ui.label(text).classes(classes)
     line.tag = tag
     return line
@@ -45,12 +45,12 @@ def title(text: str, tag: str = "h2") -> ui.label:
 
 
 def panel(classes: str = "") -> ui.element:
-    """A part of the page with a border of its own."""
+    """A part of the page with a border."""
     return html.section().classes(f"panel {classes}")
 
 
 def scroll(name: str) -> ui.element:
-    """A box that scrolls by itself, with the keyboard too."""
+    """A box that scrolls by itself, also with the keyboard."""
     return html.div().classes("scroll").props(f'tabindex=0 role=region aria-label="{name}"')
 
 
@@ -74,12 +74,12 @@ def table(name: str, head: Sequence[tuple[str, str]], rows: Iterable[Sequence[st
 
 
 def fault(text: str) -> ui.label:
-    """One line that says what is wrong and what to do."""
+    """One line with an error and its cure."""
     return say(text, "fault").props("role=alert")
 
 
 def drawn(markup: Markup, classes: str = "") -> ui.element:
-    """A figure or formula of our own making, in which all foreign text is escaped."""
+    """A figure or formula made by this package, with all user text escaped."""
     return ui.html(str(markup), sanitize=False).classes(classes)
 
 
@@ -91,7 +91,7 @@ def math(markup: Markup, classes: str = "") -> ui.element:
 def action(
     text: str, on_click: Callable[[], Awaitable[Any] | Any], kind: str = "plain", mark: str = ""
 ) -> ui.button:
-    """A button: "main" for the one thing to do next, "plain" for others, "quiet" for small ones."""
+    """A button: "main" for the next step, "plain" for others, "quiet" for small ones."""
     button = (
         ui.button(text, on_click=on_click, color=None)
         .props("no-caps unelevated no-wrap")
@@ -101,7 +101,7 @@ def action(
 
 
 def field(label: str, help_text: str = "") -> ui.element:
-    """A labelled part of a form; what belongs to it goes inside."""
+    """A labelled part of a form."""
     box = html.div().classes("field")
     with box:
         say(label, "label", "h3")

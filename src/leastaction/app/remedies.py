@@ -1,4 +1,4 @@
-"""What one click may do about the findings on a model, and the search that follows from it."""
+"""Remedies for findings that one click applies, and the search that follows."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ __all__ = ["Offer", "offers", "proposed", "take"]
 
 @dataclass(frozen=True)
 class Offer:
-    """A button: its words, the choices that it leads to, and coordinates with another meaning.
+    """A button: its label, the new choices, and coordinates with a new role.
 
-    `roles` maps coordinates to roles of their columns; the name of a column of times is its own.
+    `roles` maps coordinates to roles of their columns; a column of times is mapped by its own name.
     """
 
     words: str
@@ -30,7 +30,7 @@ class Offer:
 
 
 def offers(session: Session) -> list[Offer]:
-    """What one click may do about the findings on the model that is shown."""
+    """Remedies for the findings on the model that is shown."""
     if session.task is None or session.data is None:
         return []
     findings = session.current.model.fit.findings
@@ -39,12 +39,12 @@ def offers(session: Session) -> list[Offer]:
 
 
 def take(session: Session, offer: Offer) -> None:
-    """Search again with what is offered.
+    """Search again with the new choices.
 
     Raises
     ------
     InputError
-        If the table cannot be read that way, or the choice is incomplete.
+        If the table cannot be read with the new roles, or the choice is incomplete.
     """
     if offer.roles:
         named = {name: column for column, name in columns.coordinate_names(session.moving).items()}
@@ -55,14 +55,14 @@ def take(session: Session, offer: Offer) -> None:
 
 
 def proposed(finding: Finding, choice: Choice, library: Library, driven: bool = False) -> list[Offer]:
-    """What one click may do about a finding; nothing where a person has to decide.
+    """Remedies for a finding; none if the user has to decide.
 
-    `library` has the candidates of the discovery that the finding is of; `driven`: known forces act.
+    `library` has the candidates of that discovery; `driven`: known forces act.
     """
     found = list(_OFFERS[finding.code](finding, choice, library)) if finding.code in _OFFERS else []
     if finding.code == "wrong-known-coefficient":
         kept = [line for line in lines(choice.known) if _term(line) not in finding.subject]
-        if (kept or driven) and len(kept) < len(lines(choice.known)):  # something has to set the scale
+        if (kept or driven) and len(kept) < len(lines(choice.known)):  # the scale of L must remain fixed
             words = f"Leave {', '.join(finding.subject)} free"
             found.append(Offer(words, replace(choice, known="\n".join(kept))))
     return found
@@ -95,7 +95,7 @@ def _remove_terms(finding: Finding, choice: Choice, library: Library) -> Iterabl
 
 def _add_friction(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
     size, subject = finding.values.get("coefficient"), list(finding.subject)
-    if isinstance(size, float) and size > 0.0:  # a negative one would feed energy in
+    if isinstance(size, float) and size > 0.0:  # a negative one would supply energy
         more = "\n".join(filter(None, [choice.more_friction.strip(), *subject]))
         yield Offer(f"Add {', '.join(subject)} to the friction", replace(choice, more_friction=more))
 
@@ -127,7 +127,7 @@ def _in_milliseconds(finding: Finding, choice: Choice, library: Library) -> Iter
 def _move(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
     moved = [name for name in finding.subject if name not in choice.prescribed]
     if finding.values.get("may_be_prescribed") and not finding.values.get("cause_named") and moved:
-        words = f"{', '.join(moved)}: moved by something that was not measured"
+        words = f"{', '.join(moved)}: moved by unmeasured forces"
         yield Offer(words, replace(choice, prescribed=[*choice.prescribed, *moved]))
 
 

@@ -1,4 +1,4 @@
-"""Third step: the discovery while it runs, and what it found."""
+"""Third step: the running discovery, and its result."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["show"]
 
 _MOST_DRAWN = 4
-_USABLE = "Its free runs follow the data; its equations hold to some per cent only:"
+_USABLE = "Its free runs follow the data; its equations hold only to a few per cent:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
@@ -47,14 +47,14 @@ def show(page: Page) -> None:
 
 
 class ResultView:
-    """The model that is shown; it follows the place on the trade-off curve."""
+    """The model at the current position on the trade-off curve."""
 
     def __init__(self, page: Page) -> None:
         self.page, self.session = page, page.session
 
     @property
     def _angles(self) -> list[str]:
-        """Coordinates of the law that are angles, also those without a sensor."""
+        """Coordinates of the law that are angles, including those without a sensor."""
         task = self.session.task
         return self.session.angles if task is None else list(task.library.angles)
 
@@ -69,7 +69,7 @@ class ResultView:
         self.refresh()
 
     def refresh(self) -> None:
-        """Show the model of the present place."""
+        """Show the model at the current position."""
         found = self.session.current
         for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
@@ -78,7 +78,7 @@ class ResultView:
             self._formula(found, notation)
         with self.table:
             _coefficients(found, notation)
-            if found.stage != "provisional":  # without errors nothing can be said of either
+            if found.stage != "provisional":  # both need standard errors
                 _simple_numbers(found.model, notation)
         if found.stage != "provisional":
             with self.compared:
@@ -137,7 +137,7 @@ class ResultView:
                 say(f"Refining them failed: {in_words(why, self.session.folder)}.").props("role=alert")
 
     def _no_forecast(self, found: Found) -> None:
-        """Say why there is no forecast of this model; that of another one is not shown meanwhile."""
+        """Show why there is no forecast of this model."""
         if self.session.waiting:
             say("It follows when the model is refined." if found.stage == "provisional" else "Forecasting…")
         elif found.stage == "provisional":
@@ -153,7 +153,7 @@ class ResultView:
             if motion is None:
                 self._no_forecast(found)
                 return
-            kind = "which took no part in the fit" if motion.held_out else "which is part of the fit"
+            kind = "which was held out of the fit" if motion.held_out else "which is part of the fit"
             where = f"trial {motion.trial}" if motion.trial else "the data"
             length = motion.t[-1] - motion.t[0]
             holds = f"agrees for {motion.valid_time:.3g} s"
@@ -196,7 +196,7 @@ class ResultView:
         ui.download.content(text.encode(), "report.html", "text/html")
 
     def _remedies(self) -> None:
-        """One click each: the choices change, and the search begins again."""
+        """Buttons that change the choices and start the search again."""
         found = offers(self.session)
         if found:
             with html.div().classes("heading offers"):
@@ -206,21 +206,21 @@ class ResultView:
                     action(offer.words, ask, "quiet").props("icon=replay").mark("remedy")
 
     def _compare(self, found: Found, notation: Notation) -> None:
-        """The model that is shown beside the one that was kept; a button keeps this one."""
+        """A comparison with the kept model, and a button to keep the present one."""
         kept = self.session.kept
         if kept is None or kept is found or kept.model.coordinates != found.model.coordinates:
             with html.div().classes("heading offers"):
                 if kept is found:
-                    say("Kept: another result will stand beside this one.", "help")
+                    say("Kept: the next result will be compared with this one.", "help")
                 else:
                     action("Keep for comparison", self.page.guarded(self._keep), "quiet", "keep")
             return
         with panel("compared"):
             with html.div().classes("heading"):
-                title("Compared with the model that was kept")
+                title("Compared with the kept model")
                 action("Keep this one instead", self.page.guarded(self._keep), "quiet", "keep")
             head = (("", ""), ("this model", "n"), ("kept", "n"))
-            table("This model and the one that was kept", head, compared(found, kept, notation))
+            table("This model and the kept one", head, compared(found, kept, notation))
 
     def _keep(self) -> None:
         self.session.kept = self.session.current
@@ -231,7 +231,7 @@ class ResultView:
         self.page.show("result")
 
     def _exports(self, fitted: bool) -> None:
-        """A menu of the formats; what each is stands beside it."""
+        """A menu of the formats with their descriptions."""
         button = ui.dropdown_button("Export", auto_close=True, color=None).props("no-caps unelevated no-wrap")
         button.classes("action plain").mark("export").set_enabled(fitted)
         with button:
@@ -275,7 +275,7 @@ def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, st
     here, there = numbers(one), numbers(other)
     rows = [
         ("verdict", one.model.fit.status, other.model.fit.status),
-        ("forecasts of held-out trials are off by", forecast(one), forecast(other)),
+        ("error of forecasts of held-out trials", forecast(one), forecast(other)),
         ("χ² per sample", *(plain(found.model.fit.chi2_per_sample) for found in (one, other))),
     ]
     return rows + [
@@ -287,7 +287,7 @@ def _status(model: LagrangianModel) -> None:
     if model.fit.status == "ok":
         with html.p().classes("status ok"):
             say("ok", "badge", "span")
-            say("None of the checks has failed: the equations hold along the data.", "", "span")
+            say("All checks passed: the equations hold along the data.", "", "span")
         for name, text in model.fit.statements.items():
             say(f"{name.capitalize()}: {text}.")
         return
@@ -324,7 +324,9 @@ def _coefficients(found: Found, notation: Notation) -> None:
                     say(row["value"] + error, "n", "td")
                     say(row["interval"], "n", "td")
                     say(row["z"], "n", "td")
-    say("z is the coefficient over its standard error; above 4 a term is hardly chance.", "help")
+    say(
+        "z is the coefficient over its standard error; a term with z above 4 is hardly due to chance.", "help"
+    )
 
 
 def _simple_numbers(model: LagrangianModel, notation: Notation) -> None:
@@ -373,13 +375,13 @@ def _small_motions(model: LagrangianModel, notation: Notation) -> None:
 def _stick_words(kind: Kind, model: LagrangianModel, shown: dict[str, Any]) -> str:
     parts = []
     if kind == "links" and model.n_dof > 1:
-        parts.append("All links are drawn equally long: the data do not tell their lengths.")
+        parts.append("All links are drawn equally long, because the data do not determine their lengths.")
     if kind == "cart":
         to_scale = shown["length"] is not None and model.n_dof == 2
         parts.append(
-            "The link has its effective length, to the scale of the cart's way."
+            "The link has its effective length, to the scale of the cart's position."
             if to_scale
-            else "The lengths of links are not to the scale of the cart's way."
+            else "The lengths of links are not to the scale of the cart's position."
         )
     if kind in ("links", "cart") and not shown["down"]:
         parts.append("The model has no gravity term: the middle of the motion is drawn downwards.")

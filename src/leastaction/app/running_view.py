@@ -1,4 +1,4 @@
-"""Third step, as long as the discovery runs: stages, the law so far, and the way out."""
+"""Third step while the discovery runs: stages, the law so far, and the button to cancel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _STAGES = {
     "": "Starting",
     "prepare": "Preparing the data and the candidates",
     "search": "Searching for structures on the weak form",
-    "shapes": "Looking for shape parameters",
+    "shapes": "Searching for shape parameters",
     "select": "Choosing terms",
     "knots": "Refining the spline",
     "coarse": "Comparing with a coarser spline",
@@ -30,12 +30,12 @@ _STAGES = {
     "forecast": "Forecasting",
 }
 _SEQUENCE = ("prepare", "search", "select", "knots", "verify", "forecast")
-"""What every discovery goes through; others come between."""
+"""Stages of every discovery; others may come between."""
 _MOST_TERMS = 12  # of the law so far
 
 
 def stage_words(stage: str, details: dict) -> str:
-    """What is being done, in words.
+    """A stage in words.
 
     Examples
     --------
@@ -51,7 +51,7 @@ def stage_words(stage: str, details: dict) -> str:
 
 
 class Running:
-    """Stages, the law so far and seconds of a discovery, and the button that ends it."""
+    """Stages, the law so far and time of a discovery, and the button that cancels it."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -87,7 +87,7 @@ class Running:
         self._seen = len(stages), law
 
     def _show_stages(self, stages: list[tuple[str, float]]) -> None:
-        """What is done, with its time, and what every discovery still goes through."""
+        """Finished stages with their times, and the remaining stages of every discovery."""
         begun = [name for name, _ in stages]
         last = max((_SEQUENCE.index(name) for name in begun if name in _SEQUENCE), default=-1)
         self.bar.value = (last + 0.5) / len(_SEQUENCE) if begun else 0.0
@@ -99,7 +99,7 @@ class Running:
                 say(_STAGES[name], "to-come", "li")
 
     def _show_law(self, law: dict[str, float]) -> None:
-        """The best terms so far; which of them stay is decided later."""
+        """The best terms so far, which may change."""
         data = self.page.session.data
         self.law.clear()
         if data is None:
@@ -121,7 +121,7 @@ class Running:
 
 
 def ended(page: Page) -> None:
-    """A discovery that gave nothing: cancelled, failed, or never begun."""
+    """A discovery without a result: cancelled, failed, or not started."""
     job = page.session.job
     with panel():
         if job is not None and job.state == "failed":
@@ -129,7 +129,7 @@ def ended(page: Page) -> None:
             fault(in_words(job.message, page.session.folder))
         elif job is not None and job.state == "cancelled":
             title("Cancelled", "h1")
-            say(f"Stopped after {job.seconds:.0f} s. Data and candidates are as they were.")
+            say(f"Stopped after {job.seconds:.0f} s. Data and candidates are unchanged.")
         else:
             title("Nothing found yet", "h1")
             say("Choose the candidates and start the search.")

@@ -1,4 +1,4 @@
-"""The server: for whoever started it on this computer, nothing from other hosts, uploads of limited size."""
+"""The server: access by token from this computer only, no content from other hosts, limited uploads."""
 
 from __future__ import annotations
 
@@ -27,12 +27,10 @@ _POLICY = (
     "base-uri 'self'; form-action 'self'; frame-ancestors 'none'"
 )
 _NO_KEY = (
-    "This is an app of leastaction, for the person who started it: open the whole address that it printed in "
-    "the terminal, with ?token= and what follows, in a browser that accepts cookies."
+    "This leastaction app needs its token: open the complete address that it printed in the terminal, "
+    "including ?token=, in a browser that accepts cookies."
 )
-_FOREIGN = (
-    "A page of another address may not use this app of leastaction: open the app itself in the browser."
-)
+_FOREIGN = "A page from another address may not use this leastaction app: open the app itself in the browser."
 _FAVICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><path d="M4 5Q9 29 28 27" fill="none" '
     'stroke="#0b67ad" stroke-width="4" stroke-linecap="round"/>'
@@ -46,7 +44,7 @@ def free_port(port: int | None) -> int:
     Raises
     ------
     InputError
-        If there is none.
+        If no port is free.
     """
     for candidate in _PORTS if port is None else [port]:
         with socket.socket() as probe:
@@ -57,58 +55,58 @@ def free_port(port: int | None) -> int:
                 continue
             return candidate
     what = f"port {port} is" if port is not None else f"ports {_PORTS[0]} to {_PORTS[-1]} are"
-    raise InputError(f"{what} in use, perhaps by another app that still runs; give another one with --port")
+    raise InputError(f"{what} in use, perhaps by an app that is still running; give another with --port")
 
 
 class Keys:
-    """What opens the app on one port: the token of its address, and a cookie that the token is exchanged for.
+    """Credentials of the app on one port: the token in its address, and the cookie that replaces it.
 
-    The browser is started with a ticket instead, which opens once: command lines can be read by all users
-    of a computer.
+    The browser is started with a ticket instead, which is valid once, because all users of a computer can
+    read command lines.
     """
 
     def __init__(self, port: int) -> None:
         self._port = port
         self._token, self._ticket, self._value = (secrets.token_urlsafe() for _ in range(3))
-        self._cookie = f"leastaction-{port}"  # browsers keep cookies by host name, whatever the port
+        self._cookie = f"leastaction-{port}"  # cookies do not distinguish ports
 
     @property
     def address(self) -> str:
-        """What the user opens, in as many browsers and as often as they like."""
+        """Address for the user, valid in any browser and any number of times."""
         return f"http://{HOST}:{self._port}/?token={self._token}"
 
     @property
     def path_once(self) -> str:
-        """Path that opens for whoever comes first."""
+        """Path that is valid for the first request."""
         return f"/?token={self._ticket}"
 
     @property
     def cookie(self) -> str:
-        """As the header `Set-Cookie` has it; it ends with the browser."""
+        """Value of the header `Set-Cookie`; the cookie ends with the browser session."""
         return f"{self._cookie}={self._value}; Path=/; HttpOnly; SameSite=Strict"
 
     def opens(self, token: str) -> bool:
-        """Whether a token is exchanged for the cookie; a ticket is used up by that."""
+        """Whether a token is valid; a ticket becomes invalid."""
         if _same(token, self._ticket):
             self._ticket = secrets.token_urlsafe()
             return True
         return _same(token, self._token)
 
     def fits(self, cookies: dict[str, str]) -> bool:
-        """Whether the cookie is among those of a request."""
+        """Whether a request has the cookie."""
         return _same(cookies.get(self._cookie, ""), self._value)
 
 
 def _same(given: str, wanted: str) -> bool:
-    """In a time that does not tell how much of it is right."""
+    """Comparison in constant time."""
     return hmac.compare_digest(given.encode(), wanted.encode())
 
 
 class Door:
-    """Lets requests in that have the cookie; refuses all others, and those of foreign pages.
+    """Accepts requests with the cookie; refuses all others, and those of other pages.
 
-    A page of another port of this computer counts as the same site, so that the browser adds the cookie to
-    what it sends: the origin has to be that of the very address that is asked for.
+    Browsers treat another port of this computer as the same site and send the cookie. The origin must
+    therefore equal the requested address.
     """
 
     def __init__(self, application: Any, keys: Keys) -> None:
@@ -130,8 +128,8 @@ class Door:
         else:
             headers = {}
             if asked.headers.get("sec-fetch-site") == "cross-site":
-                # Browsers leave the cookie out when a link of another site is followed. When this page asks
-                # for the app, they send it.
+                # Browsers omit the cookie when the user follows a link from another site. They send it when
+                # this page requests the app.
                 headers["refresh"] = "0; url=/"
             await _answer(scope, send, 403, _NO_KEY, headers)
 
@@ -144,7 +142,7 @@ class Door:
 async def _answer(
     scope: Any, send: Any, status: int, text: str, headers: dict[str, str] | None = None
 ) -> None:
-    """One sentence instead of the app; to a socket, too, where the server can say one."""
+    """One sentence instead of the app; also to a socket if the server supports it."""
     kind = "http"
     if scope["type"] == "websocket":
         if "websocket.http.response" not in scope.get("extensions", {}):
@@ -154,7 +152,7 @@ async def _answer(
     all_headers = {
         "content-type": "text/plain; charset=utf-8",
         "cache-control": "no-store",
-        "vary": "Cookie",  # NiceGUI lets files of its own be kept: not this answer, once there is a cookie
+        "vary": "Cookie",  # NiceGUI allows caching; this answer must not be reused with a cookie
         **(headers or {}),
     }
     lines = [(name.encode(), value.encode()) for name, value in all_headers.items()]
@@ -163,10 +161,9 @@ async def _answer(
 
 
 class Guard:
-    """Refuses bodies that are too large, and tells the browser to load nothing from elsewhere.
+    """Refuses bodies that are too large, and forbids the browser to load content from elsewhere.
 
-    The Host header is checked too (see `install`): a foreign page whose name is made to point at this
-    computer gets no answer.
+    The Host header is checked, too (see `install`), against pages whose host name points to this computer.
     """
 
     def __init__(self, application: Any) -> None:
@@ -184,7 +181,7 @@ class Guard:
             nonlocal taken
             message = await receive()
             taken += len(message.get("body", b""))
-            # As if the browser had gone: whoever reads the body gives up.
+            # Simulates a disconnect, so that the reader of the body stops.
             return {"type": "http.disconnect"} if taken > MOST_BYTES + 1_000_000 else message
 
         async def guarded(message: Any) -> None:
@@ -206,15 +203,15 @@ class Guard:
 
 
 def _worth_telling(record: logging.LogRecord) -> bool:
-    """Whether a record of the web server is more than a browser that left before its answer."""
+    """Whether a log record is more than a browser that disconnected early."""
     error = record.exc_info[1] if record.exc_info else None
     return not (isinstance(error, RuntimeError) and str(error) == "No response returned.")
 
 
 def install(keys: Keys) -> None:
-    """Put door and guards before NiceGUI, and end all work with it."""
+    """Install door and guards before NiceGUI, and end all workers at shutdown."""
     logging.getLogger("uvicorn.error").addFilter(_worth_telling)
-    core.sio.eio.cors_allowed_origins = None  # the same origin only; NiceGUI lets all of them in
+    core.sio.eio.cors_allowed_origins = None  # the same origin only; NiceGUI allows all
     app.add_middleware(Door, keys=keys)
     app.add_middleware(Guard)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[HOST, "localhost"])

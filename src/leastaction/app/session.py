@@ -1,4 +1,4 @@
-"""What one browser tab has loaded, chosen and found; knows nothing of how it is shown."""
+"""State of one browser tab: data, choices and results, independent of the views."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EXAMPLES", "Session", "Walk", "in_words"]
 
-_PATIENCE = 2.0  # seconds: a process that has been stopped takes as long to come back
+_PATIENCE = 2.0  # seconds: time to restart a stopped process
 
 EXAMPLES = {
     "single": (
@@ -37,7 +37,7 @@ EXAMPLES = {
         "26 trials of 2.7 s, two angles; dry friction in the first joint, which the published model lacks",
     ),
 }
-"""Name of a measured example -> its title, and what it is."""
+"""Name of a measured example -> its title and description."""
 
 
 @dataclass(eq=False)
@@ -51,19 +51,19 @@ class Session:
     columns, roles
         Header and first rows of the table; column -> role.
     data : Trajectories or None
-        As read with these roles; None if that failed, then `fault` says why.
+        As read with these roles; None if that failed, with the reason in `fault`.
     hint : str
     choice : Choice
     task, job : Task or None, Job or None
-        The discovery that runs or ran last; the job is that of a refit or a forecast once there is a model.
+        The last discovery; once there is a model, the job is that of a refit or a forecast.
     found : dict
-        Place on the trade-off curve -> its model, as far as it is.
+        Position on the trade-off curve -> its model, at any stage.
     faults : dict
-        Place -> why its model is not refined any further.
+        Position -> reason why its model is not refined further.
     kept : Found or None
-        The model that others are compared with.
+        The model for comparisons.
     walk, place
-        The trade-off curve, and where on it the page stands.
+        The trade-off curve, and the position that is shown.
     """
 
     view: str = "data"
@@ -111,14 +111,14 @@ class Session:
         self.open_uploads([(name, content)])
 
     def open_uploads(self, given: Sequence[tuple[str, bytes]]) -> None:
-        """Keep uploaded files in the temporary folder and look at their columns.
+        """Store uploaded files in the temporary folder and read their columns.
 
         Several tables are trials of one system and have the same columns.
 
         Raises
         ------
         InputError
-            If one is too large, of an unknown kind, or no table; what was open before is then still open.
+            If one is too large, of an unknown kind, or not a table; the previous data then stay open.
         """
         if len(given) == 1 and given[0][0].lower().endswith(files.SESSION):
             files.check_size(*given[0])
@@ -129,12 +129,12 @@ class Session:
         self._open(paths, title, None)
 
     def _kept(self, given: Sequence[tuple[str, bytes]]) -> list[Path]:
-        """The files in the folder, under names of their own."""
+        """The files in the folder, under unique names."""
         named: dict[str, bytes] = {}
         for name, content in sorted(given, key=lambda pair: files.by_number(pair[0])):
             suffix = files.kind_of(name)
             files.check_size(name, content)
-            # The name is for people; only letters, digits and the like reach the disk.
+            # The original name is for display; only safe characters reach the disk.
             stem, number = files.plain_name(name[: -len(suffix)]), 2
             free = stem
             while free + suffix in named:
@@ -147,10 +147,10 @@ class Session:
     def _open_saved(self, saved: files.Saved) -> None:
         paths = self._kept(list(saved.tables.items()))
         self._open(paths, saved.title, saved.choice, saved.roles)
-        self.hint = "This session is as it was saved: find the Lagrangian again to see its result."
+        self.hint = "Data and choices are restored; find the Lagrangian again to see the result."
 
     def save(self) -> bytes:
-        """The session as one file: tables, meaning of the columns, choices."""
+        """The session as one file: tables, roles of the columns, choices."""
         tables = {path.name: path.read_bytes() for path in self._paths}
         return files.saved(files.Saved(self.title, tables, self.roles, self.choice))
 
@@ -180,8 +180,8 @@ class Session:
         for other in paths[1:]:
             if columns.peek(other).header != table.header:
                 raise InputError(
-                    f"{other.name} has other columns than {paths[0].name}; files that are opened together "
-                    "are trials of one system, with the same header"
+                    f"{other.name} has other columns than {paths[0].name}; files opened together must be "
+                    "trials of one system with the same header"
                 )
         self.stop()
         self._paths, self.title, self.columns, self.hint = list(paths), title, table, ""
@@ -193,7 +193,7 @@ class Session:
             self.choice = choice
 
     def read(self) -> None:
-        """Read the table with the present roles; the candidates begin anew if they no longer fit."""
+        """Read the table with the present roles; resets the candidates if they no longer apply."""
         before = None if self.data is None else (self.data.coordinates, self.data.driven)
         try:
             self.data, self.fault = columns.read(self._paths, self.roles), ""
@@ -205,7 +205,7 @@ class Session:
             self.choice, self.kept = Choice.default(self.data), None
 
     def smooth(self) -> SmoothMotion:
-        """The smoothing spline of the trial that is shown."""
+        """The smoothing spline of the displayed trial."""
         import leastaction as la
 
         assert self.data is not None
@@ -229,9 +229,9 @@ class Session:
         return self.job
 
     def go_to(self, place: int) -> Job | None:
-        """Move along the trade-off curve: a provisional model is there at once, where there was none before.
+        """Move along the trade-off curve; a provisional model is available at once.
 
-        Returns the job that refines it; None where nothing is left to do.
+        Returns the job that refines it; None if it is already refined.
         """
         if place not in self.found:
             model = provisional(self.best.model, self.walk.points[place])
@@ -242,7 +242,7 @@ class Session:
         return self.job
 
     def collect(self) -> bool:
-        """Take over the result of a job that has ended; whether it changes what the page shows."""
+        """Store the result of a finished job; returns whether the page must be updated."""
         job, place = self.job, self._job_place
         if job is None or job.state == "cancelled":
             return False
@@ -252,7 +252,7 @@ class Session:
             return False
         if place is None:
             if job.state == "failed":
-                return False  # the job stays: the page says why there is nothing
+                return False  # the job stays: the page shows its error
             self.walk = Walk.of(job.result.model)
             place = self.place = self.walk.chosen
         self.job = None
@@ -264,7 +264,7 @@ class Session:
         return place == self.place
 
     def _advance(self) -> None:
-        """Start what the shown model lacks; a job for another place may end first if it is about to."""
+        """Start the next stage of the shown model; a nearly finished job for another may finish first."""
         job = self.job
         if job is not None and job.state == "running":
             if self._job_place == self.place or job.seconds < _PATIENCE:
@@ -280,38 +280,38 @@ class Session:
         self._job_place = self.place
 
     def stay(self) -> None:
-        """Leave the shown model as it is."""
+        """Stop refining the shown model."""
         self.worker.cancel()
         self.job = None
         self.faults[self.place] = "it was cancelled"
 
     @property
     def waiting(self) -> bool:
-        """Whether the shown model still lacks something that a job will bring."""
+        """Whether a job for the shown model is still to finish."""
         return self.current.stage != "forecast" and self.place not in self.faults
 
     @property
     def current(self) -> Found:
-        """What the page shows."""
+        """The result that the page shows."""
         return self.found[self.place]
 
     @property
     def best(self) -> Found:
-        """What was discovered."""
+        """The result of the discovery."""
         return self.found[self.walk.chosen]
 
     def stop(self) -> None:
-        """Cancel what runs."""
+        """Cancel the running job."""
         self.worker.cancel()
 
     def forget(self) -> None:
-        """Drop results: they belong to other data or candidates."""
+        """Drop results, which belong to other data or candidates."""
         self.stop()
         self.job, self._job_place, self.found, self.faults = None, None, {}, {}
         self.walk, self.place = Walk(()), 0
 
     def write_report(self) -> str:
-        """The report on the model that is shown, as HTML."""
+        """The report on the shown model, as HTML."""
         import leastaction as la
 
         path = self.folder / "report.html"
@@ -319,19 +319,19 @@ class Session:
         return path.read_text(encoding="utf-8")
 
     def write_model(self) -> str:
-        """The model that is shown, as JSON."""
+        """The shown model, as JSON."""
         path = self.folder / "model.json"
         self.current.model.save(path)
         return path.read_text(encoding="utf-8")
 
     def write_everything(self) -> bytes:
-        """Report, model and every export of the model that is shown, in one archive."""
+        """Report, model and every export of the shown model, in one archive."""
         texts = {"report.html": self.write_report(), "model.json": self.write_model()}
         return files.everything(self.current.model, texts)
 
 
 def in_words(text: str, folder: Path | None = None) -> str:
-    """Put messages, which name files and Python arguments, in terms of the page.
+    """Translate messages, which name files and Python arguments, to the words of the page.
 
     Examples
     --------
@@ -347,7 +347,7 @@ def in_words(text: str, folder: Path | None = None) -> str:
 
 @dataclass(frozen=True)
 class Walk:
-    """The best structure of each size, in rising size; the chosen one stands for its own.
+    """The best structure of each size, by increasing size; the chosen one for its own size.
 
     Attributes
     ----------
@@ -361,7 +361,7 @@ class Walk:
 
     @classmethod
     def of(cls, model: LagrangianModel) -> Walk:
-        """The curve of a model that was discovered; without points if there are no diagnostics."""
+        """The curve of a discovered model; without points if there are no diagnostics."""
         best: dict[int, PathPoint] = {}
         for point in model.diagnostics.path if model.diagnostics else ():
             finite = math.isfinite(point.bic) and math.isfinite(point.cost)
@@ -372,16 +372,16 @@ class Walk:
 
     @property
     def chosen(self) -> int:
-        """Place of the chosen structure."""
+        """Position of the chosen structure."""
         return next((k for k, point in enumerate(self.points) if point.chosen), 0)
 
     def difference(self, place: int) -> tuple[list[str], list[str]]:
-        """Terms that a structure has more, and less, than the chosen one."""
+        """Terms that a structure has in addition to, and that it lacks relative to, the chosen one."""
         here, there = self.points[place].written, self.points[self.chosen].written
         return [e for e in here if e not in there], [e for e in there if e not in here]
 
     def verdict(self, place: int) -> str:
-        """What the criterion says about a structure, and why it was not chosen, in words."""
+        """Comparison of a structure with the chosen one by the criterion, and reason, in words."""
         point = self.points[place]
         if point.chosen:
             return "This is the structure that leastaction chose."
@@ -389,8 +389,8 @@ class Walk:
         if point.bic >= 0:
             text = f"The criterion prefers the chosen structure by {size}; 10 is already a strong preference."
         else:
-            text = f"The criterion alone prefers this one by {size}."
+            text = f"By the criterion alone, this structure is better by {size}."
         if not why:
             return text
-        hint = " On hardware such terms mimic what is missing." if point.reason == "irrelevant" else ""
+        hint = " On hardware, such terms imitate missing ones." if point.reason == "irrelevant" else ""
         return f"{text} It was not chosen because {why}.{hint}"

@@ -1,4 +1,4 @@
-"""The trade-off curve: how much each further term explains, and a way to walk along it."""
+"""The trade-off curve: misfit by number of terms, with a slider."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["WalkPanel"]
 
 
 class WalkPanel:
-    """Figure, slider, and what the structure has more and less than the chosen one."""
+    """Figure, slider, and differences from the chosen structure."""
 
     def __init__(self, page: Page, refresh: Callable[[], None]) -> None:
         self.page, self.session, self.refresh = page, page.session, refresh
@@ -28,7 +28,7 @@ class WalkPanel:
         with panel("walk"):
             title("How many terms?")
             if len(walk.points) < 2:
-                say("There is only one structure, so there is nothing to choose.", "help")
+                say("There is only one structure.", "help")
                 return
             with html.p().classes("keys"):
                 say("criterion (BIC)", "key line", "span")
@@ -106,7 +106,7 @@ class WalkPanel:
             model = session.current.model
             kept = sum(not term.known for term in (*model.terms, *model.dissipation))
             if kept < asked:
-                say(f"{kept} of them are left: friction that came out negative was left out.", "hint")
+                say(f"{kept} of them remain; friction with a negative estimate was left out.", "hint")
             if session.waiting:
                 with html.div().classes("heading"):
                     self.progress = say(f"{self._doing()}…").props("role=status")

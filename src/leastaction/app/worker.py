@@ -1,8 +1,8 @@
-"""A process beside the server that computes, reports, and can be stopped at any moment.
+"""A separate process that computes, reports progress, and can be stopped at any moment.
 
-A discovery holds Python for seconds in one SciPy call, so a thread could neither be stopped nor leave the
-page alive. The process is kept for the next job, because importing SymPy and SciPy takes as long as a small
-discovery; only a cancelled one is replaced.
+A single SciPy call may hold the interpreter for seconds, so that a thread could not be stopped and would
+block the page. The process is kept for the next job, because importing SymPy and SciPy takes as long as a
+small discovery. Only a cancelled process is replaced.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ __all__ = ["Job", "Worker"]
 
 
 class Job:
-    """One piece of work and how far it is.
+    """One job and its progress.
 
     Attributes
     ----------
     state : {"running", "done", "failed", "cancelled"}
     stage, details : str, dict
-        As the function last reported them.
+        Last report of the function.
     stages : list of (str, float)
-        Stages so far with the time at which each began, in seconds from the start.
+        Stages so far with their start times, in seconds from the start of the job.
     result : object
-        What the function returned, once done.
+        Result of the function, once done.
     message : str
-        Why it failed: one line.
+        Reason of a failure, in one line.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class Job:
 
     @property
     def seconds(self) -> float:
-        """How long it has run, or ran."""
+        """Run time in seconds."""
         return (self._ended or time.monotonic()) - self._began
 
     def _report(self, stage: str, details: dict) -> None:
@@ -61,11 +61,11 @@ class Job:
     def _end(self, state: str, result: Any = None, message: str = "") -> None:
         if self.state == "running":
             self.result, self.message, self._ended = result, message, time.monotonic()
-            self.state = state  # last: whoever sees it may read the rest
+            self.state = state  # last, because readers check it first
 
 
 class Worker:
-    """Runs one job at a time in a process of its own."""
+    """Runs one job at a time in a separate process."""
 
     def __init__(self) -> None:
         self.job: Job | None = None
@@ -84,20 +84,20 @@ class Worker:
             self._ready()
 
     def start(self, function: Callable[..., Any], *arguments: Any) -> Job:
-        """Run ``function(progress, *arguments)``; a job that still runs is cancelled first.
+        """Run ``function(progress, *arguments)``, after cancelling a running job.
 
-        The function is one of a module (the process imports it), arguments and result can be pickled.
+        The function must belong to a module, which the process imports; arguments and result are pickled.
         """
         self.cancel()
         with self._lock:
             pipe = self._ready()
             job = self.job = Job()
-            # Large arguments fill the pipe until the process has imported everything: not in our thread.
+            # Large arguments block the pipe until the process has started, so another thread sends them.
             threading.Thread(target=self._follow, args=(job, pipe, function, arguments), daemon=True).start()
         return job
 
     def cancel(self) -> None:
-        """Stop the job that runs, if there is one; at once, whatever it is doing."""
+        """Stop the running job immediately, if there is one."""
         with self._lock:
             if self.busy:
                 assert self.job is not None
@@ -112,7 +112,7 @@ class Worker:
 
     def _ready(self) -> Connection:
         if self._process is None or not self._process.is_alive():
-            # "spawn": a forked copy of a server with threads may hang.
+            # "spawn", because a forked copy of a server with threads may hang.
             context = multiprocessing.get_context("spawn")
             self._pipe, theirs = context.Pipe()
             self._process = context.Process(
@@ -143,17 +143,17 @@ class Worker:
         except (EOFError, OSError):
             with self._lock:
                 if self._pipe is pipe:
-                    self._stop()  # it may still look alive for a moment, and would be given the next job
+                    self._stop()  # otherwise a dying process could get the next job
             job._end("failed", message="the computation stopped unexpectedly, perhaps for want of memory")
         except Exception as error:
-            # Pickling may fail in many ways; whatever it is, the page has to say so.
+            # Pickling may fail in many ways; the page reports all of them.
             job._end("failed", message=explain(error))
 
 
 def _serve(pipe: Connection) -> None:
-    """Loop of the process: until the other end of the pipe has gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server
-    warnings.simplefilter("ignore")  # what a user can act on is in the model's own warnings
+    """Loop of the process until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server handles Ctrl-C
+    warnings.simplefilter("ignore")  # the findings of the model contain everything relevant
     import leastaction.api
     import leastaction.simulation.forecast  # noqa: F401
 
@@ -173,7 +173,7 @@ def _serve(pipe: Connection) -> None:
 
 
 def explain(error: BaseException) -> str:
-    """Say in one line what went wrong.
+    """One line about an error.
 
     Examples
     --------

@@ -1,17 +1,17 @@
-"""What a motion can tell of an arm: base parameters, what priors add, and bodies that can exist.
+"""Base parameters of an arm, estimates of all parameters with priors, and physically consistent bodies.
 
 Torques determine only some combinations of the inertial parameters, the base parameters (Gautier & Khalil
 1990, IEEE Transactions on Robotics and Automation 6:368)
 
     β = B x,        B = (1  K) after sorting,
 
-where x holds all parameters.  A parameter whose column is a combination of columns before it is left out, and
-its share moves to those.
+where x holds all parameters.  A parameter whose column is a combination of earlier columns is left out; its
+contribution moves to their parameters.
 
 A body can exist if its pseudo-inertia, the 4 × 4 matrix of the second moments of its mass, is positive
-definite (Wensing, Kim & Slotine 2018, IEEE Robotics and Automation Letters 3:60). A distance of two such
-matrices that holds log |P| keeps it so, and makes the problem convex (Lee, Wensing & Park 2020, IEEE
-Transactions on Robotics 36:348).
+definite (Wensing, Kim & Slotine 2018, IEEE Robotics and Automation Letters 3:60). A distance between two such
+matrices that contains log |P| keeps P positive definite and makes the problem convex (Lee, Wensing & Park
+2020, IEEE Transactions on Robotics 36:348).
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ __all__ = [
     "with_prior",
 ]
 
-_STATES = 40  # at random, from which dependences are read off
-_DEPENDENT = 1e-8  # of a column's length that may be new in one that depends on others
-_CLEAN = 1e-9  # coefficient of a combination that counts as zero
+_STATES = 40  # random states at which dependences are determined
+_DEPENDENT = 1e-8  # largest independent part of a dependent column, relative to its length
+_CLEAN = 1e-9  # smaller coefficients of a combination count as zero
 _FREE = ("inertia", "rotor", "spring", "offset")  # kinds among which dependences exist
-_MASS, _SIZE = 2.0, 0.1  # kg and m, of a link of which nothing is known
-_ROTOR = 1e-3  # kg m², of a rotor of which nothing is known
-_NEWTON = 200  # steps at most
+_MASS, _SIZE = 2.0, 0.1  # kg and m, assumed for a link without inertia in the tree
+_ROTOR = 1e-3  # kg m², assumed for a rotor
+_NEWTON = 200  # limit on steps
 
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The combinations that torques depend on.
+    """The combinations of parameters that torques depend on.
 
     Attributes
     ----------
@@ -91,14 +91,14 @@ class BaseParameters:
         return tree.links[term.place] if term.kind == "inertia" else f"joint {tree.coordinates[term.place]}"
 
     def subset(self, kept: Sequence[int]) -> BaseParameters:
-        """Without some of the members that stand alone, such as friction."""
+        """The base parameters without some members that depend on no others, such as friction."""
         rows = [row for row, k in enumerate(self.members) if k in set(kept)]
         return BaseParameters(self.terms, tuple(self.members[r] for r in rows), self.matrix[rows])
 
 
 def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
-    """Which of the terms a tree can tell apart, whatever its motion."""
-    rng = np.random.default_rng(0)  # any states do
+    """The combinations of terms that some motion of the tree can determine."""
+    rng = np.random.default_rng(0)  # the result does not depend on the states
     n = len(tree)
     q, qdot, qddot = rng.uniform(-3.0, 3.0, (3, _STATES, n))
     linear = [k for k, term in enumerate(terms) if term.kind in _FREE]
@@ -109,7 +109,7 @@ def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
     basis = np.zeros((0, columns.shape[1]))
     for row, column in enumerate(columns):
         rest = column.copy()
-        for _ in range(2):  # twice is enough
+        for _ in range(2):  # a second pass restores orthogonality
             rest -= basis.T @ (basis @ rest)
         if np.linalg.norm(rest) > _DEPENDENT * max(length[row], 1e-3):
             found.append(row)
@@ -130,13 +130,13 @@ def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
 
 
 class Posterior(NamedTuple):
-    """All parameters, from base parameters and a prior.
+    """All parameters, estimated from base parameters and a prior.
 
     Attributes
     ----------
     values, standard_errors : (n_terms,) arrays
     from_data : (n_terms,) array
-        Share of each that the data tell: 1 − posterior variance / prior variance.
+        Share of each that comes from the data: 1 − posterior variance / prior variance.
     """
 
     values: np.ndarray
@@ -147,9 +147,9 @@ class Posterior(NamedTuple):
 def with_prior(
     base: BaseParameters, estimates: np.ndarray, covariance: np.ndarray, prior: np.ndarray, spread: np.ndarray
 ) -> Posterior:
-    """All parameters, where independent priors of mean ``prior`` and deviation ``spread`` fill what is open.
+    """All parameters, with independent normal priors of mean ``prior`` and standard deviation ``spread``.
 
-    An infinite spread means that nothing is known; such a parameter must be a base parameter of its own.
+    A parameter with infinite ``spread`` has no prior and must be a base parameter of its own.
     """
     open_ = ~np.isfinite(spread)
     scale = np.where(open_, 1e6 * np.maximum(np.abs(base.matrix.T @ estimates), 1.0), spread)
@@ -163,7 +163,7 @@ def with_prior(
 
 
 def inertial_prior(tree: KinematicTree, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """(n_links, 10) means of what the maker says, and deviations, ``share`` of its mass and size."""
+    """(n_links, 10) inertias that the tree states, and standard deviations, ``share`` of mass and size."""
     means = tree.inertias
     spreads = np.full(means.shape, np.inf)
     for i, row in enumerate(means):
@@ -175,13 +175,13 @@ def inertial_prior(tree: KinematicTree, share: float) -> tuple[np.ndarray, np.nd
 
 
 class Bodies(NamedTuple):
-    """Parameters of bodies that can exist.
+    """Parameters of physically consistent bodies.
 
     Attributes
     ----------
     values : (n_terms,) array
     price : float
-        By how much χ² of the base parameters rises.
+        Increase of χ² of the base parameters.
     """
 
     values: np.ndarray
@@ -191,18 +191,18 @@ class Bodies(NamedTuple):
 def fit_bodies(
     tree: KinematicTree, base: BaseParameters, estimates: np.ndarray, covariance: np.ndarray
 ) -> Bodies:
-    """Bodies that can exist, as near to the base parameters as possible.
+    """Physically consistent bodies that are nearest to the base parameters.
 
-    It minimises, by Newton's method on a convex function,
+    Newton's method minimises the convex function
 
         ½ (B x − β)ᵀ Σ⁻¹ (B x − β) + Σ_links tr(P P₀⁻¹) − log |P| + Σ_rotors r/r₀ − log r,
 
-    P the pseudo-inertia of a link and P₀ what the maker says of it, or a ball where nothing is known.
+    where P is the pseudo-inertia of a link, and P₀ that of the tree, or of a ball if the tree states none.
     """
     n = len(tree)
     inertial = [k for k, term in enumerate(base.terms) if term.kind == "inertia"]
     rotors = [k for k, term in enumerate(base.terms) if term.kind == "rotor"]
-    values, vectors = np.linalg.eigh(covariance)  # it may be nearly singular
+    values, vectors = np.linalg.eigh(covariance)  # the covariance may be nearly singular
     root = (vectors / np.sqrt(np.maximum(values, 1e-14 * values[-1]))).T
     matrix, target = root @ base.matrix, root @ estimates
     gram, pull = matrix.T @ matrix, matrix.T @ target
@@ -246,7 +246,7 @@ def fit_bodies(
 
 
 def _prior_body(row: np.ndarray) -> np.ndarray:
-    """Pseudo-inertia of what the maker says, or of a ball."""
+    """Pseudo-inertia that the tree states, or that of a ball."""
     ball = _MASS * np.diag([_SIZE**2] * 3 + [1.0])
     if not np.isfinite(row).all():
         return ball
@@ -276,5 +276,5 @@ _BASIS = np.array([_pseudo_inertia(row) for row in np.eye(10)])  # the pseudo-in
 
 
 def can_exist(parameters: np.ndarray) -> np.ndarray:
-    """Which of (n, 10) inertial parameters belong to bodies: a positive definite pseudo-inertia."""
+    """Which of (n, 10) inertial parameters are physically consistent: a positive definite pseudo-inertia."""
     return np.array([np.linalg.eigvalsh(_pseudo_inertia(row)).min() > 0.0 for row in parameters])

@@ -1,8 +1,8 @@
 """Inverse dynamics of an arm as code: Python with NumPy alone, C without libraries, CasADi functions.
 
-All three walk along the tree as Luh, Walker & Paul 1980 do (Journal of Dynamic Systems, Measurement, and
+All three use the recursive algorithm of Luh, Walker & Paul 1980 (Journal of Dynamic Systems, Measurement, and
 Control 102:69): velocities and accelerations outwards, forces inwards.  Dry friction follows the sign of the
-velocity: one state does not tell where the arm came from.
+velocity, because a single state does not contain the position of the last reversal.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _Local = tuple[str, int, float, float, float]
 
 
 def _parts(model: ArmModel) -> tuple[np.ndarray, list[_Local]]:
-    """(n_links, 10) inertial parameters; kind, joint, coefficient, smoothing and Stribeck speed of the rest.
+    """(n_links, 10) inertial parameters; kind, joint, coefficient, smoothing and Stribeck speed of others.
 
     Raises
     ------

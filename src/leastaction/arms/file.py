@@ -49,7 +49,7 @@ def from_dict(given: Mapping[str, Any]) -> ArmModel:
     Raises
     ------
     InputError
-        If the data are not of that form.
+        If the data do not have that form.
     """
     if given.get("schema") != _SCHEMA or given.get("kind") != "arm":
         raise InputError(

@@ -1,14 +1,14 @@
-"""identify(): from a torque log and a kinematic tree to parameters with error bars.
+"""identify(): parameters with standard errors, from a torque log and a kinematic tree.
 
-The form of the equations is given by the tree, so that no search for it is needed; friction alone is chosen.
+The tree determines the form of the equations. Only the friction is selected.
 
-1. A smoothing spline through the angles, and least squares along it, weighted by joint: the friction of each
-   joint, over which distance it turns after a reversal, and start values.
+1. A smoothing spline is fitted to the angles. Least squares along it, weighted by joint, select the friction
+   of each joint, the distance over which it reverses, and start values.
 2. Curve, parameters, noise and the equation error of each joint are fitted together
-   (:mod:`leastaction.estimation.weights`).  Friction that is not significant is left out, and the rest fitted
-   again.
-3. What is left of the torques is rarely white.  Standard errors are raised by the ratio that the correlation
-   of the residuals asks for (Newey & West 1987, Econometrica 55:703).
+   (:mod:`leastaction.estimation.weights`).  Friction that is not significant is left out, and the other
+   parameters are fitted again.
+3. Residuals of the torques are rarely white.  Standard errors are corrected for their correlation in time
+   (Newey & West 1987, Econometrica 55:703).
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ __all__ = ["identify"]
 _DEGREE = 5
 _CHUNK = 1024  # knot intervals handled at once
 _ALWAYS = ("viscous", "dry")
-_FALSE_ALARM = 0.01  # that any friction of an arm without it is kept
-_MOST_KNOTS = 100.0  # a second: arms bend and gears vibrate above 30 Hz, which no rigid body follows
-_QUIETER = 1.1  # ratio by which twice the knots must lower the noise of some joint to be worth it
+_FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
+_MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
+_QUIETER = 1.1  # factor by which doubling the knots must lower the noise of some joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,16 +76,16 @@ def identify(
     Parameters
     ----------
     trajectories : Trajectory, Trajectories or iterable of Trajectory
-        Joint coordinates (rad, m) and, as forces, joint torques (N m, N); names as in the tree, in any
-        sequence. Velocities are used to find the clock of the robot, see `leastaction.arms.log`.
+        Joint coordinates (rad, m) and, as forces, joint torques (N m, N). Names are those of the tree, in any
+        sequence. Velocities serve to recover the clock of the robot, see `leastaction.arms.log`.
     tree : KinematicTree
     friction : sequence of str
-        Kinds that may be chosen, out of "viscous", "dry", "stribeck", "load", "quadratic" and "asymmetric".
+        Kinds that may be selected: "viscous", "dry", "stribeck", "load", "quadratic" and "asymmetric".
     rotors, offsets, springs : bool
-        Whether rotors, constant torques and springs may act in every joint. Rotors and offsets stay in
-        whether significant or not.
+        Whether rotors, constant torques and springs may act in every joint. Rotors and offsets are kept even
+        if they are not significant.
     knots_per_second : float, optional
-        Of the spline; by default what the motion asks for.
+        Knots of the spline; by default determined from the data.
 
     Returns
     -------
@@ -94,9 +94,9 @@ def identify(
     Raises
     ------
     InputError
-        If names, torques or options do not fit the tree.
+        If names, torques or options do not agree with the tree.
     DataError
-        If the log cannot determine an arm: too short, or at standstill.
+        If the log is too short, or the arm stands still.
     """
     for kind in friction:
         if kind not in FRICTION:
@@ -142,10 +142,10 @@ def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
 
 
 def _resolved(data: Trajectories) -> Smooth:
-    """The smoothed log on knots that resolve what happens at reversals.
+    """The smoothed log on knots that resolve reversals.
 
-    Dry friction jumps there, and the curve bends within milliseconds. Where knots are too coarse for that,
-    the misfit counts as noise: they are doubled until it falls no more.
+    Dry friction jumps at a reversal, and the acceleration changes within milliseconds. If knots are too
+    coarse, the misfit counts as noise. The knots are doubled until the noise stops falling.
     """
     times, values = [t.t for t in data], [t.q for t in data]
     most = min(_MOST_KNOTS, 0.25 / data.sampling_interval)
@@ -164,7 +164,7 @@ def _resolved(data: Trajectories) -> Smooth:
 def _fitted(
     laid: _Laid, columns: ArmColumns, base: BaseParameters, choice: Choice
 ) -> tuple[BaseParameters, ArmColumns, JointFit]:
-    """The joint fit, without friction that is not significant."""
+    """The joint fit without friction that is not significant."""
     points = laid.smoothed.control_points
     start_values = np.array([choice.values.get(term.text, 0.0) for term in columns.terms])
     physics = Physics(columns, np.ones(len(columns), bool), laid.forces.values)
@@ -186,7 +186,7 @@ def _fitted(
 
 
 def _doubts(laid: _Laid, columns: ArmColumns, fit: JointFit, names: tuple[str, ...]) -> list[str]:
-    """Notes on what the log may hold besides the arm."""
+    """Notes on effects in the log that the arm does not explain."""
     residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
     notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
@@ -197,8 +197,8 @@ def _doubts(laid: _Laid, columns: ArmColumns, fit: JointFit, names: tuple[str, .
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:
     """The fit with equations weighted by their slow errors.
 
-    Parameters show in slow motion. Where the error of an equation is larger there than on average over all
-    frequencies that the knots resolve, its weight falls by that ratio.
+    Low frequencies determine the parameters. If the error of an equation is larger there than on average over
+    the frequencies that the knots resolve, its weight falls by that ratio.
     """
     _, residuals = (np.concatenate(part) for part in zip(*_scores(laid, columns, fit), strict=True))
     ratios = np.maximum([_slow_share(r) for r in residuals.T], 1.0)
@@ -209,7 +209,7 @@ def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:
 
 
 def _slow_share(residual: np.ndarray) -> float:
-    """Spectral density at frequency zero (Bartlett's window) over its mean."""
+    """Spectral density at frequency zero (Bartlett's window), divided by its mean."""
     length = _correlated(residual[:, None])
     sums = np.cumsum(np.concatenate([[0.0], residual]))
     windows = sums[length:] - sums[:-length]
@@ -219,7 +219,7 @@ def _slow_share(residual: np.ndarray) -> float:
 def _turned(
     base: BaseParameters, columns: ArmColumns, fit: JointFit, covariance: np.ndarray
 ) -> tuple[BaseParameters, np.ndarray, np.ndarray]:
-    """Without the columns that stand for errors of distances and widths, which are corrected by them."""
+    """Correct distances and widths by the columns of their errors, and remove these columns."""
     shifts = {
         t.place: value for t, value in zip(columns.terms, fit.coefficients, strict=True) if t.kind == "turn"
     }
@@ -236,7 +236,7 @@ def _turned(
 
 
 def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> list[int]:
-    """Columns that stay: friction goes, one by one, while the others take its part."""
+    """Columns that stay. Friction is removed one term at a time, and the others are updated."""
     kinds = [term.kind for term in columns.terms]
     kept = list(range(len(columns)))
     values, spread = fit.coefficients.copy(), covariance.copy()
@@ -244,7 +244,7 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
     while True:
         seen = [k for k in kept if kinds[k] in FRICTION]
         squares = [values[k] ** 2 / spread[k, k] for k in seen]
-        # friction that feeds energy in is none, whatever its size
+        # a term that feeds energy in is not friction
         squares = [
             0.0 if values[k] < 0.0 and kinds[k] in ("viscous", "dry") else square
             for k, square in zip(seen, squares, strict=True)
@@ -256,13 +256,13 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
         values -= along * values[worst]
         spread -= np.outer(along, spread[worst])
         kept.remove(worst)
-        if kinds[worst] == "dry":  # and the distance over which it turned
+        if kinds[worst] == "dry":  # remove its reversal distance as well
             place = columns.terms[worst].place
             kept = [k for k in kept if kinds[k] != "turn" or columns.terms[k].place != place]
 
 
 def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:
-    """The covariance, raised where residuals that are correlated in time ask for it."""
+    """The covariance, corrected for the correlation of the residuals in time."""
     scores, residuals = (np.concatenate(p) for p in zip(*_scores(laid, columns, fit), strict=True))
     length = _correlated(residuals)
     sums = np.cumsum(
@@ -276,7 +276,7 @@ def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:
 
 
 def _scores(laid: _Laid, columns: ArmColumns, fit: JointFit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each knot interval's part of the gradient in the coefficients, and its mean residual."""
+    """The contribution of each knot interval to the gradient in the coefficients, and its mean residual."""
     for chunk in laid.grid.chunks(_CHUNK):
         points = points_at(laid.grid, fit.control_points, chunk)
         strong = columns.strong(points)
@@ -290,7 +290,7 @@ def _scores(laid: _Laid, columns: ArmColumns, fit: JointFit) -> Iterator[tuple[n
 
 
 def _correlated(residuals: np.ndarray) -> int:
-    """Knot intervals over which residuals are correlated: the plug-in rule of Andrews for one lag."""
+    """Number of knot intervals over which residuals are correlated: Andrews' plug-in rule for one lag."""
     before, after = residuals[:-1], residuals[1:]
     each = np.sum(before * after, axis=0) / np.maximum(np.sum(before**2, axis=0), 1e-300)
     shared = min(max(float(each.sum()) / each.size, 0.0), 0.97)

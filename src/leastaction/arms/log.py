@@ -1,11 +1,11 @@
-"""A robot's log made ready (names, units, standstill, its clock), compared with torques, and doubted.
+"""Checks of a robot's log (names, units, standstill, clock), errors of predicted torques, and notes.
 
-Programs that poll a controller write the time of the poll, not that of the state: a state appears twice, or
-one is left out, and stamps scatter by a period or more.  Where velocities are logged, positions tell how much
-time has really passed between two samples, Δt = Δq·v̄/v̄², and controllers tick at a constant rate.
+Programs that poll a controller log the time of the poll, not that of the state. A state appears twice or is
+missing, and time stamps scatter by a period or more.  If velocities are logged, positions give the true time
+between two samples, Δt = Δq·v̄/v̄², and controllers tick at a constant rate.
 
-Each doubt (a contact, currents in place of torques) compares an identified arm with its log or with what the
-tree says, in one line.
+Each note (a contact, currents in place of torques) compares an identified arm with its log or with the
+inertias of the tree.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ __all__ = ["TorqueErrors", "contact_notes", "prepared", "scale_notes", "torque_e
 
 _TRIM = 0.3  # s at each end, where filters and splines lack data on one side
 _FEWEST = 200  # samples
-_MOST_TURNS = 12.0 * np.pi  # rad, that joints of an arm span: more are degrees
-_BEYOND = 2.0  # times the range between a joint's limits, which no motion in radians spans
+_MOST_TURNS = 12.0 * np.pi  # rad; a joint that spans more is in degrees
+_BEYOND = 2.0  # a joint that spans more than this multiple of the range of its limits is in degrees
 _STILL = 1e-3  # rad or m: a joint that spans less stands still
-_SLOW = 0.02  # of the mean square velocity, below which positions do not tell the time
-_AGREES = 0.02  # of a tick, by which half of the stamps scatter that need no clock
-_ON_TICK = 0.1  # of a tick, off which half of the samples may be
+_SLOW = 0.02  # of the mean square velocity; in slower motion, positions do not determine the time
+_AGREES = 0.02  # of a tick: if half of the time stamps scatter by less, they are kept
+_ON_TICK = 0.1  # of a tick: half of the samples must be nearer to one
 
 
 def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, list[str]]:
-    """The log with its coordinates in the sequence of the tree, and notes of what was done.
+    """The log with its coordinates in the sequence of the tree, and notes on changes.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def _check(data: Trajectories, tree: KinematicTree) -> None:
 
 
 def _on_clock(run: Trajectory) -> tuple[Trajectory, str]:
-    """The run at the times of the robot's clock, without samples that repeat the one before."""
+    """The run at the times of the robot's clock, without repeated samples."""
     steps = np.diff(run.q, axis=0)
     ticks = _ticks(run, steps)
     if ticks is None:
@@ -111,7 +111,7 @@ def _on_clock(run: Trajectory) -> tuple[Trajectory, str]:
 
 
 def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | None:
-    """How many ticks have passed before each sample, and their length; None where there is no such clock."""
+    """Number of ticks before each sample, and their length; None if there is no such clock."""
     if run.velocities is None or not (np.isfinite(run.velocities).all() and np.isfinite(run.q).all()):
         return None
     mean = (run.velocities[1:] + run.velocities[:-1]) / 2.0
@@ -125,11 +125,11 @@ def _ticks(run: Trajectory, steps: np.ndarray) -> tuple[np.ndarray, float] | Non
     tick = float(np.median(passed[moving]))
     scatter = np.abs(stamps / tick - np.rint(stamps / tick))
     off = np.abs(passed / tick - np.rint(passed / tick))[fast]
-    # stamps that agree with the clock are left as they are
+    # time stamps that agree with the clock are kept
     if np.median(off) > _ON_TICK or np.median(scatter) < max(2.0 * np.median(off), _AGREES):
         return None
     ticks = np.rint(np.where(fast, passed, stamps) / tick)
-    # a round number of ticks a second, where the stamps agree
+    # prefer a round number of ticks a second if the time stamps agree with it
     rate = float(np.sum(ticks) / (run.t[-1] - run.t[0]))
     whole = round(rate, -1)
     return np.maximum(ticks, 0.0), 1.0 / (whole if whole and abs(rate / whole - 1.0) < 2e-3 else rate)
@@ -143,9 +143,9 @@ class TorqueErrors:
     ----------
     coordinates : tuple of str
     bands : tuple of float or None
-        Measured and predicted torques were filtered below so many Hz; None: not at all.
+        Cut-off frequency of the filter of measured and predicted torques, in Hz; None: unfiltered.
     rms : (n_bands, n_dof) array
-        Of the error.
+        Root mean square of the error.
     torque_rms, torque_std : (n_bands, n_dof) arrays
         Root mean square and standard deviation of the measured torque.
     """
@@ -158,17 +158,17 @@ class TorqueErrors:
 
     @property
     def by_joint(self) -> np.ndarray:
-        """(n_bands, n_dof) error relative to the joint's torque, root mean squares."""
+        """(n_bands, n_dof) error relative to the torque of the joint, both as root mean squares."""
         return self.rms / np.maximum(self.torque_rms, 1e-300)
 
     @property
     def overall(self) -> np.ndarray:
-        """(n_bands,) error relative to the torque, root mean squares over all joints."""
+        """(n_bands,) error relative to the torque, both as root mean squares over all joints."""
         return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
 
     @property
     def of_spread(self) -> np.ndarray:
-        """(n_bands,) the same relative to the standard deviation of the torques, without their mean."""
+        """(n_bands,) error relative to the standard deviation of the torques."""
         return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
 
     def __str__(self) -> str:
@@ -185,7 +185,7 @@ def torque_errors(
     pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
     bands: Sequence[float],
 ) -> TorqueErrors:
-    """Compare torques of some runs: times, predicted and measured torques of each.
+    """Compare torques of several runs; each gives times, predicted and measured torques.
 
     Raises
     ------
@@ -215,39 +215,39 @@ def torque_errors(
 
 
 def _at(times: np.ndarray, t: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values between the samples of a run."""
+    """Values interpolated between the samples of a run."""
     out = np.empty((times.size, values.shape[1]))
     for k, column in enumerate(values.T):
         out[:, k] = np.interp(times, t, column)
     return out
 
 
-# ----------------------------------- doubts about a log, in words: a contact, or currents in place of torques
+#                                                       notes on a contact, or on currents in place of torques
 _WINDOW = 0.1  # s, over which residuals are averaged
-_PUSHED = 4.0  # times the usual size of these averages, above which something pushes
+_PUSHED = 4.0  # times the usual size of these averages: above this, a contact is reported
 _LASTING = 3  # windows that it must last, in one direction; a measured arm without contact reached 3.2
 _SCALE = 3.0  # factor by which torques may differ from those of the tree's inertias
-_ALIKE = 0.9  # correlation of both, above which they differ by a factor
+_ALIKE = 0.9  # correlation above which torques differ by a factor alone
 _NORMAL = 1.4826  # standard deviation over median absolute deviation, of normal numbers
 
 
 def contact_notes(
     tree: KinematicTree, times: np.ndarray, owners: np.ndarray, residuals: np.ndarray, names: tuple[str, ...]
 ) -> list[str]:
-    """Stretches in which the torques of a joint are off by far more than usual.
+    """Stretches in which the torque error of a joint is much larger than usual.
 
     Parameters
     ----------
     times, owners : (n_intervals,) arrays
-        Middle of each knot interval in s, and number of its trial.
+        Middle of each knot interval in s, and index of its trial.
     residuals : (n_intervals, n_dof) array
         Mean error of each equation.
     names : tuple of str
-        Of the trials.
+        Names of the trials.
 
     Notes
     -----
-    A push of less than about a third of a second, or one that the parameters absorb, is not seen.
+    A push of less than about a third of a second, or one that the parameters absorb, is not detected.
     """
     starts = np.floor((times - times.min()) / _WINDOW).astype(int) + owners * (int(1e6))
     windows, where = np.unique(starts, return_inverse=True)
@@ -279,7 +279,7 @@ def contact_notes(
 
 
 def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> list[str]:
-    """Joints whose torques are another quantity than what the tree's inertias need.
+    """Joints whose logged torques differ by a factor from those that the tree's inertias need.
 
     The measured torque of each joint is compared with that of the tree by least squares, beside friction, a
     rotor and a constant torque.
@@ -289,7 +289,7 @@ def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> lis
     points : Points
         States along the motion.
     torques : (n_dof, n_points) array
-        Measured.
+        Measured torques.
     """
     if np.isnan(tree.inertias).any():
         return []

@@ -1,4 +1,4 @@
-"""ArmModel: the parameters of an arm with their errors, and what they are good for."""
+"""ArmModel: the parameters of an arm with standard errors, their predictions and exports."""
 
 from __future__ import annotations
 
@@ -48,21 +48,21 @@ _BANDS = (5.0, 10.0)  # Hz
 
 @dataclass(frozen=True)
 class FitFacts:
-    """How a model was found.
+    """Facts of the fit of a model.
 
     Attributes
     ----------
     trials : tuple of str
         Names of the trajectories.
     noise_std : tuple of float
-        Of each coordinate.
+        Standard deviation of the noise of each coordinate.
     torque_density : tuple of float
         Spectral density of the error of each equation, in torque² seconds.
     knots_per_second : float
     status : str
-        Of the solver.
+        Outcome of the solver.
     notes : tuple of str
-        What was done to the log.
+        Changes to the log, and checks that failed.
     """
 
     trials: tuple[str, ...]
@@ -83,17 +83,17 @@ class Row(NamedTuple):
 
 
 class ArmModel:
-    """What `identify` found of an arm.
+    """An identified arm.
 
     Attributes
     ----------
     tree : KinematicTree
     base : BaseParameters
-        Which combinations of parameters torques depend on; see `rows`.
+        Combinations of parameters that torques depend on; see `rows`.
     coefficients, covariance : (n_base,) and (n_base, n_base) arrays
-        Of the base parameters, in SI units. The covariance counts that residuals are correlated.
+        Of the base parameters, in SI units. The covariance accounts for correlated residuals.
     reference : (n_links, 10) array
-        Inertial parameters from which the load of joints is reckoned, where friction depends on it.
+        Inertial parameters from which the load of the joints is computed, if friction depends on it.
     facts : FitFacts
     """
 
@@ -118,17 +118,17 @@ class ArmModel:
         distance: ArrayLike = 0.0,
         width: ArrayLike = 1e-3,
     ) -> ArmModel:
-        """The model that a tree with inertias describes, without errors: to compare, or to simulate with.
+        """The model of a tree with inertias, without standard errors, for comparison or simulation.
 
         Parameters
         ----------
         tree : KinematicTree
             With inertias for every link.
         joints : mapping of str to array_like, shape (n_dof,)
-            What acts in the joints, by kind: "rotor", "spring", "offset", "viscous", "dry", "quadratic" or
+            Coefficients of each joint, by kind: "rotor", "spring", "offset", "viscous", "dry", "quadratic" or
             "asymmetric".
         distance, width : array_like, shape (n_dof,)
-            Over which distance dry friction turns after a reversal, and the speed below which it fades.
+            Distance over which dry friction reverses, and speed below which it decreases.
 
         Examples
         --------
@@ -214,8 +214,8 @@ class ArmModel:
         ----------
         q, qdot, qddot : array_like, shape (n_times, n_dof)
         successive : bool
-            Whether the states follow each other in time, close enough to see reversals. Dry friction then
-            turns over its distance; otherwise it follows the sign of the velocity.
+            Whether the states are a time series that resolves reversals. Dry friction then reverses over its
+            distance; otherwise it follows the sign of the velocity.
 
         Returns
         -------
@@ -239,7 +239,7 @@ class ArmModel:
         return np.tensordot(self.coefficients, columns.strong(points), 1).T
 
     def columns(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
-        """(n_base, n_dof, n_times): what each base parameter adds to each torque, the regressor."""
+        """(n_base, n_dof, n_times) regressor: the torques for a unit of each base parameter."""
         return self._columns.strong(Points(q, qdot, qddot))
 
     def mass_matrix(self, q: ArrayLike) -> np.ndarray:
@@ -248,14 +248,14 @@ class ArmModel:
         return self._columns.mass_matrix(Points(q, np.zeros_like(q), np.zeros_like(q)), self.coefficients)
 
     def gravity(self, q: ArrayLike) -> np.ndarray:
-        """(n_times, n_dof) torques that hold the arm still, friction and constant torques left out."""
+        """(n_times, n_dof) torques that hold the arm still, without friction and constant torques."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         inertial = self._only("inertia")
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
         return np.tensordot(inertial, columns, 1).T
 
     def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
-        """(n_times, n_dof) torques of friction alone, to be compensated."""
+        """(n_times, n_dof) torques of friction alone, for compensation."""
         q, qdot = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (q, qdot))
         kept = np.where([term.kind in FRICTION for term in self.terms], self.coefficients, 0.0)
         return np.tensordot(kept, self.columns(q, qdot, np.zeros_like(q)), 1).T
@@ -272,12 +272,12 @@ class ArmModel:
         return np.where(keep, self.coefficients, 0.0)
 
     def parameters(self, share: float = 0.3) -> Posterior:
-        """All parameters, where the maker's values in the tree fill in what the log leaves open.
+        """All parameters; the inertias of the tree serve as priors.
 
         Parameters
         ----------
         share : float
-            Standard deviation of what the maker says, as a share of each link's mass and size.
+            Standard deviation of the inertias of the tree, as a share of each link's mass and size.
 
         Raises
         ------
@@ -302,11 +302,11 @@ class ArmModel:
 
     @single_threaded()
     def bodies(self) -> ArmModel:
-        """The same arm made of bodies that can exist: positive mass, positive definite pseudo-inertia.
+        """The same arm with physically consistent links: positive mass, positive definite pseudo-inertia.
 
-        They are as near to the base parameters as their errors allow; what these leave open stays near what
-        the tree says of the links, or near balls of 2 kg and 0.1 m. The tree of the result holds them, and a
-        note says by how much χ² has risen.
+        The links agree with the base parameters within their errors. Parameters that the torques do not
+        determine stay near the inertias of the tree, or near balls of 2 kg and 0.1 m. The tree of the result
+        holds the inertias, and a note gives the increase of χ².
         """
         found = fit_bodies(self.tree, self.base, self.coefficients, self.covariance)
         values = found.values[: 10 * len(self.tree)].reshape(-1, 10)
@@ -321,7 +321,7 @@ class ArmModel:
 
     @property
     def can_exist(self) -> np.ndarray:
-        """(n_links,) whether the inertias in the tree belong to bodies."""
+        """(n_links,) whether the inertias in the tree are physically consistent."""
         return can_exist(np.nan_to_num(self.tree.inertias))
 
     @single_threaded()
@@ -331,14 +331,14 @@ class ArmModel:
         *,
         bands: tuple[float, ...] = _BANDS,
     ) -> TorqueErrors:
-        """Predict the torques of another log from its angles, and compare.
+        """Predict the torques of another log from its angles and compare them with the measured ones.
 
         Parameters
         ----------
         trajectories
             As for `identify`. 0.3 s at both ends are left out of the comparison.
         bands : tuple of float
-            In Hz; torques are compared below each, and unfiltered.
+            Frequencies in Hz. Torques are compared below each of them, and unfiltered.
         """
         data, _ = prepared(Trajectories.coerce(trajectories), self.tree)
         pairs = [(run.t, self._predicted(run), run.forces) for run in data if run.forces is not None]
@@ -393,7 +393,7 @@ class ArmModel:
 
 
 def _short(text: str, most: int = 34) -> str:
-    """A combination, cut at a sign."""
+    """The text of a combination, cut at a sign."""
     if len(text) <= most:
         return text
     return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."

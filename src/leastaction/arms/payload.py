@@ -1,4 +1,4 @@
-"""payload(): mass, centre and inertia of what an identified arm carries, from a second log.
+"""payload(): mass, centre and inertia of the load of an identified arm, from a second log.
 
 A body that is fixed to a link adds its ten inertial parameters δ to those of the link.  With the base
 parameters of the arm alone, β₁ ± Σ₁, and with the load, β₂ ± Σ₂,
@@ -32,14 +32,14 @@ from leastaction.mechanics.arm_columns import inertial_terms
 
 __all__ = ["Payload", "payload"]
 
-_DETERMINED = 1e-9  # share of a parameter that may lie in what torques do not show
-_CHANGED = 1e-3  # probability of a difference as large as that of an arm that has changed elsewhere
+_DETERMINED = 1e-9  # largest share of a parameter in directions that do not affect the torques
+_CHANGED = 1e-3  # p-value below which the arm itself appears to have changed
 _STEP = 1e-6  # of a parameter's error, for derivatives
 
 
 @dataclass(frozen=True, eq=False)
 class Payload:
-    """What an arm carries.
+    """The load of an arm.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Payload:
         Mass (kg), mass times centre of mass (kg m), and inertia about the origin of the frame (kg m²): see
         `rows` for their names. NaN where the arm's torques do not depend on a parameter alone.
     chi_squared, n_degrees : float and int
-        What the difference of the base parameters leaves unexplained, and its degrees of freedom.
+        Misfit of the difference of the base parameters, and its degrees of freedom.
     notes : tuple of str
     """
 
@@ -93,7 +93,7 @@ class Payload:
     def intervals(self, level: float = 0.95) -> np.ndarray:
         """(10, 2) lower and upper ends of the intervals of `values`.
 
-        They are those of the estimate without physical consistency, centred at `values`.
+        They belong to the estimate without physical consistency and are centred at `values`.
         """
         if not 0.0 < level < 1.0:
             raise InputError(f"level is {level}; give a probability such as 0.95")
@@ -129,26 +129,26 @@ def payload(
     Parameters
     ----------
     arm : ArmModel
-        Of the arm without load, of `identify`; not of ``bodies()``.
+        The arm without load, as `identify` returns it; not the result of ``bodies()``.
     loaded : Trajectory, Trajectories, iterable of Trajectory, or ArmModel
-        Log of the arm with the load, or what `identify` found from it.
+        Log of the arm with the load, or the result of `identify` for it.
     link : str, optional
-        That carries the load; by default the last one.
+        The link that carries the load; by default the last one.
     origin, rpy : array_like, shape (3,)
-        Pose in that link of the frame in which the result is given, such as the flange: m, and rad.
+        Pose, in that link, of the frame of the result, such as the flange: m and rad.
     consistent : bool
-        Whether the load must be a body that can exist. A note then states the price in χ².
+        Whether the load must be physically consistent. A note then gives the increase of χ².
 
     Returns
     -------
     Payload
-        Not guaranteed: that the intervals hold if the arm itself has changed between the logs. A note says
-        so if the difference is not one of a single body.
+        The intervals are valid only if the arm itself is the same in both logs. A note warns if the
+        difference is not that of a single body.
 
     Raises
     ------
     InputError
-        If the link is unknown, or the models are not of one arm.
+        If the link is unknown, or the models are not of the same arm.
     """
     tree = arm.tree
     if link is not None and link not in tree.links:
@@ -219,7 +219,7 @@ def _doubts(left: float, n_degrees: int) -> list[str]:
 
 
 def _undetermined(matrix: np.ndarray) -> np.ndarray:
-    """(10,) which parameters change along directions that the torques do not show."""
+    """(10,) whether each parameter changes along directions that do not affect the torques."""
     _, sizes, directions = np.linalg.svd(matrix)
     sizes = np.concatenate([sizes, np.zeros(len(directions) - len(sizes))])
     hidden = directions[sizes < 1e-9 * sizes.max()]

@@ -1,12 +1,13 @@
-"""Motions of least uncertainty within limits: what `leastaction.experiment.excite` minimises.
+"""Motions of least uncertainty within limits: the objective of `leastaction.experiment.excite`.
 
 Every joint moves along a Fourier series that starts and ends at rest. The objective is the log volume
 
     -log det(YᵀWY + P) / 2,
 
-Y the columns of the base parameters, W the weights of the torques, P weak priors. Its gradient needs
-derivatives of the columns in the state, one for each coordinate, velocity and acceleration, whatever the
-number of coefficients. Limits are penalties; in the end the motion is scaled down until all hold.
+with the columns Y of the base parameters, the weights W of the torques, and weak priors P. Its gradient needs
+the derivatives of the columns with respect to each coordinate, velocity and acceleration; their number does
+not depend on the number of coefficients. Limits enter as penalties. The final motion is scaled down until it
+keeps all of them.
 """
 
 from __future__ import annotations
@@ -33,27 +34,27 @@ __all__ = ["Bounds", "Excitation", "Limits", "Plan", "Series", "positive"]
 _ACTING = ("rotor", "viscous", "dry", "offset")
 _UNIT = 1.0  # prior of friction and constant torques, in SI units
 _ROTOR = 0.3  # kg m², prior of a rotor
-_MASS, _SIZE = 3.0, 0.15  # kg and m, of a link of which nothing is known
-_SLOW = 0.02  # of the greatest speed, below which dry friction turns
+_MASS, _SIZE = 3.0, 0.15  # kg and m, assumed for a link without inertia in the tree
+_SLOW = 0.02  # of the greatest speed, below which dry friction reverses
 _SAMPLES = 6  # in a period of the fastest wave, along which the volume is computed
-_FINE = 8  # times as many, where limits are checked
-_ITERATIONS = 40  # with one weight of the penalties
-_MARGIN = 0.03  # of a limit that is kept free
+_FINE = 8  # times as many samples for the check of limits
+_ITERATIONS = 40  # for each weight of the penalties
+_MARGIN = 0.03  # of a limit, kept as a reserve
 _STEP = 1e-6
-_UNSEEN = 0.5  # of its prior, above which the error of a parameter shows that the motion does not tell it
-_SMALLEST = 0.02  # scale of a motion that is not worth making
+_UNSEEN = 0.5  # of its prior: if the error of a parameter is larger, the motion does not determine it
+_SMALLEST = 0.02  # smallest useful scale of a motion
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a motion must keep within; None: no limit.
+    """Limits of a motion; None: no limit.
 
     Attributes
     ----------
     angle : (2, n_dof) array_like
         Lowest and highest coordinate of each joint, in rad or m.
     speed, acceleration, torque : (n_dof,) array_like or number
-        Greatest sizes. Torques are computed from the inertias of the tree, friction left out.
+        Greatest absolute values. Torques are computed from the inertias of the tree, without friction.
     inside : (2, 3) array_like
         Corners of a box in the frame of the base, in m, in which the tool must stay.
     outside : sequence of (2, 3) array_like
@@ -72,12 +73,12 @@ class Limits:
 
     @classmethod
     def of_tree(cls, tree: KinematicTree, **others: Any) -> Limits:
-        """Those that the tree's file states, and others.
+        """The limits in the file of the tree, and others.
 
         Raises
         ------
         InputError
-            If it states no limits of angle or speed.
+            If the file states no limits of angle or speed.
         """
         given = dict(others)
         lower, upper, speed, torque = tree.limits.T
@@ -95,7 +96,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A motion for an experiment, and what it will show.
+    """A motion for an experiment, and the errors to expect from it.
 
     Attributes
     ----------
@@ -106,11 +107,11 @@ class Excitation:
     base : BaseParameters
         Combinations of parameters that torques depend on.
     errors, priors : (n_base,) arrays
-        Standard error that each is expected to have after the experiment, and size that it may have before.
+        Expected standard error of each base parameter after the experiment, and its prior standard deviation.
     condition, log_volume : tuple of two floats
         Before and after the optimisation: condition number of the information, each parameter in units of its
-        prior, and logarithm of the volume of the region of uncertainty. Before: the motion of the start, as
-        large as the limits allow, or as it is where its middle lies in a box.
+        prior, and logarithm of the volume of the region of uncertainty. Before the optimisation, the motion
+        is the start, as large as the limits allow, or unscaled if its middle lies in a box.
     """
 
     tree: KinematicTree
@@ -126,7 +127,7 @@ class Excitation:
 
     @property
     def unseen(self) -> tuple[str, ...]:
-        """Base parameters that this motion does not show: their errors stay above half of their priors."""
+        """Base parameters that this motion does not determine: errors above half of their priors."""
         rows = np.flatnonzero(self.errors > _UNSEEN * self.priors).tolist()
         return tuple(self.base.text(row) for row in rows)
 
@@ -193,7 +194,7 @@ class Series:
         self.frequencies = 2.0 * np.pi / period * np.arange(1, harmonics + 1)
         at_rest = np.stack([self._waves(np.zeros(1), nu)[:, 0] for nu in (1, 2)])
         scaled = at_rest / np.linalg.norm(at_rest, axis=1, keepdims=True)
-        self.mix = np.linalg.qr(scaled.T, mode="complete")[0][:, len(scaled) :]  # what stays at rest
+        self.mix = np.linalg.qr(scaled.T, mode="complete")[0][:, len(scaled) :]  # at rest at both ends
         self.size = 1 + len(self.mix.T)
 
     def _waves(self, t: np.ndarray, nu: int) -> np.ndarray:
@@ -237,7 +238,7 @@ class Plan:
     def of(
         cls, tree: KinematicTree, bounds: Bounds, series: Series, noise: np.ndarray, n_samples: float
     ) -> Plan:
-        """For torques with this noise, measured so many times."""
+        """The plan for torques with given noise and number of samples."""
         speed = bounds.speed
         scales = JointScales(_SLOW * speed, speed, np.zeros(len(tree)))
         terms = (*inertial_terms(tree), *joint_terms(tree, _ACTING, scales))
@@ -280,7 +281,7 @@ class Plan:
         return self.priors[:, None, None] * self.columns.strong(Points(*states))
 
     def improved(self, coefficients: np.ndarray, weight: float) -> np.ndarray:
-        """After some steps with penalties of this weight."""
+        """The motion after some steps with penalties of this weight."""
         done = minimize(
             lambda x: self._value(x.reshape(coefficients.shape), weight),
             coefficients.ravel(),
@@ -316,7 +317,7 @@ class Plan:
         return value, np.einsum("vjt,vkt->jk", by_state, self.functions).ravel()
 
     def _excess(self, states: np.ndarray, margin: float = _MARGIN) -> np.ndarray:
-        """(n_limits, n_times) shares by which limits are exceeded."""
+        """(n_limits, n_times) relative excess over each limit."""
         q, qdot, qddot = states
         low, high = self.bounds.angle
         shares = [np.abs(2.0 * q - low - high) / (high - low), np.abs(qdot) / self.bounds.speed]
@@ -338,7 +339,7 @@ class Plan:
         return np.maximum(np.concatenate(rows), 0.0)
 
     def shrunk(self, coefficients: np.ndarray) -> np.ndarray | None:
-        """The motion, as small about its middle as limits ask for; None where even small ones exceed them."""
+        """The motion, scaled about its middle until it keeps the limits; None if even small ones fail."""
         functions = self.series.functions(self.series.grid(_FINE))
 
         def fits(share: float) -> bool:
@@ -354,7 +355,7 @@ def _scaled(coefficients: np.ndarray, share: float) -> np.ndarray:
 
 
 def _largest(fits: Callable[[float], bool]) -> float | None:
-    """The largest share up to one, to a thousandth, that fits."""
+    """The largest share up to one that fits, to within a thousandth."""
     if fits(1.0):
         return 1.0
     low, high = 0.0, 1.0

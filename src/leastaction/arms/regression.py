@@ -1,12 +1,12 @@
-"""Least squares along a smoothed log: which friction each joint has, and start values.
+"""Least squares along a smoothed log: selection of the friction of each joint, and start values.
 
 The equations are weighted by joint, w_i = n / Σ r_i², so that a wrist of 1 N m counts as much as a shoulder
-of 50.  All products are summed once, block of time by block; choosing is then algebra on small matrices.
+of 50.  All products are summed once for each block of time; the selection then works on small matrices.
 
-Residuals of real arms are correlated, and a test that takes them for white finds friction everywhere.  A
-joint's residuals count as n (1 − ρ)/(1 + ρ) independent ones, ρ their correlation from one knot interval to
-the next.  Friction must also predict the blocks that were left out no worse: what fits one stretch and spoils
-another is a coincidence of the motion.
+Residuals of real arms are correlated. A test that assumes white residuals selects friction in every joint.
+The residuals of a joint therefore count as n (1 − ρ)/(1 + ρ) independent ones, with their correlation ρ
+between neighbouring knot intervals.  Friction must also predict left-out blocks no worse: a term that fits
+one stretch and worsens another is rejected.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _BLOCKS = 6  # of time, each left out once
 _ROUNDS = 4  # of the weights
 _WIDTH = 0.01  # ε over the rms velocity
 _STRIBECK = 0.1  # v_s over the rms velocity
-_WORTH = 4.0  # of log likelihood, twice, that a distance must bring
+_WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
 _WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
@@ -51,7 +51,7 @@ _DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of th
 
 
 class Choice(NamedTuple):
-    """What the regression found.
+    """Result of the regression.
 
     Attributes
     ----------
@@ -60,9 +60,9 @@ class Choice(NamedTuple):
     values : dict
         Name of each term → start value.
     history : (2, n_intervals, n_quadrature, n_dof) array
-        Dry friction that turns over a distance, and its derivative; see `ArmColumns`.
+        Dry friction that reverses over a distance, and its derivative; see `ArmColumns`.
     reference : (n_links, 10) array
-        Inertial parameters from which the load of joints is reckoned.
+        Inertial parameters from which the load of the joints is computed.
     """
 
     scales: JointScales
@@ -73,11 +73,11 @@ class Choice(NamedTuple):
 
 
 _Dry = list[tuple[int, int]]
-"""Joints, and which of the histories acts in them."""
+"""Joints, and the history that acts in each."""
 
 
 class _Solution(NamedTuple):
-    """Coefficients, and the squares that each equation leaves."""
+    """Coefficients, and the residual sum of squares of each equation."""
 
     values: np.ndarray
     squares: np.ndarray
@@ -93,12 +93,12 @@ class Regression:
     control_points : (n_ctrl, n_dof) array
     forces : (n_intervals, n_quadrature, n_dof) array
     columns : ArmColumns
-        Of the base parameters, and of friction that may be chosen.
+        Of the base parameters, and of friction that may be selected.
     fixed, always, extra : tuple of int
-        Columns that stay, friction that is tried first, and friction that is added if it helps.
+        Columns that stay, friction that is tried first, and friction that is added if it improves the fit.
     data : Trajectories
     histories : (n_histories, n_intervals, n_quadrature, n_dof) array
-        Dry friction that follows the sign of the velocity, then that of each distance that is tried.
+        Dry friction that follows the sign of the velocity, then dry friction for each distance.
     grams : (n_blocks, n_dof, n, n) array
         Of columns, histories and forces of each joint.
     counts : (n_dof,) array
@@ -129,12 +129,12 @@ class Regression:
         data: Trajectories,
         kinds: tuple[Sequence[str], Sequence[str], Sequence[str]],
     ) -> Regression:
-        """Walk along a log.
+        """Sum the products along a log.
 
         Parameters
         ----------
         kinds
-            What acts in every joint, friction that is tried in every joint, and friction that may be added.
+            Terms of every joint, friction that is tried in every joint, and friction that may be added.
         """
         states = [np.concatenate(grid.evaluate(control_points, [t.t for t in data], nu)) for nu in (0, 1)]
         spread, rms = states[0].std(axis=0), np.sqrt(np.mean(states[1] ** 2, axis=0))
@@ -173,7 +173,7 @@ class Regression:
         return made._begun()
 
     def _begun(self) -> Regression:
-        """With the sums, the load of joints taken from a first solution."""
+        """The regression with its sums; a first solution gives the load of the joints."""
         loads = [k for k, term in enumerate(self.columns.terms) if term.kind == "load"]
         others = [k for k in range(len(self.columns)) if k not in set(loads)]
         first = replace(self, columns=self.columns.subset(others))
@@ -219,14 +219,14 @@ class Regression:
         return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
 
     def _own(self, members: Sequence[int], dry: _Dry, joint: int) -> tuple[list[int], list[int]]:
-        """Of one joint: places among the unknowns and the torque, and numbers in the sums."""
+        """Indices of one joint among the unknowns and the torque, and its indices in the sums."""
         k, m = len(self.columns), len(members)
         acting = [(row, d) for row, (i, d) in enumerate(dry) if i == joint]
         places = [*range(m), *(m + row for row, _ in acting), m + len(dry)]
         return places, [*members, *(k + d for _, d in acting), k + len(self.histories)]
 
     def _solved(self, members: Sequence[int], dry: _Dry, left_out: int | None = None) -> _Solution:
-        """Weighted least squares with some columns, and dry friction of some joints."""
+        """Weighted least squares with the given columns and dry friction."""
         n, size = self.columns.n_dof, len(members) + len(dry) + 1
         total = self.grams.sum(axis=0)
         if left_out is not None:
@@ -245,7 +245,7 @@ class Regression:
         return _Solution(values, squares)
 
     def _unseen(self, members: Sequence[int], dry: _Dry, squares: np.ndarray) -> float:
-        """Squares that blocks leave when they are predicted from the others, relative to ``squares``."""
+        """Squared errors of blocks that are predicted from the others, relative to ``squares``."""
         error = 0.0
         for block in range(len(self.grams)):
             residual = np.append(self._solved(members, dry, block).values, -1.0)
@@ -271,7 +271,7 @@ class Regression:
         return r.shape[1] * (1.0 - rho) / (1.0 + rho)
 
     def chosen(self, false_alarm: float) -> Choice:
-        """Choose distances, then further friction."""
+        """Select distances, then further friction."""
         members, dry = [*self.fixed, *self.always], self._no_distance
         best = self._solved(members, dry)
         for _ in range(2 if dry else 0):
@@ -301,7 +301,7 @@ class Regression:
         return refined._choice(members, dry, best, scales)
 
     def _changed(self, scales: JointScales, ratios: np.ndarray) -> JointScales:
-        """Distances, or widths where there are none, after a step."""
+        """Distances, or widths of joints without a distance, after a step."""
         steps = np.exp(np.clip(ratios, -_LARGEST, _LARGEST))
         turning = scales.distance > 0.0
         low, high = (share * self.scales.width for share in _WIDTHS)
@@ -326,12 +326,12 @@ class Regression:
         return np.array([part.values for part in found if part is not None])
 
     def _at(self, scales: JointScales) -> Regression:
-        """With the histories at these scales in place of those that were tried."""
+        """The regression with the histories at these scales only."""
         made = replace(self, histories=self._turning(scales))
         return replace(made, grams=made._summed())
 
     def _gain(self, before: _Solution, after: _Solution) -> float:
-        """By how much the log likelihood rises, twice."""
+        """Twice the increase of the log likelihood."""
         return float(self.counts @ np.log(before.squares / after.squares))
 
     def _extended(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -91,16 +91,7 @@ Example:
     "-o", "--output", required=True, metavar="FILE", shell_complete=complete_file, help="CSV file to write."
 )
 def generate(
-    system: str,
-    noise: str,
-    noise_convention: str,
-    trials: int,
-    duration: str,
-    rate: str,
-    seed: int,
-    missing: str,
-    irregular: bool,
-    output: str,
+    system: str, output: str, noise: str, duration: str, rate: str, missing: str, **options: Any
 ) -> None:
     """Generate noisy recordings of a system with a known Lagrangian.
 
@@ -110,12 +101,12 @@ def generate(
     spring_chain, toda_chain, henon_heiles, kepler_orbit and morse_molecule (free).
     """
     file = check_file(output)
-    values: dict[str, float] = {}
+    values: dict[str, Any] = dict(options)
     texts = {"noise": noise, "duration": duration, "rate": rate, "missing": missing}
     for option, text in texts.items():
         with blame(f"--{option}"):
             values[option] = number(text)
-    if abs(trials * values["duration"] * values["rate"]) > _MAX_SAMPLES:
+    if abs(values["trials"] * values["duration"] * values["rate"]) > _MAX_SAMPLES:
         raise InputError(
             f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less"
         )
@@ -123,9 +114,7 @@ def generate(
     from leastaction.io import write_csv
 
     source = systems.get(system)
-    data = systems.generate(
-        source, noise_convention=noise_convention, trials=trials, seed=seed, irregular=irregular, **values
-    )
+    data = systems.generate(source, **values)
     write_csv(file, data)
     made = counted(len(data), "trial")
     say(f"{made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")

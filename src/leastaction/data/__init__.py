@@ -1,1 +1,1 @@
-"""Measured trajectories: what they are, and how they are checked and read."""
+"""Measured trajectories: values, checks and readers."""

@@ -1,4 +1,4 @@
-"""What is given in many forms: arrays or trajectories, as `Trajectories`, and groups of these."""
+"""Conversion of arrays or trajectories to `Trajectories`; groups of these, and selections of coordinates."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from typing import Any, cast
 import numpy as np
 from scipy.sparse import issparse
 
-from leastaction.data.trajectories import Trajectories, Trajectory
-from leastaction.data.validation import listed
+from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectory import FIELDS, Trajectory
+from leastaction.data.validation import FloatArray, listed
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_array, is_list, is_mapping
 
-__all__ = ["gather", "group_labels", "one_each"]
+__all__ = ["arranged", "gather", "group_labels", "joined", "one_each"]
 
 
 def gather(
     q: Any, t: Any, forces: Any, coordinates: Sequence[str] | None, t_otherwise: Any = None
 ) -> Trajectories:
-    """Decide what was given, once: everything behind this works on trajectories.
+    """Convert the arguments of `SparseLagrangian.fit` to trajectories.
 
-    The arguments are those of `SparseLagrangian.fit`; `t_otherwise` takes the place of a `t` that is needed
-    and missing.
+    `t_otherwise` replaces a `t` that is needed and missing.
 
     Raises
     ------
@@ -100,7 +100,7 @@ _ONE_EACH = "give one for each trajectory, e.g. groups=['empty', 'empty', 'paylo
 def group_labels(
     given: Mapping[str, object] | Iterable[object], trajectories: Trajectories
 ) -> tuple[str, ...]:
-    """The name of the group of each trajectory, given in a row or by the trajectories' names.
+    """The name of the group of each trajectory, from a sequence or a mapping by name.
 
     Raises
     ------
@@ -142,5 +142,52 @@ def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
 def _label(value: object) -> str:
     text = str(value).strip()
     if value is None or not text:
-        raise InputError("the name of a group is empty; give every trajectory one")
+        raise InputError("the name of a group is empty; give every trajectory a group")
     return text
+
+
+def arranged(trajectories: Trajectories, coordinates: Sequence[str]) -> Trajectories:
+    """Return the trajectories with the given coordinates, in this sequence.
+
+    A coordinate that they do not have is NaN everywhere, and no force acts on it.
+
+    Examples
+    --------
+    >>> runs = Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2], coordinates=["x"])])
+    >>> arranged(runs, ["x", "y"])[0].q.tolist()
+    [[0.1, nan], [0.2, nan]]
+    """
+    names = tuple(coordinates)
+    if names == trajectories.coordinates:
+        return trajectories
+    places = [trajectories.coordinates.index(n) if n in trajectories.coordinates else -1 for n in names]
+    named = zip(trajectories, trajectories.names, strict=True)
+    items = [_arranged(item, places, names).changed(name=name) for item, name in named]
+    removed = trajectories.wraps_removed  # only their sum over the trajectories is used
+    wraps = [tuple(removed.get(n, 0) for n in names), *((0,) * len(names) for _ in items[1:])]
+    return Trajectories.with_wraps(items, wraps)
+
+
+def joined(some: Trajectories, whole: Trajectories) -> Trajectories:
+    """Return ``whole`` without the samples that are missing in ``some``, with part of its coordinates."""
+    if some is whole:
+        return whole
+    places = [whole.coordinates.index(name) for name in some.coordinates]
+    masks: list[np.ndarray] = []
+    for part, item in zip(some, whole, strict=True):
+        lost = np.zeros(item.q.shape, dtype=bool)
+        lost[:, places] = np.isnan(part.q)
+        masks.append(lost)
+    return whole.without(masks)
+
+
+def _arranged(item: Trajectory, places: list[int], names: tuple[str, ...]) -> Trajectory:
+    arrays: dict[str, FloatArray] = {}
+    for field in FIELDS[1:]:
+        given = getattr(item, field)
+        if given is None:
+            continue
+        fill = 0.0 if field == "forces" else np.nan
+        columns = [given[:, p] if p >= 0 else np.full(item.n_times, fill) for p in places]
+        arrays[field] = np.stack(columns, axis=1)
+    return item.changed(**arrays, coordinates=names)

@@ -1,4 +1,4 @@
-"""How trajectories show themselves: card, plot, data frame."""
+"""Display of trajectories: card, plot, data frame."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ _ENDINGS = {"q": "", "forces": "_force", "velocities": "_dot", "accelerations": 
 
 
 class ShownRuns(Shown):
-    """What one trajectory and several show in the same way."""
+    """Display methods of one trajectory and of several."""
 
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, *, angles: Iterable[str] = (), **kwargs: Any
     ) -> Display:
-        """Plot the coordinates over time, one line for each trajectory; a gap where samples are missing.
+        """Plot the coordinates over time, one line for each trajectory, with gaps at missing samples.
 
         Parameters
         ----------
         ax : matplotlib.axes.Axes, or sequence of them, optional
             One for all coordinates, or one for each. By default a new figure.
         angles : iterable of str
-            Coordinates that are angles, for the labels. Known already are those whose units were converted
-            to rad when they were read, and those from which `unwrap` removed jumps.
+            Coordinates that are angles, for the labels, in addition to those whose units were converted to
+            rad by the reader, and those from which `unwrap` removed jumps.
         **kwargs
             Properties of Matplotlib's lines, such as ``color`` and ``linewidth``.
 
@@ -85,9 +85,9 @@ class ShownRuns(Shown):
         Returns
         -------
         pandas.DataFrame
-            Columns ``trial``, ``t``, the coordinates; where there are any, known forces
-            ``<coordinate>_force`` and measured rates ``<coordinate>_dot``, ``<coordinate>_ddot``. The columns
-            of a CSV file of `write_csv`. NaN: not measured.
+            Columns ``trial``, ``t`` and the coordinates, and, if available, known forces
+            ``<coordinate>_force`` and measured rates ``<coordinate>_dot``, ``<coordinate>_ddot``, as in a CSV
+            file of `write_csv`. NaN: not measured.
 
         Raises
         ------
@@ -160,7 +160,7 @@ def _figures(run: Trajectory, n: int) -> list[str]:
 
 
 def written_names(coordinates: Sequence[str]) -> dict[str, str]:
-    """Names of coordinates as the axes of plots have them.
+    """Names of coordinates for the axes of plots.
 
     Examples
     --------
@@ -171,7 +171,7 @@ def written_names(coordinates: Sequence[str]) -> dict[str, str]:
 
 
 def units_of(data: ShownRuns, angles: Iterable[str] = ()) -> dict[str, str]:
-    """Units of coordinates as far as they are known.
+    """Known units of coordinates.
 
     Raises
     ------

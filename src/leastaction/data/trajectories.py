@@ -1,4 +1,4 @@
-"""Trajectories: measured coordinates over time, checked once at the door."""
+"""Trajectories: measured coordinates over time, checked on creation."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         Returns
         -------
         Trajectories
-            `x` itself if it is one already.
+            `x` itself if it is already of this class.
 
         Raises
         ------
@@ -172,7 +172,7 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What the reader did to the data, each once. `discover` adds these findings to those of the fit.
+        """Changes that the reader made to the data. `discover` adds these findings to those of the fit.
 
         Slices, selections and other sets of the same trajectories keep them.
 
@@ -283,8 +283,8 @@ class Trajectories(ShownRuns, Sequence[Trajectory]):
         Parameters
         ----------
         what : int, str, or iterable of names and numbers
-            ``2``: the last two. ``"20%"``: the last fifth, one at least; of a single trajectory, its end.
-            ``"a,b"`` or ``["a", "b"]``: by name. As ``--hold-out`` of the command line.
+            ``2``: the last two. ``"20%"``: the last fifth, at least one; for a single trajectory, its end.
+            ``"a,b"`` or ``["a", "b"]``: by name. The same as ``--hold-out`` on the command line.
 
         Raises
         ------

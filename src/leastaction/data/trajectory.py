@@ -1,4 +1,4 @@
-"""One trajectory: measured coordinates, and their rates where measured, over time; checked at the door."""
+"""One trajectory: measured coordinates and rates over time, checked on creation."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Rate:
     Attributes
     ----------
     coordinate : int
-        Number of the coordinate.
+        Index of the coordinate.
     derivative : int
         1 velocity, 2 acceleration.
     values : tuple of (n_times,) arrays
-        One for each trajectory; NaN where it is not measured.
+        One for each trajectory; NaN if not measured.
     """
 
     coordinate: int
@@ -52,7 +52,7 @@ class Rate:
     values: tuple[FloatArray, ...]
 
     def label(self, coordinates: Sequence[str]) -> str:
-        """What is measured, in words.
+        """Measured quantity and coordinate, in words.
 
         Examples
         --------
@@ -63,7 +63,7 @@ class Rate:
 
     @property
     def quantity(self) -> str:
-        """What is measured: ``"velocity"`` or ``"acceleration"``."""
+        """Measured quantity: ``"velocity"`` or ``"acceleration"``."""
         return ("velocity", "acceleration")[self.derivative - 1]
 
 
@@ -88,11 +88,11 @@ class Trajectory(ShownRuns):
         Name of the trial, used in messages and files.
     velocities, accelerations : array_like, shape (n_times, n_dof), optional
         Measured q̇ and q̈ (tachometer, gyroscope, ...), in the coordinate's unit per second and per second
-        squared; NaN where nothing was measured, which may be whole columns. They must come from separate
-        sensors: differences of the positions repeat the noise of the positions.
+        squared; NaN if not measured, which may be whole columns. They must come from separate sensors,
+        because differences of the positions repeat the noise of the positions.
     findings : iterable of Finding
-        What the reader did to the data, such as converting units. `discover` adds these findings to those of
-        the fit.
+        Changes that the reader made to the data, such as converting units. `discover` adds these findings to
+        those of the fit.
 
     Raises
     ------
@@ -243,7 +243,7 @@ class Trajectory(ShownRuns):
         return self.changed(**{k: None if array is None else array[chosen] for k, array in arrays.items()})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Unpickled arrays are writable; going through the constructor makes them read-only again.
+        # Unpickled arrays are writable; the constructor makes them read-only again.
         given = (
             self.t,
             self.q,

@@ -1,4 +1,4 @@
-"""Checks of what enters a trajectory: real float64 numbers, shapes, times that increase; and unwrapping."""
+"""Checks of the arrays of a trajectory: real float64 numbers, shapes, increasing times; and unwrapping."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FloatArray = NDArray[np.float64]
 
 _NOISY_STEP = 0.5  # rad from sample to sample: six times as much is pi
 _TREND = 16
-# A jump must exceed pi by this much: without it, rounding could turn a jump of exactly pi back and forth.
+# A jump must exceed pi by this much; otherwise rounding could reverse a jump of exactly pi repeatedly.
 _WRAP_TOLERANCE = 1e-9
 
 
@@ -90,7 +90,7 @@ def check_times(t: FloatArray, where: str) -> FloatArray:
     if fault is not None:
         index, kind = fault
         if kind == "repeated":
-            what, cure = "repeats the time before it", "keep one sample per time"
+            what, cure = "repeats the previous time", "keep one sample per time"
         else:
             what = f"goes backwards from t[{index - 1}] = {float(t[index - 1])!r}"
             cure = "sort the samples, or make separate trajectories of separate runs"
@@ -168,7 +168,7 @@ def time_fault(t: FloatArray) -> tuple[int, str] | None:
 
 
 def listed(names: Iterable[str], limit: int = 20) -> str:
-    """Return the names, quoted where need be, as one line; at most `limit` of them."""
+    """Return the names as one line, quoted if needed; at most `limit` of them."""
     every = list(names)
     shown = [name if name.isidentifier() and len(name) <= 40 else quoted(name) for name in every[:limit]]
     return ", ".join(shown) + (f", ... ({len(every)} in all)" if len(every) > limit else "")
@@ -220,11 +220,11 @@ def unwrap_in_place(angle: FloatArray) -> int:
         return 0
     samples = angle[valid]
     jumps = np.diff(samples)
-    # The rounding error of large angles counts too, or a second call could find a jump of pi again.
+    # The rounding error of large angles is included; otherwise a second call could find a jump of pi again.
     limit = np.pi + _WRAP_TOLERANCE + 16 * np.finfo(np.float64).eps * np.abs(samples).max()
     turns = np.where(np.abs(jumps) > limit, np.round(jumps / (2 * np.pi)), 0.0)
     wrapped = jumps - 2 * np.pi * np.round(jumps / (2 * np.pi))
-    # steps of white noise, from how they change: a fast rotation is no noise
+    # steps of white noise, from their differences: a fast rotation is not noise
     noise = (
         1.4826 * float(np.median(np.abs(np.diff(wrapped)))) / np.sqrt(3.0) if wrapped.size > _TREND else 0.0
     )
@@ -238,9 +238,9 @@ def unwrap_in_place(angle: FloatArray) -> int:
 
 
 def _turns_from_trend(samples: FloatArray) -> FloatArray:
-    """Turns to take off each sample so that it is nearest to the trend of those before it.
+    """Turns to subtract from each sample so that it is nearest to the trend of the previous samples.
 
-    Noise of more than half a radian makes steps of more than pi by itself, which would add up.
+    Noise of more than half a radian causes steps of more than pi by itself, which would accumulate.
     """
     turns = np.zeros(samples.size)
     past = np.full(_TREND, samples[0])
@@ -269,7 +269,7 @@ def _cure(kind: str) -> str:
 
 
 def plain_bytes(array: np.ndarray) -> bytes:
-    """One NaN and one zero: their other bit patterns mean the same data."""
+    """Bytes with a single bit pattern each for NaN and zero, so that equal data have equal bytes."""
     plain = np.where(np.isnan(array), np.nan, array + 0.0)
     return np.ascontiguousarray(plain, dtype="<f8").tobytes()
 
@@ -278,7 +278,7 @@ _TO_HOLD_OUT = "give how many of the last ones (2), a share ('20%'), or names ('
 
 
 def share_held_out(given: object) -> float | None:
-    """Return the share of ``"20%"``; None for what is no share.
+    """Return the share of ``"20%"``; None if it is not a share.
 
     Examples
     --------
@@ -292,12 +292,12 @@ def share_held_out(given: object) -> float | None:
     except ValueError:
         return None
     if not 0.0 < share < 1.0:
-        raise InputError(f"{quoted(given)} is no share; give more than 0% and less than 100%, such as '20%'")
+        raise InputError(f"{quoted(given)} is not a share; give more than 0% and less than 100%, e.g. '20%'")
     return share
 
 
 def rows_held_out(t: FloatArray, share: float) -> NDArray[np.bool_]:
-    """Return which samples are in the last share of the time.
+    """Return a mask of the samples in the last share of the time.
 
     Examples
     --------
@@ -311,7 +311,7 @@ def rows_held_out(t: FloatArray, share: float) -> NDArray[np.bool_]:
 
 
 def names_held_out(given: object, share: float | None, names: Sequence[str]) -> list[str]:
-    """Return the names of the trajectories to hold out, of which one must be left.
+    """Return the names of the trajectories to hold out; at least one must remain.
 
     Examples
     --------

@@ -67,9 +67,9 @@ class DiagnosisSettings:
     is something else. Half: no effect; twice: one result that lacks friction of 1 % a period is ok."""
 
     follows: float = 0.2
-    """Error of free runs over a period, relative to the spread of the data. With less, a law whose equations
-    hold to some per cent only is usable. Preference. Half: one result in coloured noise is doubtful; twice:
-    two that lack a delay or a sign are usable."""
+    """Error of free runs over a period, relative to the spread of the data; of trials left out of the fit
+    where that is known. With less, a law whose equations hold to some per cent only is usable. Preference.
+    Half: one result in coloured noise is doubtful; twice: two that lack a delay or a sign are usable."""
 
     noise_ratio: float = 1.15
     """Residual of a fit over that of the smoothing: more is unexplained motion. Half, twice: no effect."""

@@ -170,12 +170,14 @@ def _form(search: Search, exact: bool) -> list[Finding]:
 
 
 def _forecasts(fit: Fit, period: float) -> list[Finding]:
-    """How well equations that hold to some per cent follow the data, where they do."""
+    """How well equations that hold to some per cent follow the data, and those left out of the fit."""
     runs = followed(fit, period)
     if not runs.error <= DIAGNOSIS.follows:
         return []
     new = left_out(fit, period)
     figures = {} if new is None else {"left_out": new[0], "worst_left_out": new[1]}
+    if new is not None and new[0] > DIAGNOSIS.follows:
+        return [find("forecasts-fail", **runs._asdict(), **figures)]
     return [find("forecasts", **runs._asdict(), **figures)]
 
 

@@ -4,13 +4,13 @@ With q = N P, q̇ = Ṅ P and q̈ = N̈ P (Zhang & Sun 2026) the loss is
 
     J = α/N_m Σ ‖y − q‖² + γ/N_c Σ ‖Σ_k λ_k E[φ_k] − f‖² + β/N_c Σ ‖q̈‖²,
 
-data at the N_m samples, the Euler–Lagrange residual and the curvature at N_c random collocation times, of
-which every iteration takes a batch.  Adam (Kingma & Ba 2015) moves P and λ:
+with the data at N_m samples, and the Euler–Lagrange residual and the curvature at N_c random collocation
+times. Every iteration uses a batch of these.  Adam (Kingma & Ba 2015) updates P and λ:
 
     m ← b₁ m + (1 − b₁) g,   v ← b₂ v + (1 − b₂) g²,   x ← x − η m̂ / (√v̂ + 10⁻⁸),
 
-m̂ and v̂ corrected for their start at zero, η falling along a cosine to a hundredth of its first value.
-Coefficients with |λ_k| < ε are set to zero for good at regular intervals.
+where m̂ and v̂ are corrected for their start at zero, and η falls along a cosine to a hundredth of its first
+value.  At regular intervals, coefficients with |λ_k| < ε are set to zero permanently.
 """
 
 from __future__ import annotations
@@ -43,23 +43,23 @@ class AdamOptions:
     threshold_from, check_every : int
         First iteration with thresholding, and the interval at which thresholds and convergence are checked.
     iterations : int
-        The most; the learning rates fall along a cosine over this length.
+        Largest number of iterations; the learning rates fall along a cosine over this length.
     learning_rate_curve, learning_rate_coefficients : float
         First step of Adam in control points and in coefficients.
     tolerance : float
-        The descent has converged when the relative change of J between two checks is smaller.
+        The descent has converged if the relative change of J between two checks is smaller.
     collocation : float
         Random collocation times for each sample, N_c / N_m.
     batch : int
         Collocation times used in an iteration.
     knots_per_second : float or None
-        None: from the time scale of the data, as many as the default method begins with.
+        None: from the time scale of the data, as in the first grid of the default method.
     start_curve : {"smooth", "samples"}
         Control points at the start: those of a penalised smoothing spline, or the samples (linearly
         interpolated at the knot averages).
     start_coefficients : {"regression", "ones"} or mapping of str to float
-        Least squares along the starting curve; one for every candidate; or given values, a thousandth for
-        every other candidate.
+        Least squares along the starting curve; one for every candidate; or given values, and 0.001 for every
+        other candidate.
     pin_ends : bool
         Tie both ends of every curve to the first and the last sample, as the paper does.
 
@@ -143,7 +143,7 @@ _CHUNK = 16384  # collocation times handled at once
 
 @dataclass(frozen=True, eq=False)
 class AdamFit:
-    """Where the descent ended.
+    """Result of the descent.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class AdamFit:
         J over all collocation times.
     iterations : int
     converged : bool
-        Whether J settled before the last iteration.
+        Whether the descent converged before the last iteration.
     """
 
     control_points: np.ndarray
@@ -205,7 +205,7 @@ class AdamProblem:
         self._collocate(times, force, rng)
 
     def _collocate(self, times: Sequence[np.ndarray], force: Force | None, rng: np.random.Generator) -> None:
-        """Collocation times, uniformly at random in each trajectory, with the basis there."""
+        """Draw collocation times, uniform in each trajectory, and evaluate the basis there."""
         firsts: list[np.ndarray] = []
         bases: list[np.ndarray] = []
         forces: list[np.ndarray] = []
@@ -277,7 +277,7 @@ class AdamProblem:
         return total + self.data_part(control_points)[0]
 
     def regress(self, control_points: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-        """The free coefficients that minimise J at a given curve, by linear least squares."""
+        """The free coefficients that minimise J for a given curve, by linear least squares."""
         free = self.physics.free
         gram, moment = 0.0, 0.0
         for start in range(0, self.n_collocation, _CHUNK):

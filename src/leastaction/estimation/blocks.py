@@ -1,15 +1,16 @@
-"""Trials as independent blocks of the joint problem, each computed by whoever is free.
+"""Trials as independent blocks of the joint problem, which workers compute in parallel.
 
-Control points of two trials never couple, so H is block diagonal over the trials, and what the coefficients
-need are sums over blocks k,
+Control points of two trials never couple, so H is block diagonal over the trials, and the system of the
+coefficients is a sum over blocks k,
 
     Σ_k (A_k − C_kᵀH_k⁻¹C_k),    Σ_k (g_k − C_kᵀH_k⁻¹g_Pk),    Σ_k log|H_k|,
 
-costs, equation errors and traces alike.  A block keeps its data, basis, Jacobian and factor; a step sends it
-λ, weights and control points, and fetches small matrices and the step of the control points.
+as are costs, equation errors and traces.  A worker keeps the data, basis, Jacobian and factor of a block. For
+a step, it receives λ, weights and control points, and returns small matrices and the step of the control
+points.
 
-The classes here take the places of `Observations`, `Linearisation`, `NormalEquations` and `BandedFactor`.
-A single trial is never cut: its control points couple all along.
+The classes here replace `Observations`, `Linearisation`, `NormalEquations` and `BandedFactor`.  A single
+trial is never cut, because neighbouring control points couple.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def observe(
     rates: Sequence[Rate] = (),
     crew: Crew | None = None,
 ) -> Observations | BlockedObservations | StreamedObservations:
-    """Observations in one piece, in blocks of trials, or streamed; who computes has no say in that."""
+    """Observations in one piece, in blocks of trials, or streamed, whatever the number of workers."""
     counts, floors = counts_and_floors(values, rates)
     recipes = cut(grid, (times, values, rates), floors)
     crew = crew or Alone()
@@ -48,7 +49,7 @@ def observe(
         return StreamedObservations(grid, recipes, counts, crew)
     if len(recipes) == 1:
         return Observations(grid, times, values, rates, floors)
-    # a block of a short recording is computed sooner than sent
+    # computing a block of a short recording takes less time than sending it
     return BlockedObservations(grid, recipes, counts, crew if crew.keeps else Alone())
 
 
@@ -185,7 +186,7 @@ class BlockedNormal:
 
 @dataclass(frozen=True, eq=False)
 class BlockedFactor:
-    """Factors of the blocks of H, and their borders, with whoever computed them."""
+    """Factors of the blocks of H, and their borders, held by the workers."""
 
     observations: BlockedObservations
     parts: tuple[Task, ...]
@@ -206,7 +207,7 @@ class BlockedFactor:
         return np.concatenate(crew.results([crew.task(_border, part, step) for part in self.parts]))
 
 
-# ---------------------------------------------------------------- what is computed with a block
+#                                                                                 computations with one block
 def _linearise(
     seen: Observations, physics: Physics, points: np.ndarray, coefficients: np.ndarray
 ) -> Linearisation:

@@ -1,4 +1,4 @@
-"""From the user's arguments to a well-posed problem: names matched, angles unwrapped, library reduced."""
+"""Make a well-posed problem from the user's arguments: match names, unwrap angles, reduce the library."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.curve.knots import FEWEST_SAMPLES, Knots, excerpt, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
-from leastaction.data.columns import arranged, joined
+from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.calibration import Calibrated, from_columns
@@ -36,17 +36,17 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = ["ENOUGH_SAMPLES", "Request", "Setup", "build_problem", "states_along"]
 
 ENOUGH_SAMPLES = 50_000  # bounds time
-"""To search on; longer recordings enter when the structure is confirmed."""
+"""Samples of a search; longer recordings enter when the structure is confirmed."""
 
 # of data: the squares of a force from x**4 reach 1e180, and further products remain finite
 _LARGEST = 1e30
 _NEAR, _ROUNDED = 0.1, 1e-3  # radians
-_FIRST = 0.55  # of the range of a shape parameter, until a search has looked: no round number
+_FIRST = 0.55  # of the range of a shape parameter, before the search; not a round number
 
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What a user says about a system, beside the data; see :func:`leastaction.discover`."""
+    """The arguments of :func:`leastaction.discover` beside the data."""
 
     library: Library | Iterable[str]
     known: Mapping[str, float] = field(default_factory=dict[str, float])
@@ -69,15 +69,15 @@ class Setup:
     Attributes
     ----------
     problem : Problem
-        On all data.
+        With all data.
     searched : Problem
-        The same on the data that the structure is searched on: pieces of long recordings, otherwise all.
+        The problem for the search of a structure: with pieces of long recordings, otherwise with all data.
     library : Library
         Reduced: no null, duplicate or dependent candidates.
     scales : Knots
         Time scales of the searched motion, and the smooth curve through it.
     findings : tuple of Finding
-        What was done to the data or the library on the user's behalf, and what is doubtful about them.
+        Changes to the data and the library, and doubts about them.
     """
 
     problem: Problem
@@ -87,7 +87,7 @@ class Setup:
     findings: tuple[Finding, ...]
 
     def computed_by(self, crew: Crew | None) -> Setup:
-        """The same, with the work shared out to a crew."""
+        """The setup with a crew that computes."""
         problem, searched = (replace(p, crew=crew) for p in (self.problem, self.searched))
         return replace(self, problem=problem, searched=searched)
 
@@ -95,7 +95,7 @@ class Setup:
 def build_problem(
     trajectories: Trajectory | Iterable[Trajectory], request: Request, most_samples: int | None = None
 ) -> Setup:
-    """Check and complete everything that a search needs.
+    """Check the arguments and build the problem of a search.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def build_problem(
 
 
 def _seen_by_sensors(trajectories: Trajectories, request: Request) -> Calibrated | None:
-    """The coordinates of measured columns that are functions of them, where there are such."""
+    """Coordinates from measured columns that are functions of them, if there are any."""
     if not request.measure:
         return None
     whose = request.library, request.hidden, request.angles
@@ -178,7 +178,7 @@ def _check_scale(trajectories: Trajectories, library: Library, known: Mapping[Te
     """Refuse a problem without forces and known coefficients."""
     if not known and not trajectories.driven:
         raise InputError(
-            "no force acts and no coefficient is known: then L = 0 solves every equation. Give the "
+            "no force acts and no coefficient is known, so that L = 0 solves every equation; give the "
             "coefficient of at least one term, e.g. known={'"
             + library.terms[0].text
             + "': 1.0}, which sets the units of L"
@@ -191,7 +191,7 @@ def _fast_forces_act(data: Trajectories) -> bool:
 
 
 def _lengths(library: Library) -> np.ndarray | None:
-    """Of all candidates; those of the dissipation are as long as any other."""
+    """Description lengths of all candidates; those of the dissipation have none."""
     lengths = [*library.lengths, *(None for _ in library.dissipation)]
     if all(length is None for length in lengths):
         return None
@@ -209,13 +209,13 @@ def states_along(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
 def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:
     if isinstance(given, KinematicTree):
         raise InputError(
-            "a kinematic tree gives the form of the equations, so that nothing need be discovered; use "
+            "a kinematic tree determines the form of the equations, so that no discovery is needed; use "
             "leastaction.arms.identify(trajectories, tree)"
         )
     library = given if isinstance(given, Library) else Library(given, coordinates)
     if library.coordinates != coordinates:
         raise InputError(
-            f"the library is written for the coordinates {', '.join(library.coordinates)}, but the data have "
+            f"the library has the coordinates {', '.join(library.coordinates)}, but the data have "
             f"{', '.join(coordinates)}; give both the same names in the same sequence"
         )
     return library
@@ -224,7 +224,7 @@ def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Li
 def _smooth_friction(
     library: Library, known: dict[Term, float], rates: np.ndarray
 ) -> tuple[Library, dict[Term, float], list[Finding]]:
-    """The library with |v| smoothed near zero velocity, and a note on where."""
+    """The library with |v| smoothed near zero velocity, and a note that gives the width."""
     narrow = {s.name for term in library.dissipation if term.shapes for s in term.expr.free_symbols}
     smoothing: dict[str, float] = {}
     for name, rate in zip(library.velocities, rates, strict=True):
@@ -250,13 +250,13 @@ def _coefficients(terms: tuple[Term, ...], known: dict[Term, float]) -> np.ndarr
     coefficients = np.array([known.get(term, np.nan) for term in terms])
     if not np.isnan(coefficients).any():
         raise InputError(
-            "nothing is left to find: every candidate is known, or is a constant or total time derivative"
+            "no candidate is free: every candidate is known, or is a constant or total time derivative"
         )
     return coefficients
 
 
 def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int, ...]:
-    """Places of the prescribed coordinates."""
+    """Indices of the prescribed coordinates."""
     names = list(names)
     for name in names:
         if name not in coordinates:
@@ -275,7 +275,7 @@ def _prescribed(names: Iterable[str], coordinates: tuple[str, ...]) -> tuple[int
 def _without_forces_on(
     places: tuple[int, ...], trajectories: Trajectories
 ) -> tuple[Trajectories, list[Finding]]:
-    """What is known of the forces on prescribed coordinates is of no use."""
+    """Drop known forces on prescribed coordinates, which have no equation."""
     names = [
         trajectories.coordinates[i]
         for i in places
@@ -289,7 +289,7 @@ def _without_forces_on(
 
 
 def _with_offsets(library: Library, coordinates: Iterable[str]) -> Library:
-    """A constant force c on q is the term c q of L."""
+    """The library with the term q for each constant force: a force c on q is the term c q of L."""
     present = {str(term.expr) for term in library.terms}
     added = [name for name in coordinates if name not in present]
     return library.replace(terms=[*library.terms, *added]) if added else library
@@ -308,14 +308,14 @@ def _check_data(trajectories: Trajectories, hidden: tuple[int, ...]) -> None:
         if count < FEWEST_SAMPLES:
             raise DataError(
                 f"coordinate {name!r} has {count} samples; at least {FEWEST_SAMPLES} are needed, "
-                "and a few periods of the motion to find anything"
+                "which should cover a few periods of the motion"
             )
         _check_range(parts, f"coordinate {name!r}")
         seen = [part for part in parts if np.isfinite(part).any()]
         low, high = (float(f([f(part) for part in seen])) for f in (np.nanmin, np.nanmax))
         if high - low <= 1e-12 * max(abs(low), abs(high)):
             raise DataError(
-                f"coordinate {name!r} is constant ({low:g}): nothing about its motion can be learnt; "
+                f"coordinate {name!r} is constant ({low:g}), so that no equation of it can be found; "
                 "leave it out or record a run in which it moves"
             )
         if trajectories.driven:
@@ -328,7 +328,7 @@ def _check_data(trajectories: Trajectories, hidden: tuple[int, ...]) -> None:
 
 
 def _check_range(parts: Sequence[np.ndarray], what: str) -> None:
-    """Refuse numbers whose powers and squares would leave the range of floating point."""
+    """Refuse numbers whose powers and squares would overflow or underflow."""
     size = max(np.abs(part[np.isfinite(part)]).max(initial=0.0) for part in parts)
     if size > _LARGEST or 0.0 < size < 1.0 / _LARGEST:
         raise DataError(
@@ -371,7 +371,7 @@ def _round_to_one_digit(value: float) -> float:
 def _about_angles(
     trajectories: Trajectories, angles: tuple[str, ...]
 ) -> tuple[list[Finding], dict[str, int]]:
-    """What was unwrapped, and coordinates that seem to be wrapped angles with the number of their jumps."""
+    """Notes on unwrapped angles, and coordinates that may be wrapped angles with their number of jumps."""
     notes = [
         find("angle-unwrapped", name, jumps=count)
         for name, count in trajectories.wraps_removed.items()

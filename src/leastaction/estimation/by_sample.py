@@ -1,4 +1,4 @@
-"""Coordinates from measured columns, each sample by itself, and what that leaves open of the calibration.
+"""Coordinates from measured columns, sample by sample, and the calibration that they leave undetermined.
 
 For given calibration numbers κ the coordinates of a sample minimise Σ_c (y_c − h_c(q; κ))² / σ_c², by
 Levenberg–Marquardt from a grid of angles. Columns that depend on velocities have no weight here.
@@ -15,12 +15,12 @@ from leastaction.estimation.sensors import Sensors
 
 __all__ = ["by_sample", "directions", "is_seen", "misfit", "moved", "newton_step"]
 
-_ANGLES = 12  # equally spaced, at which an angle begins
-_BRANCHES = 4  # values of the coordinates that fit one sample, at most
-_JUMP = 0.1  # rad: between samples, of no concern
+_ANGLES = 12  # equally spaced start values of an angle
+_BRANCHES = 4  # largest number of values of the coordinates that fit one sample
+_JUMP = 0.1  # rad; smaller jumps between samples cost little
 _STEPS = 30  # of the fit of the coordinates, sample by sample
-_EXACT = 1e8  # of the information of the columns: what samples of the coordinate itself count for
-_OPEN = 1e-6  # of the information of a sample on a number, its coordinates known: less is none
+_EXACT = 1e8  # weight of samples of the coordinate itself, relative to the information of the columns
+_OPEN = 1e-6  # of the information on a number with known coordinates: less counts as none
 
 
 def by_sample(
@@ -28,7 +28,7 @@ def by_sample(
 ) -> np.ndarray:
     """(n_times, n_dof) coordinates that fit the samples; rates count as zero.
 
-    Each sample by itself may allow several values of an angle. The path is chosen that jumps least.
+    A single sample may allow several values of an angle. The path with the smallest jumps is chosen.
     """
     sensors = sensors.static()
     turning = angular & is_seen(sensors)
@@ -83,7 +83,7 @@ def _continued(branches: np.ndarray, cost: np.ndarray, angular: np.ndarray) -> n
 def _improved(
     sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray, steps: int = _STEPS
 ) -> np.ndarray:
-    """(n_times, n_dof) coordinates that fit the samples better, each by itself (Levenberg–Marquardt)."""
+    """(n_times, n_dof) coordinates that fit each sample better (Levenberg–Marquardt)."""
     best, damping = q.copy(), np.full(times.size, 1e-3)
     cost = misfit(sensors, trial, best, times, numbers)
     for _ in range(steps):
@@ -100,7 +100,7 @@ def _improved(
 
 
 def moved(sensors: Sensors, trajectories: Trajectories, numbers: np.ndarray) -> Trajectories:
-    """Coordinates that the columns give with other calibration numbers, from those near by."""
+    """Coordinates that follow from the columns with other calibration numbers near the present ones."""
     static = sensors.static()
     return Trajectories(
         [t.changed(q=_improved(static, k, t.q, t.t, numbers)) for k, t in enumerate(trajectories)]
@@ -108,10 +108,10 @@ def moved(sensors: Sensors, trajectories: Trajectories, numbers: np.ndarray) -> 
 
 
 def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray, np.ndarray]:
-    """Changes of κ that the columns leave open, whatever the motion, and those that they determine.
+    """Changes of κ that the columns cannot determine, whatever the motion, and those that they determine.
 
-    Where each sample has coordinates of its own, what is known of κ is K − Σ BᵀH⁻¹B. Numbers that stand only
-    in columns that depend on velocities are in neither.
+    With separate coordinates for each sample, the information on κ is K − Σ BᵀH⁻¹B. Numbers that occur only
+    in columns that depend on velocities are in neither group.
 
     Returns
     -------

@@ -1,13 +1,13 @@
-"""Curves and calibration numbers that explain measured columns, before any law.
+"""Curves and calibration numbers that fit the measured columns, without a law of motion.
 
-The law is that of free masses that white noise pushes, q̈ = w, which makes the curve a smoothing spline
-whose smoothness the likelihood finds. Columns that outnumber the coordinates then determine most calibration
-numbers κ. What they leave open, such as the angle of a camera with the vertical, stays as it was drawn; the
-law of motion determines it later.
+The model of the motion is q̈ = w with white noise w, so that the curve is a smoothing spline. Its smoothness
+follows from the likelihood. If there are more columns than coordinates, they determine most calibration
+numbers κ. Undetermined ones, such as the angle between a camera and the vertical, keep their start value
+until the law of motion determines them.
 
-Each draw of κ gives coordinates sample by sample, and from these the joint fit of curve and κ begins. A
-number that only adds to a column begins at its mean, one that multiplies a function of the coordinates about
-its spread, any other about 0. Starts and ranges of the user go first.
+Each draw of κ gives coordinates sample by sample, from which the joint fit of curve and κ starts. A number
+that is added to a column starts at the mean of the column. A factor of a function of the coordinates starts
+near the spread of the column, any other number near 0. Starts and ranges of the user take precedence.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import FEWEST_SAMPLES, lay_knots
 from leastaction.curve.outliers import leave_out_outliers
 from leastaction.curve.smoothing import smooth
-from leastaction.data.columns import arranged
+from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.by_sample import by_sample, directions, is_seen, misfit, newton_step
@@ -37,24 +37,24 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["Calibrated", "calibrate", "from_columns", "plausible_sizes"]
 
-_DRAWS = 16  # of calibration numbers, where the user gave no start
-_KEPT = 4  # of these, that curves are fitted to
-_SAMPLES = 600  # of each column, that draws are tried on
-_SCREENED = 60  # of these, that all draws are tried on
-_SPREAD = 0.5  # natural logarithm: of drawn numbers that multiply
-_OTHERS = 0.5  # standard deviation of drawn numbers of any other kind
+_DRAWS = 16  # of calibration numbers without a start value from the user
+_KEPT = 4  # draws for which a curve is fitted
+_SAMPLES = 600  # of each column, for these fits
+_SCREENED = 60  # of each column, for the comparison of all draws
+_SPREAD = 0.5  # standard deviation of the logarithm of drawn factors
+_OTHERS = 0.5  # standard deviation of other drawn numbers
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """What the columns alone determine.
+    """Coordinates and calibration that follow from the columns alone.
 
     Attributes
     ----------
     trajectories : Trajectories
-        Coordinates that follow from the columns, sample by sample, with the columns' noise.
+        Coordinates computed from the columns, sample by sample, with the noise of the columns.
     sensors : Sensors
-        With calibration numbers to begin with.
+        With start values of the calibration numbers.
     findings : tuple of Finding
     """
 
@@ -73,10 +73,10 @@ def from_columns(
     shapes: Mapping[str, tuple[float, float]],
     robust: bool,
 ) -> Calibrated:
-    """Coordinates from a table of measured columns, in the sequence of the library where it has one.
+    """Coordinates from a table of measured columns, in the sequence of the library if it gives one.
 
-    Parameters are those of `leastaction.discover`. Columns on the left of ``measure`` are no coordinates;
-    ``hidden`` names coordinates without a column where the library does not.
+    The parameters are those of `leastaction.discover`. Columns on the left of ``measure`` are not
+    coordinates; ``hidden`` names coordinates without a column if the library does not.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def from_columns(
         )
     for name in functions.names:
         if name in taken:
-            raise InputError(f"{{{name}}} stands in a candidate and in a measurement function; rename one")
+            raise InputError(f"{{{name}}} occurs in a candidate and in a measurement function; rename one")
     ranges = {name: ends for name, ends in shapes.items() if name in functions.names}
     return calibrate(table, functions, turning, degree, ranges, robust=robust)
 
@@ -113,21 +113,21 @@ def calibrate(
     *,
     robust: bool = True,
 ) -> Calibrated:
-    """Find curve and calibration numbers that explain the columns.
+    """Find the curve and the calibration numbers that fit the columns.
 
     Parameters
     ----------
     table : Trajectories
-        The columns, and coordinates that are measured themselves.
+        The columns, and coordinates that are measured directly.
     functions : SensorFunctions
     angles : sequence of str
         Coordinates that are angles.
     degree : int
-        Of the splines.
+        Degree of the splines.
     ranges : mapping of str to (float, float)
-        Where the user expects a number.
+        Ranges of calibration numbers, from the user.
     robust : bool
-        Leave out outliers of the columns.
+        Whether to leave out outliers of the columns.
 
     Raises
     ------
@@ -159,11 +159,11 @@ def calibrate(
 
 
 def _columns(table: Trajectories, functions: SensorFunctions) -> Trajectories:
-    """The measured columns; refuses those that there are not, or that say nothing."""
+    """The measured columns; refuses unknown names, and columns with too few samples."""
     for name in functions.columns:
         if name not in table.coordinates:
             raise InputError(
-                f"measure names {quoted(name)}, which is no column of the data; the columns are "
+                f"measure names {quoted(name)}, which is not a column of the data; the columns are "
                 f"{', '.join(table.coordinates)}"
             )
     columns = arranged(table.without_rates(), functions.columns)
@@ -178,7 +178,7 @@ def _columns(table: Trajectories, functions: SensorFunctions) -> Trajectories:
 
 
 def _check_observed(functions: SensorFunctions, own: Trajectories) -> None:
-    """Refuse coordinates that nothing depends on."""
+    """Refuse coordinates without samples that no measurement function contains."""
     used = {symbol.name for expr in functions.expressions for symbol in expr.free_symbols}
     for i, name in enumerate(functions.coordinates):
         seen = any(np.isfinite(t.q[:, i]).any() for t in own)
@@ -190,7 +190,7 @@ def _check_observed(functions: SensorFunctions, own: Trajectories) -> None:
 
 
 def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
-    """Calibration numbers to begin with; one set where the user gave all of them."""
+    """Start values of the calibration numbers; a single set if the user gave all of them."""
     functions, ranges = sensors.functions, sensors.ranges
     stacked = np.concatenate(sensors.samples)
     mean, spread = np.nanmean(stacked, axis=0), np.nanstd(stacked, axis=0)
@@ -220,7 +220,7 @@ def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
 
 
 def plausible_sizes(sensors: Sensors) -> np.ndarray:
-    """(n_numbers,) by which each number may be off before the law is known."""
+    """(n_numbers,) plausible error of each start value, without a law of motion."""
     functions, ranges = sensors.functions, sensors.ranges
     out: list[float] = []
     spread = np.nanstd(np.concatenate(sensors.samples), axis=0)
@@ -236,7 +236,7 @@ def plausible_sizes(sensors: Sensors) -> np.ndarray:
 
 
 def _kind(functions: SensorFunctions, name: str) -> tuple[str, int, int]:
-    """How a number enters, the column where it does so most simply, and how many numbers multiply there."""
+    """Role of a number, the column in which it enters most simply, and the number of factors there."""
     symbol = shape_symbol(name)
     found: list[tuple[str, int, int]] = []
     for c, expr in enumerate(functions.expressions):
@@ -255,7 +255,7 @@ def _kind(functions: SensorFunctions, name: str) -> tuple[str, int, int]:
 
 @dataclass(frozen=True, eq=False)
 class _Hunt:
-    """Data, sensors, and the grid that curves are looked for on."""
+    """Data, sensors, and the grid on which curves are fitted."""
 
     own: Trajectories
     sensors: Sensors
@@ -264,7 +264,7 @@ class _Hunt:
     degree: int
 
     def shortened(self) -> _Hunt:
-        """The same on the beginnings of the recordings."""
+        """The same for the first part of every recording."""
         most = max(FEWEST_SAMPLES, _SAMPLES // len(self.own))
         items = [t.rows(slice(0, min(most, t.n_times))) for t in self.own]
         samples = [values[:most] for values in self.sensors.samples]
@@ -272,7 +272,7 @@ class _Hunt:
         return replace(self, own=Trajectories(items), sensors=sensors)
 
     def misfit_of(self, numbers: np.ndarray) -> float:
-        """How badly some samples are explained, each by itself: bounded, in logarithms."""
+        """Misfit of some samples with separate coordinates, in logarithms to bound outliers."""
         total = 0.0
         stride = max(1, sum(t.n_times for t in self.own) // _SCREENED)
         thin = replace(
@@ -309,17 +309,17 @@ class _Hunt:
         return uniform_grid(times, self.per_second, self.degree, 2)
 
     def _determined(self, sensors: Sensors, there: Trajectories) -> np.ndarray:
-        """(n_numbers, n_directions) changes of κ that the columns determine without a law."""
+        """(n_numbers, n_directions) changes of κ that the columns determine without a law of motion."""
         free, fixed = directions(sensors, there)
         scale_open = not is_seen(replace(sensors, direct=[t.q for t in self.own])).all()
         kinds = [_kind(sensors.functions, name)[0] for name in sensors.functions.names]
         moving = ~np.any(np.concatenate([free, fixed], axis=1), axis=1)
-        if scale_open:  # a gain and the size of the motion cannot be told apart
+        if scale_open:  # a gain and the size of the motion are not identifiable
             moving &= np.array(kinds) == "offset"
         return np.concatenate([fixed, np.eye(moving.size)[:, moving]], axis=1)
 
     def sighted(self, fit: JointFit) -> Trajectories:
-        """The curve at the samples, moved by what the columns say there: coordinates with noise."""
+        """The curve at the samples, moved by one step towards the columns: coordinates with noise."""
         numbers, times = np.asarray(fit.weights.calibration), [t.t for t in self.own]
         grid = self._grid(times)
         parts = [grid.evaluate(fit.control_points, times, nu) for nu in range(3)]
@@ -333,9 +333,9 @@ class _Hunt:
 
 
 def _centred(sensors: Sensors) -> Sensors:
-    """The same where each coordinate that only rates tell of is measured as zero, with much noise.
+    """The sensors with pseudo-samples at zero for each coordinate that enters only by its rates.
 
-    Without it nothing tells its mean. The noise is estimated, and is the spread of the coordinate.
+    They determine the mean of the coordinate. Their noise is estimated and equals its spread.
     """
     unseen = ~is_seen(sensors)
     return replace(sensors, direct=[np.where(unseen, 0.0, values) for values in sensors.direct])

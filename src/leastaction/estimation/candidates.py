@@ -1,11 +1,11 @@
-"""All candidates scored about a fit, the curve eliminated, in one pass along the motion.
+"""Scores of all candidates about a fit with the curve eliminated, in one pass along the motion.
 
-With H = LLᵀ from the fit and Y = L⁻¹[g_P, C], C the columns of all candidates, the Schur complement
+With H = LLᵀ from the fit and Y = L⁻¹[g_P, C] with the columns C of all candidates, the Schur complement
 
     A − CᵀH⁻¹C = A − YᵀY,    g_λ − CᵀH⁻¹g_P = g_λ − Yᵀy_g
 
-adds up over the rows of Y.  L is banded, so the rows of one stretch of the motion follow from those of the
-last few control points before it: nothing of the size candidates × control points is held.
+is a sum over the rows of Y.  L is banded, so the rows of one stretch of the motion follow from those of the
+last few control points before it. No array of the size candidates × control points is held.
 """
 
 from __future__ import annotations
@@ -131,9 +131,10 @@ def score(
 def _calibrated(
     border: CandidateBorder, factor: BandedFactor, normal: NormalEquations, calibration: slice
 ) -> np.ndarray:
-    """(1 + n, 1 + n): what calibration numbers, which follow, take off the Schur complement.
+    """(1 + n, 1 + n) reduction of the Schur complement by the calibration numbers, which are refitted.
 
-    With B their border, K their corner and Z = H⁻¹B: RᵀS⁻¹R for S = K − BᵀZ and R = [g_κ − Zᵀg_P, −ZᵀC].
+    With their border B, their corner K and Z = H⁻¹B, it is RᵀS⁻¹R, where S = K − BᵀZ and
+    R = [g_κ − Zᵀg_P, −ZᵀC].
     """
     own = normal.border[:, calibration]
     gradient, inner = normal.gradient[calibration.start - 1 :], slice(calibration.start - 1, None)

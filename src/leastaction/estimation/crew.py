@@ -1,9 +1,8 @@
-"""Who computes: this thread, processes beside it, or the workers of a Dask cluster.
+"""Workers: this thread, further processes, or the workers of a Dask cluster.
 
 A *task* is a function and its arguments, some of which may be other tasks. Its result stays where it was
-computed; only what is asked for travels. A task remembers how it was made, so that a result which is lost
-with its worker is computed again: by another worker where there is one, otherwise here. Functions are pure,
-so the result is the same.
+computed until it is requested. A task keeps its function and arguments. If a result is lost with its worker,
+another worker or this process computes it again. Functions are pure, so the result is the same.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ if TYPE_CHECKING:
 
 __all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
 
-_PATIENCE = 10.0  # seconds without any worker, after which everything is computed here
-_IDLE = 300.0  # seconds, after which a child ends
+_PATIENCE = 10.0  # seconds without any worker, after which this process computes everything
+_IDLE = 300.0  # seconds, after which an idle child ends
 _MEMORY_STAYS = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
-"""For glibc in a child: memory is not given back to the system after each block, which took 15 % of time."""
-_MOST_STARTS = 3  # of the children of one discovery, before everything is computed here
-_LOOK = 1.0  # seconds between two looks at the cluster, or for the parent
+"""For glibc in a child: keep freed memory. Returning it after each block took 15 % of the time."""
+_MOST_STARTS = 3  # of the children of one discovery, after which this process computes everything
+_LOOK = 1.0  # seconds between two checks of the cluster or of the parent
 
 
 @dataclass(eq=False)
 class Task:
-    """A function of arguments that may be tasks, and where its result is being computed.
+    """A function of arguments that may be tasks, and the future of its result.
 
     Attributes
     ----------
@@ -52,7 +51,7 @@ class Task:
     given : tuple
         Its arguments.
     future : object or None
-        Of the executor; None where the result is computed here.
+        Of the executor; None if this process computes the result.
     """
 
     function: Callable[..., Any]
@@ -62,7 +61,7 @@ class Task:
     _done: list[Any] = field(default_factory=list[Any], repr=False)
 
     def here(self) -> Any:
-        """Compute the result in this process, with everything that it rests on; kept for the next call."""
+        """Compute the result and the tasks that it depends on in this process; cached."""
         with self._lock:
             if not self._done:
                 given = [x.here() if isinstance(x, Task) else x for x in self.given]
@@ -76,24 +75,24 @@ class Crew(Protocol):
     keeps: bool
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
-        """Begin to compute a function of arguments that may be other tasks of this crew."""
+        """Start a task; arguments may be other tasks of this crew."""
         ...
 
     def results(self, tasks: Sequence[Task]) -> list[Any]:
-        """Wait for results. What a function raised is raised here."""
+        """Wait for results. Exceptions of the functions are raised here."""
         ...
 
     def held(self, value: Any) -> Any:
-        """A value that many tasks will be given, in the form in which they are given it."""
+        """A handle of a value that many tasks take as an argument."""
         ...
 
     def shelf(self) -> Shelf | None:
-        """A place on disk for an array that a task leaves there; None where not all share one disk."""
+        """A file for an array that a task writes; None if the workers do not share a disk."""
         ...
 
 
 class Alone:
-    """The thread that asks: a task is computed when its result is asked for."""
+    """The calling thread: a task is computed when its result is requested."""
 
     keeps = False
 
@@ -114,19 +113,20 @@ class Alone:
 
 
 class ProcessCrew:
-    """Processes of this machine, which are started with the first task.
+    """Processes on this machine, started with the first task.
 
-    Threads would wait for each other: an operation on a block takes 20 to 100 µs, no longer than handing over
-    the lock of the interpreter. A child imports `leastaction` only and not the user's program, which needs no
-    guard for that. When a child is killed, what is missing is computed here and the next task starts others.
+    Threads would wait for each other: an operation on a block takes 20 to 100 µs, as long as passing on the
+    lock of the interpreter. A child imports only `leastaction`, not the user's program, which therefore needs
+    no ``if __name__ == "__main__"`` guard. If a child is killed, this process computes the missing results,
+    and the next task starts new children.
 
-    What is large travels in files of a temporary folder, which takes a fraction of the time of a pipe, and
-    results wait there until they are asked for. No task is an argument of another one.
+    Large arguments and results pass through files in a temporary folder, which takes a fraction of the time
+    of a pipe. No task is an argument of another one.
 
     Attributes
     ----------
     keeps : bool
-        Whether blocks of long recordings are kept, because the memory that holds them is not this machine's.
+        Whether workers keep blocks of long recordings, because they have memory of their own.
     """
 
     keeps = False
@@ -157,7 +157,7 @@ class ProcessCrew:
         return Shelf.of(self._folder.new_path())
 
     def close(self) -> None:
-        """End the processes. Whoever holds an old fit computes on his own."""
+        """End the processes. Older fits then compute in this process."""
         if self._pool is not None:
             self._pool.shutdown(wait=True, kill_workers=True)
         self._folder.close()
@@ -194,8 +194,8 @@ class ProcessCrew:
 class DaskCrew:
     """The workers of a Dask cluster, by a ``distributed.Client`` that belongs to the caller.
 
-    Dask itself repeats the tasks of a worker that is gone. If no worker is left, or the scheduler is gone,
-    the results are computed here.
+    Dask repeats the tasks of a lost worker. If no worker is left, or the scheduler is lost, this process
+    computes the results.
     """
 
     keeps = True
@@ -210,9 +210,9 @@ class DaskCrew:
             return task
         try:
             with _large_arguments():
-                # not pure: no time goes into hashing arrays
+                # pure=False saves the time of hashing arrays
                 task.future = self._client.submit(_quietly, function, *away, pure=False)
-        except Exception:  # the client is closed, or its scheduler gone
+        except Exception:  # the client is closed, or its scheduler is lost
             self._alone = True
         return task
 
@@ -251,7 +251,7 @@ class DaskCrew:
 
 @contextmanager
 def employ(workers: Any) -> Generator[Crew | None, None, None]:
-    """The crew that a user asks for: None for one worker, which is this thread.
+    """The crew for the argument ``workers``: None for one worker, which is this thread.
 
     Parameters
     ----------
@@ -279,46 +279,46 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
 
 
 def _to_file(path: Path, function: Callable[..., Any], *given: Any) -> None:
-    """In a child: compute, and leave the result in a file."""
+    """In a child: compute the result and write it to a file."""
     write(_quietly(function, *given), path)
 
 
 def _begin_child(parent: int) -> None:
     """In a child, before its first task."""
-    import_module("leastaction.estimation.streamed")  # before what there is is frozen
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that was asked
+    import_module("leastaction.estimation.streamed")  # before gc.freeze
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     _always.enter_context(single_threaded())
     gc.freeze()  # loky collects garbage every second, which took a tenth of the time
 
 
 def _end_with(parent: int) -> None:
-    """In a child: end when the parent is gone; in the middle of a message it would wait for ever."""
+    """In a child: exit when the parent has ended; otherwise a child would wait for ever within a message."""
     while os.getppid() == parent:
         time.sleep(_LOOK)
     os._exit(1)
 
 
-_always = ExitStack()  # what a child never leaves
+_always = ExitStack()  # contexts that last as long as a child
 
 
 def _large_arguments() -> AbstractContextManager[Any]:
-    """Dask warns of arguments above 10 MB; data of a block are sent once, and are larger."""
+    """Silence Dask's warning of arguments above 10 MB: the data of a block are larger and sent once."""
     try:
         config = import_module("dask.config")
-    except ImportError:  # something else with the methods of its client
+    except ImportError:  # another client with the same methods
         return nullcontext()
     return config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"})
 
 
 def _quietly(function: Callable[..., Any], *given: Any) -> Any:
-    """Compute as the solver does: one BLAS thread, and overflow is tested, not warned of."""
+    """Compute with one BLAS thread and without warnings of overflow, as the solver does."""
     with single_threaded(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         return function(*given)
 
 
 def _is_loss(error: BaseException) -> bool:
-    """Whether Dask says that a result is lost, and not that its function failed."""
+    """Whether Dask reports that a result is lost, and not that its function failed."""
     if isinstance(error, (asyncio.CancelledError, CancelledError, OSError)):
         return True
     return type(error).__module__.partition(".")[0] == "distributed"

@@ -1,4 +1,4 @@
-"""Candidates that a grammar offers and these data leave undefined: log x where x is not positive, 1/0."""
+"""Generated candidates that are undefined along the data: log x for negative x, 1/0."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ __all__ = ["undefined_along"]
 def undefined_along(
     library: Library, states: Mapping[str, np.ndarray], keep: Collection[Term] = ()
 ) -> tuple[Term, ...]:
-    """Terms with a description length, which nobody wrote down, whose domain the motion leaves.
+    """Generated terms (with a description length) whose domain the motion leaves.
 
-    What is under a fraction, root or logarithm must not change its sign along the motion, and be positive
-    for roots and logarithms.
+    A denominator must not change its sign along the motion. The argument of a root or logarithm must be
+    positive.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def undefined_along(
     states : mapping of str to (n_points,) array
         Coordinates and velocities along a motion.
     keep : collection of Term
-        Terms that somebody did write down.
+        Terms that the user wrote.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def undefined_along(
 
 
 def _conditions(expr: sp.Expr) -> Iterator[tuple[sp.Expr, bool]]:
-    """What must not vanish, and whether it must be positive."""
+    """Expressions that must not vanish, and whether they must be positive."""
     for part in sp.preorder_traversal(expr):
         if isinstance(part, sp.log):
             yield part.args[0], True

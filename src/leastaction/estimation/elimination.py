@@ -38,7 +38,7 @@ _GROUP = 256  # blocks whose inverses are held at once
 
 @dataclass(frozen=True, eq=False)
 class BandedFactor:
-    """Lower Cholesky factor: ``band[c, d]`` = L[c + d, c].
+    """Lower Cholesky factor in banded storage: ``band[c, d]`` = L[c + d, c].
 
     Examples
     --------
@@ -68,7 +68,7 @@ class BandedFactor:
         for i in range(n):
             band[:, i, : width - i] = rows[:, i, i:]
         band = band.reshape(n_ctrl * n, width)
-        # a rounding error more: exact equations leave tiny pivots
+        # one rounding error is added, because exact equations leave tiny pivots
         band[:, 0] *= (1.0 + 1e-14) * (1.0 + damping)
         factor, info = lapack.dpbtrf(band.T, lower=1, overwrite_ab=1)
         if info:
@@ -169,9 +169,9 @@ def trace_product(inverse_rows: np.ndarray, coordinate: int, gram: np.ndarray) -
     return float(2.0 * part.sum() - part[0].sum())
 
 
-# -------------------------------------------------------------------- normal equations, without the curve
+#                                                                      normal equations, the curve eliminated
 class CurveFactor(Protocol):
-    """What is needed of a factorisation of H, wherever it is held."""
+    """Interface of a factorisation of H, held here or by workers."""
 
     @property
     def logdet(self) -> float:
@@ -184,7 +184,7 @@ class CurveFactor(Protocol):
 
 
 class Eliminated(Protocol):
-    """A system without its curve, wherever it was made; see `Quadratic`."""
+    """Interface of a system with the curve eliminated, made here or by workers; see `Quadratic`."""
 
     @property
     def gradient(self) -> np.ndarray: ...
@@ -198,7 +198,7 @@ class Eliminated(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quadratic:
-    """The cost as a function of the coefficients alone, the curve eliminated.
+    """The cost as a function of the coefficients alone, with the curve eliminated.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class Quadratic:
     border : callable
         (n_border,) step → C · step.
     held : (n_border,) array, optional
-        Half gradient in the coefficients while the curve is held, g_λ.
+        Half gradient in the coefficients for a fixed curve, g_λ.
     """
 
     gradient: np.ndarray
@@ -231,13 +231,13 @@ class Quadratic:
         return self.factor.solve(self.curve_gradient + self.border(step))
 
     def predicted(self, shift: np.ndarray, step: np.ndarray) -> float:
-        """By how much steps of curve and coefficients should lower the cost."""
+        """Predicted decrease of the cost by steps of curve and coefficients."""
         assert self.held is not None
         return -float(self.curve_gradient @ shift + self.held @ step)
 
 
 class Condensed(NamedTuple):
-    """What a part of a motion leaves of its system when its curve is eliminated.
+    """The system of a part of a motion after its curve is eliminated.
 
     Attributes
     ----------
@@ -298,7 +298,7 @@ class NormalEquations(NamedTuple):
         )
 
     def condense(self, damping: float = 0.0) -> Condensed:
-        """The same, with all that is needed of H: no factor is kept.
+        """As `eliminate`, with the solutions that later steps need instead of the factor.
 
         Raises
         ------
@@ -322,7 +322,7 @@ class NormalEquations(NamedTuple):
     def _halves(self, damping: float) -> tuple[BandedFactor, np.ndarray, np.ndarray]:
         """L, X = L⁻¹[g, C], and XᵀX."""
         factor = BandedFactor.of(self.rows, damping)
-        if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without complaint
+        if not np.isfinite(factor.logdet):  # LAPACK may factorise NaN without an error
             raise np.linalg.LinAlgError("the normal matrix is not finite")
         half = factor.forward(self.border)
         return factor, half, half.T @ half

@@ -1,14 +1,14 @@
-"""Equation weights where hardly any equation error is left: as close to exact as the data allow.
+"""Equation weights of nearly exact equations: as large as the data allow.
 
 An exact library leaves no equation error, and its weight w_i = 1/(spectral density of the error) has no
-maximum: the marginal likelihood is flat over decades of w, while the coefficients still creep by some tenths
-of a standard error.  Where on this plateau an alternation of fits and weights ends is chance.  Of the weights
-that the data cannot tell apart the largest is taken,
+maximum. The marginal likelihood is flat over decades of w, while the coefficients still change by some tenths
+of a standard error.  The iteration of fits and weights ends at an arbitrary point of this plateau.  Therefore
+the largest of the weights that the data cannot distinguish is used,
 
     w = max { w : log L(w) ≥ max log L − 1 },
 
-that is, equations are taken as exact unless the data speak against it.  The plateau ends where the splines
-cannot follow exact equations any more, and the likelihood falls steeply.
+that is, equations are taken as exact unless the data contradict.  At the end of the plateau the splines can
+no longer follow exact equations, and the likelihood falls steeply.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LAST_TOLERANCE = 1e-4  # the same of the fit that is returned
 
 
 class _Here(NamedTuple):
-    """Weights, and the fit from which one for them begins, with its log likelihood."""
+    """Weights, start values of a fit with them, and its log likelihood."""
 
     weights: Weights
     control_points: np.ndarray
@@ -44,11 +44,11 @@ class _Here(NamedTuple):
 
 
 def towards_exact(fit: Fit) -> Fit:
-    """The fit at the largest weights that are as likely as its own; those of visible errors stay.
+    """The fit at the largest weights that are as likely as its own; equations with visible error keep theirs.
 
-    The weights are raised one after the other, each by its share of what the likelihood may fall: their
-    ratio, too, is chance on the plateau. The fit itself comes back where every equation shows an error, or
-    where no larger weight is as likely.
+    The weights are raised one after the other, because their ratio is arbitrary on the plateau, too. Each may
+    lower the likelihood by its share of the tolerance. The fit itself is returned if every equation has a
+    visible error, or if no larger weight is as likely.
     """
     cost = fit.linearisation.equation * fit.weights.physics
     hardly = np.maximum(fit.weights.slack, cost) < ESTIMATION.slack_left
@@ -99,7 +99,7 @@ def _raise(trial: _Trial, here: _Here, equation: int, best: float, allowed: floa
             best = max(best, next_value)
             here = _Here(higher, found.control_points, found.coefficients, found.linearisation, next_value)
             continue
-        if np.isfinite(next_value):  # where between the two the likelihood has fallen that far
+        if np.isfinite(next_value):  # interpolate to the likelihood that is allowed
             fallen = max(here.value - next_value, 1e-300)
             part = np.clip((here.value - best + allowed) / fallen, 0.0, 1.0)
             weights = _raised(here.weights, equation, _STEP ** float(part))
@@ -109,7 +109,7 @@ def _raise(trial: _Trial, here: _Here, equation: int, best: float, allowed: floa
 
 
 def _raised(weights: Weights, equation: int, factor: float) -> Weights:
-    """Weights with that of one equation raised; what is left to its error falls alike."""
+    """Weights with that of one equation raised; its slack falls in proportion."""
     rise = np.ones(weights.physics.size)
     rise[equation] = factor
     return replace(weights, physics=rise * weights.physics, slack=weights.slack / rise)

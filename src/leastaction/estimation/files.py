@@ -18,7 +18,7 @@ __all__ = ["Folder", "Held", "Shelf", "opened", "read", "write"]
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """A value that many tasks are given. It travels as the name of a file, which costs a tenth of sending it.
+    """A value that many tasks take. It is sent as the name of a file, in a tenth of the time.
 
     Attributes
     ----------
@@ -39,11 +39,11 @@ class Held:
         return held
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return read, (self.path,)  # what arrives is the value itself
+        return read, (self.path,)  # the receiver gets the value itself
 
 
 class Folder:
-    """A temporary folder, made with its first file; it goes with this value, or when it is closed."""
+    """A temporary folder, made with its first file and removed with this value or when it is closed."""
 
     def __init__(self) -> None:
         self._names = itertools.count()
@@ -66,7 +66,7 @@ class Folder:
 
 @dataclass(frozen=True, eq=False)
 class Shelf:
-    """A file for an array that a task computes, wherever that is, and that is read here, or never.
+    """A file for an array that a task computes in any process and that this process may read.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Shelf:
 
     @classmethod
     def of(cls, path: Path) -> Shelf:
-        """A shelf whose file goes with it; its copies in other processes remove nothing."""
+        """A shelf whose file is removed with it; copies in other processes remove nothing."""
         shelf = cls(path)
         weakref.finalize(shelf, path.unlink, missing_ok=True)
         return shelf
@@ -92,12 +92,12 @@ class Shelf:
         return True
 
     def array(self) -> np.ndarray:
-        """What was put there."""
+        """The array in the file."""
         return np.load(self.path, allow_pickle=False)
 
 
 def opened(value: Any) -> Any:
-    """The value itself, which in another process has arrived already."""
+    """The value itself; in another process it has been unpickled already."""
     return value.value if isinstance(value, Held) else value
 
 
@@ -108,6 +108,6 @@ def write(value: Any, path: Path) -> None:
 
 
 def read(path: Path) -> Any:
-    """Read what this program, and nobody else, has written in its own folder."""
+    """Read a value that this program has written in its own folder."""
     with path.open("rb") as file:
         return pickle.load(file)

@@ -1,4 +1,4 @@
-"""One structure fitted on one grid, and what it says about the motion."""
+"""One structure fitted on one grid, and the properties of its motion."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class ShapeEstimate:
     settled : bool
         Whether the last step was below a hundredth of a standard error.
     profiles : tuple of tuple
-        Of each parameter pairs of a number and by how much −2 log likelihood rises there; empty where that
-        was not computed.
+        For each parameter, pairs of a value and the increase of −2 log likelihood there; empty if not
+        computed.
     """
 
     names: tuple[str, ...]
@@ -55,7 +55,7 @@ class ShapeEstimate:
         return np.sqrt(np.clip(np.diag(self.covariance)[-n:], 0.0, None))
 
 
-_RUN = 2**16  # knot intervals that are looked at together
+_RUN = 2**16  # knot intervals that are evaluated together
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class Fit:
         With the problem.
     structure : Structure
     coefficients : (n_candidates,) array
-        Of all candidates: known ones in place, zero for those not in the structure.
+        Of all candidates: known ones included, zero for those not in the structure.
     covariance : (n_members, n_members) array
         Of the members' coefficients.
     control_points : (n_ctrl, n_dof) array
@@ -82,9 +82,9 @@ class Fit:
         "converged", "stalled", "step limit" or "not finite".
     n_steps : int
     evidence : float
-        Log marginal likelihood, up to a constant of data and grid.
+        Log marginal likelihood, up to a constant that depends on data and grid only.
     shapes : ShapeEstimate or None
-        Shape parameters and their errors, where they were fitted; None: there are none, or they were held.
+        Shape parameters and their errors; None if there are none, or if they were held.
     joint : (n_members + n_numbers,) * 2 array or None
         Covariance of the members' coefficients and of the calibration numbers of sensors, if there are any.
     """
@@ -130,12 +130,12 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """Whether the solver came to its end."""
+        """Whether the solver converged."""
         return self.status in ("converged", "stalled")
 
     @property
     def usable(self) -> bool:
-        """Whether there is something to go on from, converged or not."""
+        """Whether the result is finite, converged or not."""
         return self.status != "not finite"
 
     @property
@@ -160,7 +160,7 @@ class Fit:
         return np.where(counts > 0, self.weights.position_std, np.nan)
 
     def residuals(self) -> list[np.ndarray]:
-        """Samples less what the curve gives for them, channel by channel, valid samples only."""
+        """Samples minus the curve, channel by channel, valid samples only."""
         seen = self.grid.observations
         if isinstance(seen, SensorObservations):
             seen = seen.at(self.control_points, self.weights.calibration)
@@ -168,11 +168,11 @@ class Fit:
 
     @property
     def start(self) -> Start:
-        """Where a fit of another structure may begin."""
+        """Start values of a fit of another structure."""
         return Start(self.control_points, self.coefficients, self.weights)
 
     def posed(self, problem: Problem) -> Fit:
-        """The same fit as one of another problem, which may have further candidates behind the others."""
+        """The same fit for another problem, which may have further candidates after the others."""
         more = len(problem.candidates) - self.coefficients.size
         coefficients = np.append(self.coefficients, np.zeros(more))
         return replace(self, grid=self.grid.posed(problem), coefficients=coefficients)
@@ -195,7 +195,7 @@ class Fit:
             yield space.evaluate(part, times)
 
     def completed_data(self) -> Trajectories:
-        """The data, with the fitted curve in the place of hidden coordinates."""
+        """The data, with the fitted curve for hidden coordinates."""
         hidden, data = list(self.problem.hidden), self.problem.trajectories
         if not hidden:
             return data
@@ -220,14 +220,14 @@ class Fit:
     def equation_error(self) -> tuple[np.ndarray, np.ndarray]:
         """Root mean square of the equation residual, relative to the terms of each equation, and absolute.
 
-        Where a coordinate has no equation: zero, and NaN.
+        A coordinate without an equation has zero, and NaN.
         """
         physics, index = self.grid.physics(self.structure)
         spline, coefficients = self.grid.spline, self.coefficients[index]
         squares = np.zeros(self.control_points.shape[1])
         for chunk, points in self.along():
             size = ((physics.columns.strong(points) * coefficients[:, None, None]) ** 2).sum(axis=0)
-            # a conserved momentum is one candidate whose parts cancel: M q̈ shows their size
+            # the parts of a single candidate may cancel (conserved momentum): M q̈ gives their size
             mass = physics.columns.mass_matrix(points, coefficients)
             size += np.einsum("pij,jp->ip", mass**2, np.square(points.columns[2 * squares.size :]))
             if self.grid.forces is not None:
@@ -240,11 +240,11 @@ class Fit:
         return share, rms
 
     def relevant_gain(self, relevance: float) -> float:
-        """What lowers −2 log likelihood by this explains a share ``relevance`` of the equation error."""
+        """Gain in 2 log likelihood of a term that explains a share ``relevance`` of the equation error."""
         return relevance * float(self.weights.slack.sum())
 
     def score(self, candidates: EulerLagrange | None = None) -> Quadratic:
-        """Quadratic model of the cost in candidates about this fit, by default in all that are free."""
+        """Quadratic model of the cost in candidates about this fit, by default in all free ones."""
         physics, index = self.grid.physics(self.structure)
         if candidates is None:
             candidates = self.problem.candidates.subset(self.problem.free.tolist())

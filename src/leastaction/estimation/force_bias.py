@@ -123,7 +123,7 @@ class SlowForces:
 
 
 def slow_forces(fit: Fit, seconds: Mapping[int, float]) -> list[np.ndarray]:
-    """What is missing beside the forces so far, by least squares along the fitted curve.
+    """Slow forces that the residual still contains, by least squares along the fitted curve.
 
     Returns
     -------
@@ -164,7 +164,7 @@ def fit_with_forces(
     JointFit
         Its covariance begins with the members of the structure.
     list of (n_times, n_dof) arrays
-        What the slow forces add at the samples of each trajectory.
+        Slow forces at the samples of each trajectory.
     dict
         Coordinate → standard error of its slow force.
     """
@@ -183,7 +183,7 @@ def fit_with_forces(
     return fit, more, slow.errors(fit.covariance[n:, n:])
 
 
-# ------------------------------------------- the slowly changing forces that were found beside the known ones
+#                                                             slow forces found in addition to the known ones
 _MOST_ROUNDS = 4  # each a search
 
 
@@ -196,15 +196,15 @@ class ForceBias:
     trajectories : Trajectories
         With the forces that are known.
     seconds : mapping of int to float
-        Number of a coordinate → spacing of the knots of its force; empty: there is nothing to find.
+        Index of a coordinate → spacing of the knots of its force; empty: no slow force is sought.
     added : tuple of (n_times, n_dof) arrays
         The slow forces, one for each trajectory.
     errors : mapping of int to float
-        Number of a coordinate → standard error of its slow force.
+        Index of a coordinate → standard error of its slow force.
     rounds : int
-        How often they have been found and the terms searched again.
+        Rounds of estimation, each followed by a new search of the terms.
     last : (n_dof,) array
-        By how much they changed the last time, root mean square.
+        Last change of the forces, root mean square.
     """
 
     trajectories: Trajectories
@@ -222,7 +222,7 @@ class ForceBias:
 
     @property
     def seconds_of(self) -> dict[str, float]:
-        """Coordinate → seconds within which its force may change."""
+        """Coordinate → seconds between the knots of its force."""
         return {self.trajectories.coordinates[i]: every for i, every in self.seconds.items()}
 
     @property
@@ -232,12 +232,12 @@ class ForceBias:
         return {self.trajectories.coordinates[i]: float(rms[i]) for i in self.seconds}
 
     def followed(self, fit: Fit) -> ForceBias | None:
-        """With what the equations of a fit lack; None once that changes nothing any more."""
+        """The forces, updated by the residual of a fit; None when they no longer change."""
         if not self.seconds or self.rounds == _MOST_ROUNDS or not fit.converged:
             return None
         more = slow_forces(fit, self.seconds)
         change = _rms(more)
-        # a change that is hardly smaller than the one before follows the noise
+        # a change that is hardly smaller than the previous one follows the noise
         small = change <= ESTIMATION.bias_settled * _rms(self.added)
         done = small | (change > ESTIMATION.bias_stalled * self.last)
         if self.rounds and np.all(done):
@@ -245,12 +245,12 @@ class ForceBias:
         return replace(self.adding(more, self.errors), rounds=self.rounds + 1, last=change)
 
     def adding(self, more: Sequence[np.ndarray], errors: Mapping[int, float]) -> ForceBias:
-        """With further forces, and new standard errors."""
+        """The sum with further forces, and new standard errors."""
         added = tuple(total + part for total, part in zip(self.added, more, strict=True))
         return replace(self, added=added, errors=dict(errors))
 
     def settled(self, more: Sequence[np.ndarray]) -> bool:
-        """Whether forces just added are small beside all of them."""
+        """Whether the added forces are small relative to the total."""
         return bool(np.all(_rms(more) <= ESTIMATION.bias_settled * _rms(self.added)))
 
     def found(self) -> dict[str, tuple[np.ndarray, ...]]:
@@ -259,7 +259,7 @@ class ForceBias:
         return {names[i]: tuple(part[:, i].copy() for part in self.added) for i in self.seconds}
 
     def findings(self) -> list[Finding]:
-        """What was found."""
+        """Findings on the slow forces."""
         out: list[Finding] = []
         for i, (name, parts) in zip(self.seconds, self.found().items(), strict=True):
             low, high, error = min(map(np.min, parts)), max(map(np.max, parts)), self.errors[i]
@@ -270,7 +270,7 @@ class ForceBias:
 
 
 def no_bias(trajectories: Trajectories, seconds: Mapping[int, float]) -> ForceBias:
-    """Nothing found yet."""
+    """Slow forces before the first round: zero."""
     added = tuple(np.broadcast_to(0.0, t.q.shape) for t in trajectories)  # takes no memory
     errors = dict.fromkeys(seconds, np.nan)
     return ForceBias(trajectories, dict(seconds), added, errors, 0, np.full(trajectories.n_dof, np.inf))

@@ -1,14 +1,14 @@
-r"""Known forces where the equations are compared: no faster than the curve can follow.
+r"""Known forces at the quadrature points, limited to the frequencies that the curve can follow.
 
-Samples of torques hold ripple, steps of a converter and noise, which the coordinates do not follow.  Where
-they do follow (a force of three samples a period moves what is sampled as fast), leaving it out lets
-accelerations appear that no force explains, and masses that are too small explain them.  Then the forces act
-as they are, and what they do between their samples matters: band-limited, f(t); a straight line between
-samples, or the last one held, whose slow parts are
+Samples of torques contain ripple, steps of a converter and noise, which the coordinates do not follow.  If
+the coordinates do follow (a force with three samples a period moves a light body), removing the fast part
+leaves accelerations without a force, and the estimated masses are too small.  The forces then act unfiltered,
+and their course between samples matters: band-limited, f(t); a straight line between samples, or the last
+sample held, whose slow parts are
 
 .. math:: \frac{1}{h^2}\int_{-h}^{h} (h - |s|) f(t - s)\,ds, \qquad \frac{1}{h}\int_0^h f(t - s)\,ds
 
-with the sampling interval h; the images above the sampling rate, which hardly move anything, are left out.
+with the sampling interval h. Images above the sampling rate have hardly any effect and are left out.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ __all__ = [
 Between = Literal["slow", "band-limited", "linear", "held"]
 
 _FEWEST = 4  # intervals; shorter records are interpolated
-_INTERPOLATED = 0.7  # knot intervals a sample, from which forces are taken as they are
+_INTERPOLATED = 0.7  # knot intervals a sample: on finer grids, forces are not filtered
 _DENSE = 4  # points in a knot interval, at which they are projected onto coarser knots
 _BAND_LIMITED = 11  # degree of the interpolating spline: off by 2e-4 at three samples a period
 _EVEN = 0.01  # by which sampling intervals may differ
-_ROUNDING = 1e-6  # of the forces: what a spline leaves of slow ones
+_ROUNDING = 1e-6  # of the forces: error of a spline through slow forces
 _LAGS = 2  # samples, by which a coordinate may follow a force
 
 
 @dataclass(frozen=True, eq=False)
 class GridForces:
-    """Forces as a grid sees them.
+    """Forces on a grid.
 
     Attributes
     ----------
     values : (n_intervals, n_quadrature, n_dof) array
         At the quadrature points.
     density : (n_dof,) array
-        Spectral density of what is faster, in force² seconds: the error of the equations, 1/w, that forces
-        with white noise would leave. Zero where it cannot be told.
+        Spectral density of the fast part, in force² seconds: the equation error, 1/w, that forces with white
+        noise would cause. Zero if it cannot be determined.
     """
 
     values: np.ndarray
@@ -75,9 +75,9 @@ def forces_on(
 ) -> GridForces | None:
     """Return the slow part of forces, from their samples; None if nothing acts anywhere.
 
-    Each trajectory's samples are fitted by least squares with a spline on the knots of its curve: what is
-    faster (ripple, steps of a converter, noise) the curve cannot follow, so it would only count as an error
-    of the equations, and bias the scale of L upwards.
+    Each trajectory's samples are fitted by least squares with a spline on the knots of its curve. The curve
+    cannot follow faster forces (ripple, steps of a converter, noise). They would count as equation error and
+    bias the scale of L upwards.
 
     Parameters
     ----------
@@ -88,7 +88,8 @@ def forces_on(
     dtype : type
         Of the values.
     between : {"slow", "band-limited", "linear", "held"}
-        Whether all of the forces acts, and how between their samples. Then their density is zero.
+        How the forces act between their samples. Except for "slow", their fast part acts, too, and the
+        density is zero.
 
     Examples
     --------
@@ -139,7 +140,7 @@ def force_rates(
 
 
 def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[BSpline | CubicSpline, int]:
-    """The curve, and how many parameters it has in each coordinate."""
+    """The curve, and its number of parameters in each coordinate."""
     between = CubicSpline(t, samples)
     most = int(t.size / CURVE.samples_per_knot)
     if most < _FEWEST:
@@ -158,7 +159,7 @@ def _slow_part(space: SplineSpace, t: np.ndarray, samples: np.ndarray) -> tuple[
 def _projected(
     space: SplineSpace, t: np.ndarray, samples: np.ndarray, between: Between
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """All of the forces that the knots can follow."""
+    """The part of the forces that the knots can follow."""
     curve = curve_between(t, samples, between)
     if space.n_intervals >= _INTERPOLATED * t.size:
         return curve
@@ -194,7 +195,7 @@ def curve_between(t: np.ndarray, samples: np.ndarray, between: Between) -> Calla
 
 
 class _Antiderivative:
-    """Repeated integral of a curve, which stays as it is beyond its ends."""
+    """Repeated integral of a curve, which is constant beyond its ends."""
 
     def __init__(self, curve: BSpline, count: int) -> None:
         self.integrals = [curve.antiderivative(n) if n else curve for n in range(count, -1, -1)]
@@ -213,10 +214,10 @@ class _Antiderivative:
 def fast_forces_act(
     times: Sequence[np.ndarray], q: Sequence[np.ndarray], forces: Sequence[np.ndarray | None]
 ) -> bool:
-    """Whether coordinates follow what of the forces is too fast for :func:`forces_on`.
+    """Whether coordinates follow the part of the forces that is too fast for :func:`forces_on`.
 
-    Second differences of what a spline on equally coarse knots leaves of a coordinate are compared with what
-    it leaves of all forces, by at most two samples earlier or later.
+    A spline on equally coarse knots is subtracted from coordinates and forces. Second differences of the
+    remainder of a coordinate are compared with the remainders of the forces, shifted by at most two samples.
     """
     rows: list[np.ndarray] = []
     seen: list[np.ndarray] = []
@@ -254,7 +255,7 @@ class Pushes(Protocol):
     def __len__(self) -> int: ...
 
     def on(self, intervals: slice, n_dof: int) -> np.ndarray:
-        """(n_pushes, n_dof, n_points) what each leaves in the residual, in the sequence of `Points`."""
+        """(n_pushes, n_dof, n_points) contribution of each to the residual, in the sequence of `Points`."""
         ...
 
     def within(self, intervals: slice) -> Pushes:
@@ -299,5 +300,5 @@ class WithPushes(EulerLagrange):
         return self.own.masses(points)
 
     def subset(self, select: Sequence[int]) -> EulerLagrange:
-        """Terms only are left out: pushes are always free."""
+        """Some of the terms, and all pushes, which are always free."""
         return WithPushes(self.own.subset([k for k in select if k < len(self.terms)]), self.pushes)

@@ -7,14 +7,14 @@ the dense Schur complement
 
 whose inverse is the covariance of λ (Golub & Pereyra 2003, Inverse Problems 19:R1).
 
-Nearly exact equations are nearly constraints. A step that is right to first order leaves them by its second
-order, and the cost rises although the step is good (Maratos effect). Then the step from there is taken, too,
-if it promises to bring the cost down, and both are judged together (second-order correction; Nocedal & Wright
-2006, Numerical Optimization, sec. 15.4).
+Nearly exact equations act like constraints. A step that is right to first order violates them to second
+order, and the cost rises although the step is good (Maratos effect). A second-order correction (Nocedal &
+Wright 2006, Numerical Optimization, sec. 15.4) then adds the next step if it should lower the cost, and both
+steps are accepted or rejected together.
 
-A trial step may leave the range of floating point, with exp(x) or a high power far from the data.
-NumPy's warnings are off there and the numbers are tested instead: such a step is rejected, and a fit
-that cannot leave this region ends as "not finite".
+A trial step may overflow, with exp(x) or a high power far from the data. NumPy's warnings are off there and
+the numbers are tested instead. Such a step is rejected, and a fit that cannot leave this region ends as "not
+finite".
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ __all__ = [
     "symmetric_inverse",
 ]
 
-_LARGEST_DAMPING = 1e8  # relative to the diagonal: a step of no size
-_LEAST_DAMPING = 1e-10  # the same: what nothing determines stays where it is
-_SAMPLES = 1e5  # more of them share a tolerance: to 0.01 for 10⁷ samples took more than 15 steps
-_MOST_IDLE = 3  # steps in turn that gain less than the tolerance
-_RISING = (1e-4, 1e-2, 1.0)  # shares of the weights of equations that a curve does not find to at once
+_LARGEST_DAMPING = 1e8  # relative to the diagonal: steps vanish
+_LEAST_DAMPING = 1e-10  # relative to the diagonal: holds undetermined unknowns
+_SAMPLES = 1e5  # above this, the tolerance grows in proportion: 0.01 for 10⁷ samples took over 15 steps
+_MOST_IDLE = 3  # successive steps that gain less than the tolerance
+_RISING = (1e-4, 1e-2, 1.0)  # shares of the equation weights, raised in steps if a curve does not converge
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +70,9 @@ class JointFit:
         "converged", "stalled", "step limit" or "not finite".
     n_steps : int
     factor : CurveFactor or None
-        Of H there; None when it is not positive definite, or was not formed.
+        Of H at the optimum; None if it is not positive definite, or was not formed.
     joint : (n_free + n_numbers,) * 2 array or None
-        Covariance of the free coefficients and of the calibration numbers of sensors, where there are any.
+        Covariance of the free coefficients and of the calibration numbers of sensors, if there are any.
     """
 
     control_points: np.ndarray
@@ -92,7 +92,7 @@ class JointFit:
 
     @property
     def usable(self) -> bool:
-        """Whether there is something to go on from, converged or not."""
+        """Whether the result is finite, converged or not."""
         return self.status != "not finite"
 
 
@@ -110,10 +110,10 @@ def condense(
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a positive semi-definite matrix, scaled first so that units do not matter.
+    """Inverse of a positive semi-definite matrix, scaled first so that the result does not depend on units.
 
-    Directions that the data cannot see get a huge, finite variance. Raises LinAlgError for a matrix that
-    is not finite.
+    Directions that the data do not determine get a huge, finite variance. Raises LinAlgError for a matrix
+    that is not finite.
     """
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("the matrix is not finite")
@@ -141,11 +141,11 @@ def fit_joint(
     Parameters
     ----------
     linearisation : Linearisation, optional
-        At the start, where it is at hand.
+        At the start, if it is available.
     tolerance : float
-        Stop when the step is predicted to lower the cost by less than this (a χ² of 0.01 is a
-        tenth of a standard error), of more than 100,000 samples by this for so many.  What the coefficients'
-        own step promises counts by itself.
+        Stop when a step is predicted to lower the cost by less than this (a χ² of 0.01 is a tenth of a
+        standard error). Above 100,000 samples the tolerance grows in proportion.  The step of the
+        coefficients alone is tested by itself.
 
     Returns
     -------
@@ -190,13 +190,13 @@ def fit_joint(
             if own < tolerance and predicted < in_all and damping < 1e-3:
                 status = "converged"
                 break
-            if idle == _MOST_IDLE:  # what the step promises is rounding
+            if idle == _MOST_IDLE:  # the predicted decrease is rounding
                 status = "stalled"
                 break
         else:
             del there
             damping = max(10.0 * damping, 1e-4)
-            # below the tolerance no measurable progress is left: rounding decides
+            # below the tolerance, progress is not measurable because of rounding
             if (own < tolerance and predicted < in_all) or damping > _LARGEST_DAMPING:
                 status = "stalled"
                 break
@@ -204,14 +204,14 @@ def fit_joint(
 
 
 def shared(observations: Measurements) -> float:
-    """By how much what ends a fit, a change of χ² or of the evidence, may be larger for many samples."""
+    """Factor of the tolerances of χ² and evidence for many samples."""
     return max(1.0, float(observations.counts.sum()) / _SAMPLES)
 
 
 def _step(
     normal: System, damping: float, weights: Weights | None = None
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Steps of curve and coefficients, how much they should lower the cost, and the coefficients' own part.
+    """Steps of curve and coefficients, their predicted decrease of the cost, and the coefficients' share.
 
     Raises LinAlgError when they are not finite.
     """
@@ -235,7 +235,7 @@ def _moved(
     delta: np.ndarray,
 ) -> tuple[tuple[np.ndarray, np.ndarray, Weights], Linearised]:
     """Curve, coefficients and weights after a step, and the problem there; ``shift`` becomes the curve."""
-    shift += start[0].ravel()  # in place: of long recordings memory holds few arrays of this size
+    shift += start[0].ravel()  # in place, because this array is large for long recordings
     points, coefficients, weights = shift.reshape(start[0].shape), start[1].copy(), start[2]
     coefficients[physics.free] += delta[: physics.n_free]
     if isinstance(observations, SensorObservations) and weights.calibration is not None:
@@ -246,9 +246,9 @@ def _moved(
 
 
 def _correction(normal: System, least: float, most: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """The step from a point where the cost has risen, if it promises to lower it by ``least``.
+    """The step from a point where the cost has risen, if it is predicted to lower it by ``least``.
 
-    It is a correction of the curve: what it promises by moving the coefficients is ``most`` at most.
+    It corrects the curve: the predicted decrease from moving the coefficients must not exceed ``most``.
     """
     try:
         shift, delta, predicted, own = _step(normal, 0.0)
@@ -267,9 +267,9 @@ def _fitted(
 ) -> JointFit:
     """The fit at its last point, with the covariance of the coefficients and the factor of H.
 
-    Where these cannot be computed, the status is "not finite"; without a normal matrix they are not tried.
+    If these cannot be computed, the status is "not finite". Without a normal matrix they are not computed.
     """
-    # the weights are estimated too: what the log-determinant term seems to know of the scale, they forget
+    # the weights are estimated, too: the log-determinant then holds no information on the scale
     known_scale = 2.0 * (here.volume.T * weights.volume) @ here.volume
     n = len(known_scale)
     joint, factor = np.full(known_scale.shape, np.nan), None
@@ -289,13 +289,12 @@ def _fitted(
 
 
 def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:
-    """The same coefficients at the best curve of some trials; None where none is found that costs less.
+    """The same coefficients at the best curve of some trials; None if no curve of lower cost is found.
 
-    Noise may bend a curve so far that it does not find to equations that hold nearly exactly.  Then their
-    weight rises in steps.
+    A noisy curve may not converge to equations that hold nearly exactly.  Their weight then rises in steps.
     """
     grid, held = at.observations.grid, replace(at.physics, free=np.zeros_like(at.physics.free))
-    # of what the log-determinant term weighs in the whole, these trials have a share
+    # these trials have a share in the weight of the log-determinant term
     weights = replace(weights, slack=grid.n_intervals / grid.total * weights.slack)
 
     def fitted(points: np.ndarray, share: float) -> JointFit:
@@ -316,7 +315,7 @@ def score_candidates(
 ) -> Quadratic:
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
 
-    Candidates that overflow along the curve promise nothing: their gradient and couplings are zero.
+    For candidates that overflow along the curve, gradient and couplings are zero.
 
     Raises
     ------

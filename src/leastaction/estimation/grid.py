@@ -1,6 +1,6 @@
-"""A problem laid on spline grids: what every fit of one discretisation shares.
+"""A problem discretised by splines: the data that all fits on one grid share.
 
-Refining returns a new grid; a grid itself never changes.
+Refining returns a new grid; a grid never changes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from leastaction.estimation.weights import Start, evidence, fit_curve, fit_weigh
 
 __all__ = ["Grid", "greville_sites"]
 
-_POINTS = 200  # along the motion, at which the mass matrix is looked at
+_POINTS = 200  # along the motion, at which the mass matrix is tested
 _SMOOTHED = 50_000  # times in a run of short trajectories: bounds memory
 
 
@@ -60,8 +60,8 @@ class Grid:
         """Uniform knots on every trajectory of a problem."""
         data = problem.trajectories
         times = [t.t for t in data]
-        # with a prescribed coordinate there are more curves than equations; compared at two points an
-        # interval they would lock: a spline that meets both must be smoother than the motion
+        # With a prescribed coordinate there are more curves than equations. With two quadrature points an
+        # interval, the curve would lock: a spline that satisfies both is smoother than the motion.
         n_quadrature = 1 if problem.prescribed else 2
         spline = uniform_grid(times, knots_per_second, problem.degree, n_quadrature)
         observations: Measurements
@@ -82,7 +82,7 @@ class Grid:
         return replace(self, problem=problem, forces=_forces(self.spline, problem, list(forces)))
 
     def acting(self, between: Between) -> Grid:
-        """The same discretisation with forces that act otherwise between their samples."""
+        """The same discretisation with another course of the forces between their samples."""
         problem = replace(self.problem, between=between)
         given = [trajectory.forces for trajectory in problem.trajectories]
         return replace(self, problem=problem, forces=_forces(self.spline, problem, given))
@@ -98,7 +98,7 @@ class Grid:
         return np.zeros(self.observations.n_dof) if self.forces is None else self.forces.density
 
     def smooth(self, penalty: np.ndarray | None = None) -> Smooth:
-        """The curve through the samples on this grid, before any law; ``penalty`` fixes its smoothness."""
+        """The curve through the samples on this grid, without a law; ``penalty`` fixes its smoothness."""
         data, crew = self.problem.trajectories, self.problem.crew or Alone()
         values, rates = [t.q for t in data], data.rates
         if penalty is None or not is_long(self.times, data.n_dof):
@@ -118,7 +118,7 @@ class Grid:
         return curve_between(given.t, given.forces, self.problem.between)(times)
 
     def physics(self, structure: Structure) -> tuple[Physics, list[int]]:
-        """The equations of a structure, and the candidates that they hold: members, then known ones."""
+        """The equations of a structure, and their candidates: members, then known ones."""
         index = [*structure, *(int(k) for k in np.flatnonzero(self.problem.is_known))]
         is_free = np.arange(len(index)) < len(structure)
         values = None if self.forces is None else self.forces.values
@@ -138,7 +138,7 @@ class Grid:
         return Start(control_points, values, weights)
 
     def _begin(self, start: Start, index: list[int]) -> Start:
-        """A start for some of the candidates: what is known comes from the problem, never from the start."""
+        """A start for some of the candidates; known coefficients come from the problem, not from it."""
         weights = replace(start.weights, force_density=self.force_density)
         return Start(start.control_points, self.problem.completed(start.coefficients)[index], weights)
 
@@ -158,7 +158,7 @@ class Grid:
         return Fit.of(self, structure, coefficients, solution, evidence(self.observations, solution))
 
     def held(self, fit: Fit, coefficients: np.ndarray, covariance: np.ndarray) -> Fit:
-        """A fit with other coefficients, which are held while the curve follows them."""
+        """A fit of the curve with other, fixed coefficients."""
         physics, index = self.physics(fit.structure)
         rigid = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
         values = self.problem.completed(coefficients)
@@ -169,7 +169,7 @@ class Grid:
         return replace(Fit.of(self, fit.structure, values, solution, value), covariance=covariance)
 
     def carried(self, fit: Fit, growth: np.ndarray) -> Start:
-        """A fit of another grid on this one, its equation weights raised by ``growth``, (n_dof,)."""
+        """A fit of another grid as a start on this one, equation weights raised by ``growth``, (n_dof,)."""
         old, degree = fit.grid.spline, self.problem.degree
         moved = np.empty((self.spline.n_ctrl, fit.control_points.shape[1]))
         for k, (space, part) in enumerate(
@@ -191,7 +191,7 @@ class Grid:
 
 
 def _runs(times: Sequence[np.ndarray]) -> list[slice]:
-    """Runs of trajectories that are smoothed at once."""
+    """Runs of trajectories that are smoothed together."""
     ends = np.cumsum([t.size for t in times])
     cuts = np.flatnonzero(np.diff(ends // _SMOOTHED)) + 1
     return [slice(int(a), int(b)) for a, b in pairwise([0, *cuts, len(times)])]
@@ -202,7 +202,7 @@ def _forces(spline: SplineGrid, problem: Problem, samples: Sequence[np.ndarray |
     if not data.driven:
         return None
     times = [t.t for t in data]
-    # of long recordings in single precision: there are as many as numbers in the samples, times four
+    # single precision for long recordings: this array is four times as large as the samples
     dtype = np.float32 if is_long(times, data.n_dof) else np.float64
     return forces_on(spline, times, samples, dtype, problem.between)
 

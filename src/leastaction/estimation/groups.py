@@ -2,8 +2,8 @@
 
     λ_k in group g = λ_k + δ_kg,      δ_k0 = 0 in the first group.
 
-δ_kg is the coefficient of one more column of the joint problem: that of the term k along the trials of group
-g, and zero along all others.
+δ_kg is the coefficient of one more column of the joint problem: the column of term k along the trials of
+group g, and zero along all others.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ __all__ = ["GroupTerm", "GroupedColumns", "Grouping", "grouped", "laws"]
 
 @dataclass(frozen=True)
 class Grouping:
-    """Which trials belong together.
+    """Assignment of trials to groups.
 
     Attributes
     ----------
     names : tuple of str
-        Of the groups, in the sequence in which they come up; the others are compared with the first.
+        Of the groups, in the sequence of their first trials. All others are compared with the first group.
     places : tuple of int
-        Of each trajectory, the number of its group.
+        Index of the group of each trajectory.
 
     Examples
     --------
@@ -62,8 +62,8 @@ class Grouping:
         names = tuple(dict.fromkeys(labels))
         if len({*names}) < 2:
             raise InputError(
-                f"every trajectory is in the group {quoted(names[0])}; there must be two groups to compare, "
-                "leave groups out otherwise"
+                f"every trajectory is in the group {quoted(names[0])}; give at least two groups, or leave "
+                "groups out"
             )
         return cls(names, tuple(names.index(label) for label in labels))
 
@@ -96,9 +96,9 @@ def _whole(term: Term) -> Term:
 
 
 class GroupedColumns(EulerLagrange):
-    """Columns of which some act in one group of trials alone: those of a `GroupTerm`.
+    """Columns, of which those of a `GroupTerm` act in one group of trials alone.
 
-    They can be evaluated along the motion only, where it is known which trial a point belongs to.
+    They can be evaluated only along the motion, where the trial of each point is known.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class GroupedColumns(EulerLagrange):
 
     @cached_property
     def _groups(self) -> list[int | None]:
-        """Of each column the group in which it acts; None: in all."""
+        """The group of each column; None: it acts in all groups."""
         return [term.group if isinstance(term, GroupTerm) else None for term in self.terms]
 
     def _group_at(self, points: Points) -> np.ndarray:
@@ -206,7 +206,7 @@ class GroupedColumns(EulerLagrange):
         return self._with(self.terms, self.labels[intervals])
 
     def of(self, terms: Sequence[Term], values: Sequence[Mapping[str, float]] | None = None) -> EulerLagrange:
-        if values is not None:  # equal terms are evaluated once: their numbers have to tell them apart
+        if values is not None:  # equal terms are evaluated once, so their numbers must distinguish them
             terms = [term.at(given) if given else term for term, given in zip(terms, values, strict=True)]
         return self._with(terms, self.labels)
 
@@ -218,14 +218,14 @@ class GroupedColumns(EulerLagrange):
 
 
 def grouped(problem: Problem, grouping: Grouping, owner: np.ndarray, members: Iterable[int]) -> Problem:
-    """A problem with further candidates: some of its own once more for every group but the first.
+    """A problem with further candidates: copies of some candidates for every group except the first.
 
-    They stand behind the others, group by group for each of ``members``.
+    The copies follow the other candidates, group by group for each of ``members``.
 
     Parameters
     ----------
     problem : Problem
-        Whose last candidates may be such terms already; they are replaced.
+        If its last candidates are such copies already, they are replaced.
     grouping : Grouping
     owner : (n_intervals,) array
         The trajectory of each knot interval.
@@ -246,7 +246,7 @@ def grouped(problem: Problem, grouping: Grouping, owner: np.ndarray, members: It
 
 
 def laws(fit: Fit) -> list[tuple[list[int], tuple[Term, ...], list[float]]]:
-    """Trajectories that obey one law, its terms, and their coefficients; one entry where there are no groups.
+    """Trajectories that obey one law, its terms, and their coefficients; one entry without groups.
 
     Terms that are not in the law have the coefficient zero.
     """

@@ -1,4 +1,4 @@
-"""Coordinates without samples, at the door of a problem."""
+"""Checks and placeholders of hidden coordinates, before a problem is built."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.knots import Knots
-from leastaction.data.columns import arranged
+from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
@@ -20,9 +20,9 @@ __all__ = ["anchored", "check_hidden_terms", "knots_of_all", "refuse_prescribed"
 def with_hidden(
     trajectories: Trajectories, names: Iterable[str], library: Library | Iterable[str]
 ) -> tuple[Trajectories, tuple[int, ...]]:
-    """The trajectories with a column for every hidden coordinate, and the places of these.
+    """The trajectories with a column for every hidden coordinate, and the indices of these.
 
-    Columns come in the sequence of the library where it has one, otherwise behind the measured ones.
+    Columns are in the sequence of the library if it gives one; otherwise hidden ones come last.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def with_hidden(
     measured = [name for name in trajectories.coordinates if name not in hidden]
     if not measured:
         raise InputError(
-            "every coordinate is hidden, so that nothing is measured; name those without a sensor"
+            "every coordinate is hidden, so that nothing is measured; name only those without a sensor"
         )
     names = (*measured, *hidden)
     if isinstance(library, Library) and set(library.coordinates) == set(names):
@@ -67,7 +67,7 @@ def check_hidden_terms(library: Library, names: Sequence[str]) -> None:
 
 
 def refuse_prescribed(names: Sequence[str], hidden: Sequence[int], prescribed: Sequence[int]) -> None:
-    """Refuse a hidden coordinate that is prescribed: nothing would be known of its motion.
+    """Refuse a hidden coordinate that is prescribed: its motion could not be estimated.
 
     Raises
     ------
@@ -77,15 +77,15 @@ def refuse_prescribed(names: Sequence[str], hidden: Sequence[int], prescribed: S
         if i in prescribed:
             raise InputError(
                 f"{quoted(names[i])} is hidden and prescribed: without a sensor and without an equation "
-                "nothing is known of it; leave one of the two out"
+                "its motion cannot be estimated; leave one of the two out"
             )
 
 
 def anchored(trajectories: Trajectories, library: Library, hidden: Sequence[int]) -> Trajectories:
-    """The trajectories, with hidden coordinates zero at their begin where no candidate holds them.
+    """The trajectories, with a hidden coordinate zero at the start if candidates contain only its rate.
 
-    If only the rate of a coordinate occurs, nothing depends on its zero, and any will do. Without one the
-    normal matrix of the curve would be singular.
+    The zero of such a coordinate is arbitrary. Without this choice, the normal matrix of the curve would be
+    singular.
     """
     terms = (*library.terms, *library.dissipation)
     used = {symbol.name for term in terms for symbol in term.expr.free_symbols}

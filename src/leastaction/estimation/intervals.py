@@ -1,7 +1,7 @@
 """Values at the quadrature points, laid out by knot interval.
 
-Terms are evaluated at all points of a run at once; normal equations add up matrices of one interval after the
-other. The transposition in between is done in pieces that fit the processor's cache.
+Terms are evaluated at all points of a run at once. Normal equations sum matrices interval by interval. The
+transposition in between runs in pieces that fit the processor's cache.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
     cost(P, λ) = Σ_c ‖y_c − N_c P_i‖² / σ_c² + Σ_i w_i ∫ r_i² dt,      r = Σ_k λ_k E[φ_k] − f
 
-with one channel c for the positions of each coordinate i, N_c = N, and one for every velocity and
-acceleration that is measured, N_c = Ṅ and N̈, each with a noise of its own.  A coordinate that is prescribed
-has no equation of motion; r_i = q̈_i stands in its place, as for a free mass that white noise pushes, which
-makes its curve a smoothing spline (Wahba 1978, J. R. Stat. Soc. B 40:364).
+with one channel c for the positions of each coordinate i, N_c = N, and one for every measured velocity and
+acceleration, N_c = Ṅ and N̈, each with its own noise.  A prescribed coordinate has no equation of motion. In
+its place, r_i = q̈_i describes a free mass driven by white noise, which makes its curve a smoothing spline
+(Wahba 1978, J. R. Stat. Soc. B 40:364).
 
 Unknowns of the curve are numbered control point by control point (coordinate fastest), so that the
 Gauss–Newton matrix of P is banded and λ forms a dense border.
@@ -58,9 +58,10 @@ class Weights:
 
     @property
     def volume(self) -> np.ndarray:
-        """(n_dof,) weight of the log-determinant term: degrees of freedom of what really pushes.
+        """(n_dof,) weight of the log-determinant term: degrees of freedom of unmeasured forces.
 
-        The noise of measured forces is in the equations, too, but pushes nothing. See `volume.volume_term`.
+        The noise of measured forces is part of the residual, too, but it does not act. See
+        `volume.volume_term`.
         """
         return self.slack * (1.0 - np.clip(self.physics * self.force_density, 0.0, 1.0))
 
@@ -91,7 +92,7 @@ class Physics:
         return int(self.free.sum())
 
     def within(self, intervals: slice) -> Physics:
-        """The same for a part of the motion, given by its knot intervals."""
+        """The equations for a part of the motion, given by its knot intervals."""
         forces = None if self.forces is None else self.forces[intervals]
         return Physics(self.columns.within(intervals), self.free, forces)
 
@@ -105,7 +106,7 @@ class Equations:
     chunk : slice
         The knot intervals.
     jacobian : (n_intervals, n_dof, n_quadrature, n_local) array
-        J_i in the control points that matter in each interval, coordinate fastest.
+        J_i in the control points that each interval depends on, coordinate fastest.
     right : (n_intervals, n_dof, n_quadrature, 1 + n_border) array
         r_i, then e_i.
     """
@@ -159,13 +160,13 @@ class Costs:
         return self.misfit(weights) - 2.0 * self.mean(weights.volume) * self.log_volume
 
     def mean(self, values: np.ndarray) -> float:
-        """Mean over the equations of motion of what is zero where a coordinate has none."""
+        """Mean over the equations of motion; values of coordinates without one are zero."""
         return float(values.sum()) / (self.equation.size - len(self.prescribed))
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation(Costs):
-    """The problem linearised at one point, free of the weights.
+    """The problem linearised at one point, for any weights.
 
     J_i is the Jacobian of equation i in the control points and e_i its free columns.  They are kept point by
     point, which takes less memory than ∫ J_iᵀJ_i dt of every equation; products are formed on demand.
@@ -204,7 +205,7 @@ class Linearisation(Costs):
         return self
 
     def gradients(self, weights: Weights) -> tuple[np.ndarray, np.ndarray]:
-        """Half gradients of the cost in the control points and in the border's coefficients."""
+        """Half gradients of the cost in the control points and in the coefficients of the border."""
         normal = self.normal(weights)
         return normal.border[:, 0], normal.gradient
 
@@ -235,7 +236,7 @@ class Linearisation(Costs):
         return self.observations.joined(normal, weights.noise_std)
 
     def data_part(self, weights: Weights) -> np.ndarray:
-        """(n_ctrl, n_dof) half gradient of the data's part of the cost in the control points."""
+        """(n_ctrl, n_dof) half gradient of the data part of the cost in the control points."""
         n = self.equation.size
         scaled = self.data_gradient / weights.noise_std[: self.data_gradient.shape[1]] ** 2
         out = scaled[:, :n].copy()
@@ -258,7 +259,7 @@ class Linearisation(Costs):
     def freedom(self, weights: Weights, factor: BandedFactor | None = None) -> tuple[np.ndarray, np.ndarray]:
         """γ_i = ∂ log|H| / ∂ log w_i of each equation, η_c = ∂ log|H| / ∂ log σ_c⁻² of each channel.
 
-        ``factor`` is that of H, where it is at hand.
+        ``factor`` is the factor of H, if it is available.
 
         Raises
         ------
@@ -269,11 +270,11 @@ class Linearisation(Costs):
         return self.traces(weights, inverse), self.observations.traces(inverse, weights.noise_std)
 
     def scored(self, score: Callable[..., Any], *given: Any) -> Any:
-        """Apply a function of the linearisation; where it is in blocks, to each of them, and add up."""
+        """Apply a function of the linearisation, or of each of its blocks, and sum the results."""
         return score(self, *given)
 
     def parts(self) -> Iterator[Equations]:
-        """The equations, one run of knot intervals after the other."""
+        """The equations, run by run of knot intervals."""
         if self.kept is not None:
             yield from self.kept
             return
@@ -307,7 +308,7 @@ def linearise(
     coefficients : (n_columns,) array
         Known ones included.
     calibration : (n_numbers,) array, optional
-        Calibration numbers of sensors; by default those that the observations begin with.
+        Calibration numbers of sensors; by default the start values of the observations.
     """
     observations = observations.at(control_points, calibration)
     grid, n = observations.grid, observations.n_dof
@@ -345,7 +346,7 @@ def _equations(
     coefficients: np.ndarray,
     differentiate: bool = True,
 ) -> tuple[Equations, np.ndarray]:
-    """One run of knot intervals, with J on demand, and ∫ Σ_k (λ_k e_ik)² dt where it is wanted."""
+    """One run of knot intervals, with J on demand, and optionally ∫ Σ_k (λ_k e_ik)² dt."""
     grid, n, chunk = observations.grid, observations.n_dof, points.intervals
     assert chunk is not None
     n_quad = grid.weights.shape[1]

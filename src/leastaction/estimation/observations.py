@@ -1,4 +1,4 @@
-"""Measured coordinates and rates against a spline grid."""
+"""Measured coordinates and rates on a spline grid."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class _Channel:
 
 
 class Observations:
-    """Measured coordinates, and rates, against a spline grid; NaN samples are left out channel by channel.
+    """Measured coordinates and rates on a spline grid; NaN samples are left out channel by channel.
 
     Attributes
     ----------
@@ -38,10 +38,10 @@ class Observations:
     coordinates : (n_channels,) int array
         The coordinate of each channel.
     floors, noise_floor : (n_channels,) and (n_dof,) arrays
-        No sensor is better than a millionth of its range; below that rounding and the data's own
-        integration errors would count as physics.
+        Smallest noise: a millionth of the range of a sensor. Below this, rounding and integration errors of
+        the data would count as physics.
     calibration : None
-        There is nothing to calibrate.
+        These channels have no calibration numbers.
     """
 
     calibration: np.ndarray | None = None
@@ -90,11 +90,11 @@ class Observations:
         return np.stack(gradient, axis=1), np.array([r @ r for r in residuals])
 
     def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> Observations:
-        """Itself: the samples are linear in the control points, and there is nothing to calibrate."""
+        """Itself: the samples are linear in the control points and have no calibration numbers."""
         return self
 
     def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:
-        """The normal equations as they are: there is nothing to calibrate."""
+        """The normal equations, unchanged: there are no calibration numbers."""
         return normal
 
     def gram(self, channel: int) -> np.ndarray:
@@ -123,6 +123,6 @@ def counts_and_floors(
         counts[k] = sum(int(np.isfinite(part).sum()) for part in parts)
         mean = sum(float(part[np.isfinite(part)].sum()) for part in parts) / max(counts[k], 1)
         squares = sum(float(((part[np.isfinite(part)] - mean) ** 2).sum()) for part in parts)
-        # without samples that differ there is no noise: any number will do, and the logarithm of one is zero
+        # constant samples have no noise; one is arbitrary, and its logarithm is zero
         floors[k] = RELATIVE_FLOOR * np.sqrt(squares / max(counts[k], 1)) or 1.0
     return counts, floors

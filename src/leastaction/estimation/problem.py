@@ -1,12 +1,11 @@
-"""What is asked of the data: the only place that knows what is known.
+"""A problem: data, candidates, known coefficients and excluded candidates.
 
 The equations of motion are
 
     Σ_k λ_k E_i[φ_k] + Σ_k c_k ∂ψ_k/∂q̇_i = f_i      for every coordinate i that is not prescribed,
 
-and a problem says which candidates φ_k, ψ_k may enter, which coefficients are known, which candidates are
-ruled out, and what the data and the known forces f are.  It never changes: every step that learns something
-makes a new one.
+and a problem holds the candidates φ_k, ψ_k, the known coefficients, the excluded candidates, the data and the
+known forces f.  It never changes; a step that adds information returns a new problem.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ __all__ = ["Problem"]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Data, candidates, and what is known of them.
+    """Data, candidates, known coefficients and excluded candidates.
 
     Attributes
     ----------
     trajectories : Trajectories
         Measured coordinates (rad, m, …) and rates, known forces.
     candidates : EulerLagrange
-        All candidates of L and of the dissipation function, as functions; they hold the prescribed
-        coordinates, too.
+        All candidates of L and of the dissipation function, as functions; they also hold the prescribed
+        coordinates.
     known : (n_candidates,) array
         Known coefficients; NaN where a coefficient is free.
     degree : int
@@ -47,22 +46,22 @@ class Problem:
     excluded : frozenset of int
         Free candidates that no structure may contain, such as friction that would feed energy in.
     crew : Crew or None
-        Who computes; None is this thread. It has no say in the result.
+        Workers; None is this thread. The result does not depend on them.
     ranges : mapping of str to ShapeRange
-        Where each shape parameter of the candidates is looked for. The numbers that they have now are those
-        of the candidates themselves.
+        Range in which each shape parameter is sought. The candidates hold the present values.
     lengths : (n_candidates,) array or None
-        Description lengths of the candidates in nats, NaN where as long as any other; None: everywhere.
+        Description lengths of the candidates in nats; NaN for a candidate with the usual length, None if all
+        have it.
     forms : tuple of Dropped
-        Terms with a description length that are no candidates, as sums of candidates up to null terms.
+        Terms with a description length that are not candidates but sums of candidates, up to null terms.
     between : {"slow", "band-limited", "linear", "held"}
-        What the known forces do between their samples; ``"slow"``: only their slow part acts
+        Course of the known forces between their samples; ``"slow"``: only their slow part acts
         (:mod:`leastaction.estimation.forces`).
     hidden : tuple of int
         Coordinates without a single measured position.
     sensors : Sensors or None
-        Measured columns that are functions of the coordinates. The trajectories then hold coordinates that
-        follow from these columns, to begin with; what is fitted are the columns.
+        Measured columns that are functions of the coordinates. The fit uses these columns. The trajectories
+        then hold start values of the coordinates, computed from the columns.
     """
 
     trajectories: Trajectories
@@ -107,31 +106,31 @@ class Problem:
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Numbers of the candidates that a structure may contain."""
+        """Indices of the candidates that a structure may contain."""
         allowed = ~self.is_known
         allowed[list(self.excluded)] = False
         return np.flatnonzero(allowed)
 
     @cached_property
     def surcharges(self) -> np.ndarray:
-        """(n_candidates,) what each costs in a search beyond the usual log n + 2 log K, in units of χ²."""
+        """(n_candidates,) penalty of each in a search beyond the usual log n + 2 log K, in units of χ²."""
         return np.zeros(self.known.size) if self.lengths is None else self.surcharges_of(self.lengths)
 
     def surcharges_of(self, lengths: Iterable[float | None]) -> np.ndarray:
-        """2 (ℓ − log K) for terms of description length ℓ; 0 where there is none, NaN or None."""
+        """2 (ℓ − log K) for terms of description length ℓ; 0 for NaN or None."""
         found = np.array([np.nan if length is None else length for length in lengths])
         return np.where(np.isnan(found), 0.0, 2.0 * (found - self._alike))
 
     @property
     def bits(self) -> np.ndarray:
-        """(n_candidates,) bits that it takes to name each; NaN without description lengths."""
+        """(n_candidates,) description length of each in bits; NaN without description lengths."""
         if self.lengths is None:
             return np.full(self.known.size, np.nan)
         return np.where(np.isnan(self.lengths), self._alike, self.lengths) / np.log(2.0)
 
     @property
     def _alike(self) -> float:
-        """Length in nats of a term that is as long as any other: log K of K candidates."""
+        """Description length of a term without one of its own, in nats: log K for K candidates."""
         return float(np.log(max(np.count_nonzero(~self.is_known), 1)))
 
     @cached_property
@@ -146,10 +145,10 @@ class Problem:
         return shape_names(held)
 
     def unreached(self, structure: Iterable[int], pushed: Iterable[int]) -> tuple[str, ...]:
-        """Coordinates whose terms in a structure may all be multiplied by any number.
+        """Coordinates for which the scale of L is not identifiable in a structure.
 
-        The equations of coordinates that terms couple, directly or by way of others, share one scale of L.
-        It is known where known forces push one of them (given by their numbers), or a coefficient is known.
+        The equations of coordinates that terms couple, directly or through others, share one scale of L. It
+        is identifiable if a known force acts on one of them (``pushed``), or a coefficient is known.
         """
         names = [n for i, n in enumerate(self.coordinates) if i not in self.prescribed]
         group = {name: name for name in names}
@@ -169,7 +168,7 @@ class Problem:
         return tuple(name for name in names if root(name) not in reached)
 
     def at(self, values: Mapping[str, float]) -> Problem:
-        """The problem with other numbers for some shape parameters."""
+        """The problem with other values of some shape parameters."""
         if not values:
             return self
         return replace(self, candidates=self.candidates.of([term.at(values) for term in self.terms]))
@@ -195,18 +194,18 @@ class Problem:
         return replace(self, excluded=self.excluded | {int(m) for m in members})
 
     def releasing(self, member: int) -> Problem:
-        """The problem with one known coefficient set free."""
+        """The problem with one known coefficient made free."""
         return replace(self, known=np.where(np.arange(self.known.size) == member, np.nan, self.known))
 
     def wider(self, terms: Sequence[Term]) -> Problem:
-        """The problem with further candidates, behind the others."""
+        """The problem with further candidates after the others."""
         more = np.full(len(terms), np.nan)
         lengths = None if self.lengths is None else np.append(self.lengths, more)
         candidates = self.candidates.of([*self.terms, *terms])
         return replace(self, candidates=candidates, known=np.append(self.known, more), lengths=lengths)
 
     def exchanged(self, forms: Mapping[int, Dropped]) -> Problem:
-        """The problem with forms in the places of some candidates; the other forms are forgotten."""
+        """The problem with some candidates replaced by forms; the other forms are dropped."""
         terms, lengths = list(self.terms), np.full(self.known.size, np.nan)
         if self.lengths is not None:
             lengths[:] = self.lengths
@@ -215,7 +214,7 @@ class Problem:
         return replace(self, candidates=self.candidates.of(terms), lengths=lengths, forms=())
 
     def on(self, trajectories: Trajectories) -> Problem:
-        """The same questions asked of other data."""
+        """The same problem for other data."""
         return replace(self, trajectories=trajectories)
 
     def with_forces(self, forces: Sequence[np.ndarray | None]) -> Problem:

@@ -1,10 +1,10 @@
-"""Profile likelihood of shape parameters: what the data say of a number that stands inside terms.
+"""Profile likelihood of shape parameters.
 
     rise(κ) = 2 (log L(κ̂) − max log L(κ)),
 
-the maximum over the curve, the coefficients and the other shape parameters, at the weights of the fit.  The
-likelihood is no parabola in such numbers, and κ̂ ± 1.96 standard errors may be far from the interval in which
-rise(κ) is below 3.84 (Wilks 1938, Ann. Math. Stat. 9:60).
+where the maximum is over the curve, the coefficients and the other shape parameters, at the weights of the
+fit.  The log likelihood is not quadratic in such parameters. The interval κ̂ ± 1.96 standard errors may differ
+much from the interval in which rise(κ) is below 3.84 (Wilks 1938, Ann. Math. Stat. 9:60).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from leastaction.estimation.weights import evidence
 
 __all__ = ["profiled"]
 
-_PLACES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # standard errors from the most likely number
-_FAR = 6.0  # rise at which a side ends: well beyond the interval
+_PLACES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # standard errors from the most likely value
+_FAR = 6.0  # rise at which a side ends, well beyond the interval
 _STEPS = 6  # of the other shape parameters at each place
 _SETTLED = 0.02  # standard errors
 _TOLERANCE = 1e-3  # of −2 log likelihood
 
 
 def profiled(fit: Fit) -> Fit:
-    """The fit with the profile of every shape parameter that has an error of its own.
+    """The fit with the profile of every shape parameter that has a standard error.
 
-    Cost: some ten fits at fixed weights for each parameter. Nothing is done where the parameters are not
-    settled, or where the errors of the fit do not come from its likelihood.
+    Cost: some ten fits at fixed weights for each parameter. No profile is computed if the parameters have not
+    converged, or if the errors of the fit do not come from its likelihood.
     """
     found, n = fit.shapes, len(fit.structure)
     if found is None or not found.settled or not np.array_equal(found.covariance[:n, :n], fit.covariance):
@@ -55,18 +55,18 @@ class _Profile:
         self.others = tuple(other for other in fit.shapes.names if other != name)
         n, place = len(fit.structure), len(fit.structure) + fit.shapes.names.index(name)
         column = fit.shapes.covariance[:, place]
-        # how coefficients and other parameters follow this one
+        # slopes of coefficients and other parameters in this one
         follow = column / max(column[place], 1e-300)
         self.coefficients_follow = follow[:n]
         self.shapes_follow = dict(zip(fit.shapes.names, follow[n:].tolist(), strict=True))
 
     def both_sides(self, value: float, error: float) -> tuple[tuple[float, float], ...]:
-        """Numbers in rising order, and the rise at each."""
+        """Values in rising order, and the rise at each."""
         best = self._value_at(self.fit.problem, self._moved(0.0), self.fit.control_points)
         if best is None:
             return ()
         sides = [self._side(value, sign * error, best[0]) for sign in (-1.0, 1.0)]
-        # zero at the number of the fit, although that is the most likely one to rounding only
+        # zero at the value of the fit, although this is the maximum only up to rounding
         return (*reversed(sides[0]), (value, 0.0), *sides[1])
 
     def _side(self, value: float, error: float, best: float) -> list[tuple[float, float]]:
@@ -87,11 +87,11 @@ class _Profile:
         return out
 
     def _expected(self, step: float) -> Problem:
-        """The problem with the other shape parameters where they are expected."""
+        """The problem with the other shape parameters at their expected values."""
         return self.fit.problem.stepped({name: self.shapes_follow[name] * step for name in self.others})
 
     def _moved(self, step: float) -> np.ndarray:
-        """The coefficients where they are expected."""
+        """The coefficients at their expected values."""
         out = self.fit.coefficients.copy()
         out[list(self.fit.structure)] += step * self.coefficients_follow
         return out
@@ -99,7 +99,7 @@ class _Profile:
     def _value_at(
         self, problem: Problem, coefficients: np.ndarray, curve: np.ndarray
     ) -> tuple[float, np.ndarray] | None:
-        """The highest log likelihood with the parameter held, and its curve; None where no fit converges."""
+        """The highest log likelihood with the parameter held, and its curve; None if no fit converges."""
         count = len(problem.candidates)
         for _ in range(_STEPS):
             wide, structure = with_tangents(problem, self.fit.structure, coefficients, self.others)

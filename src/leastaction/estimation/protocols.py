@@ -1,4 +1,4 @@
-"""What the solver asks of data and linearisations, in one piece or in blocks of trials."""
+"""Interfaces of data and linearisations to the solver, in one piece or in blocks of trials."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Linearised(Protocol):
 
 
 class Measurements(Protocol):
-    """Samples against a spline grid; see :class:`leastaction.estimation.joint.Observations`."""
+    """Samples on a spline grid; see :class:`leastaction.estimation.joint.Observations`."""
 
     grid: SplineGrid
     n_dof: int
@@ -87,8 +87,8 @@ def linearise(
 ) -> Linearised:
     """Linearise the joint problem at (P, λ), in one piece or in blocks of trials.
 
-    With ``weights`` the system at these weights will be wanted next: a stream makes it in the same pass, and
-    leads on what is far from its best curve (see ``control_points`` of the result).
+    ``weights`` announces that the system at these weights follows. A stream computes it in the same pass and
+    improves blocks that are far from their best curve (see ``control_points`` of the result).
     """
     if isinstance(observations, Observations):
         calibration = None if weights is None else weights.calibration

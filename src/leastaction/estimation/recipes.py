@@ -1,7 +1,7 @@
 """Observations cut into blocks of successive trials.
 
-A `Recipe` says how the observations of a block are made, and is what travels to another process or machine.
-Cuts do not depend on who computes: sums are added in the same sequence whatever the number of workers.
+A `Recipe` holds the inputs of the observations of a block and is sent to another process or machine. Cuts do
+not depend on the workers, so that sums are added in the same sequence whatever their number.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from leastaction.estimation.observations import Observations
 __all__ = ["InBlocks", "Recipe", "cut", "observed"]
 
 _NUMBERS = 2**17
-"""Evaluated at once in the Jacobian of a block, 1 MB: 2730 knot intervals with two coordinates. A step costs
-3 % more than in one piece, with blocks of half the size 9 % more; larger ones can be shared out less."""
+"""Numbers in the Jacobian of a block, 1 MB: 2730 knot intervals with two coordinates. A step costs 3 % more
+than in one piece, with blocks of half the size 9 % more. Larger blocks distribute less evenly."""
 
 Samples = tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]]
 """Times and coordinates of each trial, and rates."""
@@ -28,21 +28,21 @@ Samples = tuple[Sequence[np.ndarray], Sequence[np.ndarray], Sequence[Rate]]
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """What the observations of some successive trials are made from.
+    """Inputs of the observations of some successive trials.
 
-    No tuple, although it could be one: Dask would look for tasks in every array of it.
+    Not a tuple, because Dask would search every array of it for tasks.
 
     Attributes
     ----------
     spaces : tuple of SplineSpace
-        Of the trials.
+        Spline spaces of the trials.
     n_quadrature, total : int
-        Of the whole grid: quadrature points a knot interval, and knot intervals.
+        Quadrature points in a knot interval, and knot intervals of the whole grid.
     points, intervals : slice
-        Control points and knot intervals of the part within the whole.
+        Control points and knot intervals of the block within the grid.
     samples : Samples
     floors : (n_channels,) array
-        Of the whole; see `Observations`.
+        Of the whole grid; see `Observations`.
     """
 
     spaces: tuple[SplineSpace, ...]
@@ -65,7 +65,7 @@ def observed(recipe: Recipe) -> Observations:
 
 
 class InBlocks:
-    """What observations in blocks have in common; see `Observations`.
+    """Common base of observations in blocks; see `Observations`.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class InBlocks:
 
 
 def cut(grid: SplineGrid, samples: Samples, floors: np.ndarray) -> tuple[Recipe, ...]:
-    """Blocks that are as large as they may be, or one trial: its control points couple all along."""
+    """The largest blocks allowed; each has at least one trial, which cannot be cut."""
     times, values, rates = samples
     ends = np.concatenate([[0], np.cumsum([space.n_intervals for space in grid.spaces])]).tolist()
     most = _NUMBERS // (grid.n_quadrature * values[0].shape[1] ** 2 * (grid.degree + 1))

@@ -1,11 +1,11 @@
 """Measured columns that are functions of the coordinates: y = h(q, q̇, q̈; κ) + noise.
 
-About a curve P and calibration numbers κ, the residual of a sample changes by
+Near a curve P and calibration numbers κ, the residual of a sample changes by
 
     δ(y − h) = −Σ_ν ∂h/∂q^(ν) N^(ν) δP − ∂h/∂κ δκ.
 
-The first part couples the control points that are local to a sample, so that the matrix of the curve stays
-banded; the second adds a column for each number to the border of the coefficients.
+The first part couples the control points near a sample, so that the matrix of the curve stays banded. The
+second part adds a column for each number to the border of the coefficients.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class SensorFunctions:
     Attributes
     ----------
     columns : tuple of str
-        What they measure.
+        Names of the measured columns.
     expressions : tuple of sympy.Expr
     coordinates : tuple of str
     names : tuple of str
@@ -167,13 +167,13 @@ def _number(text: str, name: str, value: str) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Sensors:
-    """Measured columns, their functions, and the calibration numbers that a fit begins with.
+    """Measured columns, their functions, and start values of the calibration numbers.
 
     Attributes
     ----------
     functions : SensorFunctions
     samples : list of (n_times, n_columns) arrays
-        Of each trajectory; NaN where missing.
+        Samples of each trajectory; NaN where missing.
     direct : list of (n_times, n_dof) arrays
         Samples of the coordinates themselves, NaN where there are none.
     noise_std : (n_columns,) array
@@ -181,7 +181,7 @@ class Sensors:
     numbers : (n_numbers,) array
         κ.
     ranges : mapping of str to (float, float)
-        Where the user expects some of these.
+        Ranges of some of these, from the user.
     """
 
     functions: SensorFunctions
@@ -192,11 +192,11 @@ class Sensors:
     ranges: Mapping[str, tuple[float, float]]
 
     def at(self, numbers: np.ndarray) -> Sensors:
-        """The same with other calibration numbers."""
+        """The sensors with other calibration numbers."""
         return replace(self, numbers=numbers)
 
     def static(self) -> Sensors:
-        """The same with no weight for columns that depend on velocities or accelerations."""
+        """The sensors without weight for columns that depend on velocities or accelerations."""
         moving = np.array(self.functions.degrees) > 0
         return replace(self, noise_std=np.where(moving, np.inf, self.noise_std))
 
@@ -208,7 +208,7 @@ class _Sight:
     Attributes
     ----------
     first : (n_samples,) int array
-        First control point that matters to each.
+        First control point that each sample depends on.
     rows : (n_samples, degree + 1, n_dof) array
         ∂h/∂P.
     border : (n_samples, 1 + n_numbers) array
@@ -228,9 +228,9 @@ class SensorObservations(Observations):
     Attributes
     ----------
     calibration : (n_numbers,) array
-        κ to begin with; of :meth:`at`, those at that point.
+        Start value of κ; after :meth:`at`, κ at that point.
     directions : (n_numbers, n_directions) array
-        In which κ may move: by default in all.
+        Directions in which κ may move; by default all.
     """
 
     def __init__(
@@ -252,13 +252,13 @@ class SensorObservations(Observations):
         self.floors = np.concatenate([self.floors, np.where(spread > 0.0, RELATIVE_FLOOR * spread, 1.0)])
 
     def along(self, directions: np.ndarray) -> SensorObservations:
-        """The same with calibration numbers that move in some directions only."""
+        """The observations with calibration numbers that move in some directions only."""
         other = copy(self)
         other.directions = directions
         return other
 
     def at(self, control_points: np.ndarray, calibration: np.ndarray | None = None) -> SensorObservations:
-        """The same, linearised about a curve and calibration numbers."""
+        """The observations, linearised about a curve and calibration numbers."""
         here = copy(self)
         numbers = self.calibration if calibration is None else calibration
         assert numbers is not None
@@ -283,7 +283,7 @@ class SensorObservations(Observations):
         return [*super().residuals(control_points), *(-sight.border[:, 0] for sight in self._sights)]
 
     def gradient(self, control_points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of the channels that are linear in P, see `Observations`; the squares of all."""
+        """The gradient of channels that are linear in P, see `Observations`, and the squares of all."""
         gradient, squares = super().gradient(control_points)
         more = [sight.border[:, 0] @ sight.border[:, 0] for sight in self._sights]
         return gradient, np.append(squares, more)
@@ -301,7 +301,7 @@ class SensorObservations(Observations):
                         rows[a:, i, (b - a) * n + j] += sums[: self.grid.n_ctrl - a]
 
     def joined(self, normal: NormalEquations, noise_std: np.ndarray) -> NormalEquations:
-        """The normal equations with the columns' part of the gradient, and a border column for each κ."""
+        """The normal equations with the gradient of the columns, and a border column for each κ."""
         n, width = self.n_dof, self.grid.degree + 1
         first, scaled, values = self._scaled(noise_std)
         border = np.zeros((self.grid.n_ctrl, n, values.shape[1]))

@@ -1,12 +1,12 @@
-"""Where to look for shape parameters: ranges from the user, or from the part that a parameter plays.
+"""Ranges of the start values of shape parameters: from the user, or from the role of a parameter in its term.
 
 In ``exp(-{a}*x)`` a is compared with 1/x, in ``(x-{p})**2`` p with x, in ``x**2+{h}**2`` h with |x|, and in
-``r**{n}`` n is an exponent.  So the data give a range wherever the user gives none.  It says where starts are
-tried; bounds are only a range from the user, and that of the speeds of Stribeck friction.
+``r**{n}`` n is an exponent.  The data therefore give a range if the user does not.  Start values are taken
+from this range.  Only ranges from the user, and the range of the speeds of Stribeck friction, are bounds.
 
-In ``cos({w}*t)`` w is a frequency, and its likelihood is a comb: A cos wt looks like A₀ cos w₀t as long as
-(w − w₀) t stays below a quarter of a turn at all times.  So starts are a quarter of a turn apart at the
-latest time, from half a turn over the recording to what the knots of the curve resolve.
+In ``cos({w}*t)`` w is a frequency, and its likelihood has many maxima: A cos wt resembles A₀ cos w₀t only
+while (w − w₀) t stays below a quarter of a turn.  Start values are therefore a quarter of a turn apart at the
+latest time, from half a turn over the recording to the highest frequency that the knots of the curve resolve.
 """
 
 from __future__ import annotations
@@ -28,25 +28,26 @@ __all__ = ["ShapeRange", "frequency_range", "shape_ranges", "shape_starts"]
 
 _QUARTER = np.pi / 2.0  # of a turn
 _MOST_FREQUENCIES = 4000  # bounds time
-_PHASES = 4  # numbers of other parameters beside each frequency
-# tried as starts: the powers of laws
+_PHASES = 4  # values of other parameters for each frequency
+# start values: the powers of physical laws
 _EXPONENTS = (-12.0, -9.0, -6.0, -4.0, -3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.5, 1.5, 2.5, 3.0, 4.0, 5.0, 6.0)
 
 
 @dataclass(frozen=True)
 class ShapeRange:
-    """Where starts of a shape parameter are tried.
+    """Range of the start values of a shape parameter.
 
     Attributes
     ----------
     low, high : float
         In the units of the parameter.
     spacing : {"linear", "log", "exponent", "frequency"}
-        Of the starts.
+        Of the start values.
     bounded : bool
-        Whether the parameter has to stay there, because the user said so, or the data tell no other.
+        Whether the parameter must stay in the range, because the user gave it, or because the data cannot
+        determine values outside.
     apart : float
-        How far apart the starts of a frequency are.
+        Spacing of the start values of a frequency.
     """
 
     low: float
@@ -56,7 +57,7 @@ class ShapeRange:
     apart: float = 0.0
 
     def starts(self, count: int) -> np.ndarray:
-        """About ``count`` numbers over the range, rising; as many frequencies as it takes."""
+        """About ``count`` rising values over the range; for a frequency, as many as its spacing requires."""
         if self.spacing == "frequency":
             return np.linspace(self.low, self.high, 1 + int(np.ceil((self.high - self.low) / self.apart)))
         if self.spacing == "exponent":
@@ -69,23 +70,22 @@ class ShapeRange:
         return np.linspace(self.low + edge, self.high - edge, count)
 
     def at(self, share: float) -> float:
-        """The number at a share of the range, between 0 and 1."""
+        """The value at a share of the range, between 0 and 1."""
         if self.spacing == "log":
             return float(self.low ** (1.0 - share) * self.high**share)
         return float(self.low + share * (self.high - self.low))
 
     def share(self, number: float) -> float:
-        """Where a number lies in the range; the inverse of `at` inside it."""
+        """The share of the range at which a value lies; the inverse of `at` inside it."""
         if self.spacing == "log":
             return float(np.log(max(number, 1e-300) / self.low) / np.log(self.high / self.low))
         return (number - self.low) / (self.high - self.low)
 
     def stepped(self, value: float, step: float) -> float:
-        """The value after a step, no farther than half of it (or of a quarter of a linear range).
+        """The value after a step, which is limited to half of the value (or of a quarter of a linear range).
 
-        A frequency goes no farther than its starts are apart.
-
-        What the user has bounded stays within its bounds.
+        A step of a frequency is limited to the spacing of its start values. A bounded parameter stays within
+        its bounds.
         """
         size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
         most = self.apart if self.spacing == "frequency" else ESTIMATION.shape_step * size
@@ -94,9 +94,9 @@ class ShapeRange:
 
 
 def shape_starts(ranges: Mapping[str, ShapeRange], count: int) -> Iterator[dict[str, float]]:
-    """About ``count`` numbers over the ranges: even for one parameter, a Sobol sequence for several.
+    """About ``count`` start values over the ranges: evenly for one parameter, a Sobol sequence for several.
 
-    Beside each frequency a few numbers of the others.
+    Each frequency is combined with a few values of the other parameters.
 
     Examples
     --------
@@ -129,12 +129,12 @@ def shape_ranges(
     states : mapping of str to (n_points,) array
         Coordinates and velocities at points of the data.
     given : mapping of str to (low, high)
-        What the user said.
+        Ranges from the user.
 
     Raises
     ------
     InputError
-        If what was given names no shape parameter, or is no range.
+        If ``given`` names something that is not a shape parameter, or a value is not a range.
     """
     names = shape_names(terms)
     for name, ends in given.items():
@@ -164,12 +164,12 @@ def shape_ranges(
 
 
 def _checked(name: str, found: ShapeRange) -> ShapeRange:
-    """The range, unless it holds more frequencies than can be tried."""
+    """The range; refuses a range with too many frequencies."""
     if found.spacing == "frequency" and found.high - found.low > _MOST_FREQUENCIES * found.apart:
         raise InputError(
-            f"the frequency {{{name}}} would have to be tried at more than {_MOST_FREQUENCIES} numbers "
-            f"between {found.low:.4g} and {found.high:.4g}, {found.apart:.2g} apart; give a narrower range "
-            "in shapes, or let the times of the data begin near zero"
+            f"the frequency {{{name}}} needs more than {_MOST_FREQUENCIES} start values between "
+            f"{found.low:.4g} and {found.high:.4g}, {found.apart:.2g} apart; give a narrower range in "
+            "shapes, or shift the times of the data so that they start near zero"
         )
     return found
 
@@ -189,7 +189,7 @@ def _check_ends(name: str, ends: object) -> None:
 def _from_part(
     symbol: sp.Symbol, expressions: Sequence[sp.Expr], states: Mapping[str, np.ndarray]
 ) -> ShapeRange:
-    """The range of a parameter from what it is added to, multiplied with, or an exponent of."""
+    """The range of a parameter from the expression that it is added to, a factor of, or an exponent of."""
     for expr in expressions:
         chain = _ancestors(expr, symbol)
         found = _in_wave(symbol, chain, states)
@@ -207,9 +207,9 @@ def _from_part(
 def _of_speeds(
     symbol: sp.Symbol, terms: Sequence[Term], states: Mapping[str, np.ndarray]
 ) -> ShapeRange | None:
-    """The range of a scale of speeds v_s in exp(−|v|/v_s): what friction can tell from dry and viscous.
+    """The range of a scale of speeds v_s in exp(−|v|/v_s) that differs from dry and viscous friction.
 
-    Far below the usual speed it is lost where |v| is smoothed; above, exp(−|v|/v_s) is a line.
+    Far below the usual speed, the smoothing of |v| hides it. Above, exp(−|v|/v_s) is a straight line.
     """
     for decay in (part for term in terms for part in term.expr.atoms(sp.exp)):
         speed = -sp.simplify(decay.args[0] * symbol)
@@ -223,7 +223,7 @@ def _of_speeds(
 def _in_wave(
     symbol: sp.Symbol, chain: Sequence[sp.Basic], states: Mapping[str, np.ndarray]
 ) -> ShapeRange | None:
-    """The range of a frequency or phase: what stands beside the time in a sine or cosine."""
+    """The range of a frequency or phase: a factor of the time, or a summand, in a sine or cosine."""
     wave = next((part for part in chain if isinstance(part, sp.sin | sp.cos)), None)
     if wave is None or time_symbol not in wave.free_symbols:
         return None
@@ -233,21 +233,21 @@ def _in_wave(
         scale = abs(float(sp.diff(rate, symbol).xreplace({s: sp.Float(1.0) for s in rate.free_symbols})))
         return frequency_range(states[str(time_symbol)], scale)
     if _still(slope) and _still(angle - time_symbol * rate):
-        return ShapeRange(0.0, np.pi, "linear")  # the sign of the wave is that of its coefficient
+        return ShapeRange(0.0, np.pi, "linear")  # the coefficient gives the sign of the wave
     return None
 
 
 def frequency_range(times: np.ndarray, scale: float = 1.0, most: float = np.inf) -> ShapeRange:
-    """Frequencies that a recording can tell, from half a turn over it to what its points resolve.
+    """Frequencies that a recording determines, from half a turn over it to the resolution of its points.
 
     Parameters
     ----------
     times : (n_points,) array
-        Of the points, one trajectory after another.
+        Of the points, trajectory by trajectory.
     scale : float
-        Turns the number into a frequency in rad/s.
+        Factor between the parameter and a frequency in rad/s.
     most : float
-        Frequencies that are tried; with fewer than it takes, the highest are left out.
+        Largest number of frequencies; if there are more, the highest are left out.
 
     Examples
     --------
@@ -273,7 +273,7 @@ def _ancestors(expr: sp.Expr, symbol: sp.Symbol) -> list[sp.Basic]:
 def _compared(
     symbol: sp.Symbol, child: Any, parent: Any, above: Any, states: Mapping[str, np.ndarray]
 ) -> ShapeRange | None:
-    """The range, where the parent compares the child with something that moves; else None."""
+    """The range, if the parent compares the child with a quantity that varies; otherwise None."""
     if isinstance(parent, sp.Pow) and parent.exp == child:
         return None if _still(parent.base) else ShapeRange(_EXPONENTS[0], _EXPONENTS[-1], "exponent")
     others: list[Any] = [part for part in parent.args if part != child and not _still(part)]
@@ -298,7 +298,7 @@ def _compared(
 
 
 def _still(expr: Any) -> bool:
-    """Whether no coordinate or velocity is in it."""
+    """Whether an expression contains neither coordinate nor velocity."""
     return is_constant(expr)
 
 
@@ -309,7 +309,7 @@ def _around(ends: np.ndarray) -> ShapeRange:
 
 
 def _where(expr: sp.Expr, symbol: sp.Symbol, size: float) -> float:
-    """The positive number at which an expression of the symbol alone comes nearest to a size."""
+    """The positive value of the symbol at which an expression of it is nearest to a size."""
     trial = size * np.geomspace(1e-6, 1e6, 121) if size > 0.0 else np.ones(1)
     trial = np.unique(np.concatenate([trial, np.sqrt(trial), np.geomspace(1e-3, 1e3, 61)]))
     ones = {s: 1.0 for s in expr.free_symbols if s != symbol}

@@ -1,12 +1,12 @@
 """Joint fit of curve, coefficients and shape parameters.
 
-About numbers κ a structure depends on a small step δ by
+Near values κ, a structure depends on a small step δ by
 
     Σ_k λ_k φ_k(κ + δ) = Σ_k λ_k φ_k(κ) + Σ_j δ_j Σ_k λ_k ∂φ_k/∂κ_j + O(δ²),
 
-so a step is the coefficient of one more term, the tangent Σ_k λ_k ∂φ_k/∂κ_j.  A fit of the structure with its
-tangents gives λ and δ together; κ moves by δ and the tangents are made anew until δ vanishes (Gauss–Newton).
-Where it has, the covariance of that fit is the joint one of λ and κ.
+so that a step is the coefficient of one more term, the tangent Σ_k λ_k ∂φ_k/∂κ_j.  A fit of the structure
+with its tangents gives λ and δ together. Then κ moves by δ, and new tangents are formed until δ vanishes
+(Gauss–Newton).  The covariance of the last fit is the joint covariance of λ and κ.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from leastaction.library import Term, tangent
 __all__ = ["fit_shapes", "with_tangents"]
 
 _MOST_STEPS = 25  # of the parameters, each a fit
-_HALVINGS = 6  # of a step, before it counts as none
+_HALVINGS = 6  # of a step, before it counts as zero
 _SHORTEST, _LONGEST = 0.1, 3.0  # share of a step
-_DIGITS = 1e-9  # relative: what noise-free data are fitted to
+_DIGITS = 1e-9  # relative accuracy of a fit of noise-free data
 _ROUNDS = 25  # of the weights, in each fit
 
 
 def with_tangents(
     problem: Problem, structure: Structure, coefficients: np.ndarray, names: tuple[str, ...]
 ) -> tuple[Problem, Structure]:
-    """The problem with a tangent for each shape parameter, and the structure that holds them all."""
+    """The problem with a tangent for each shape parameter, and the structure with all tangents."""
     held = [*structure, *np.flatnonzero(problem.is_known).tolist()]
     tangents = [_tangent(problem, held, coefficients, name) for name in names]
     count = len(problem.candidates)
@@ -49,13 +49,13 @@ def _tangent(problem: Problem, held: list[int], coefficients: np.ndarray, name: 
 
 
 def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
-    """The fit with its shape parameters at their most likely numbers, and with their errors.
+    """The fit with its shape parameters at their most likely values, and with their standard errors.
 
-    The fit itself comes back where its structure has none, or where no step from it converges.
+    The fit itself is returned if its structure has no shape parameter, or if no step from it converges.
 
     Notes
     -----
-    A parameter that stands both in L and in the dissipation follows the terms of L.
+    A parameter that occurs both in L and in the dissipation is fitted to the terms of L.
     """
     names = fit.problem.shapes_of(fit.structure)
     if not names or not fit.usable:
@@ -66,7 +66,7 @@ def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
         if trial is None:
             return fit
         if trial.settled or not left:
-            return trial.now  # with errors, and whether it settled
+            return trial.now  # with errors, and whether it converged
         share = _secant(share, before, trial.relative)
         moved, share = _advance(fit, trial, names, share)
         if moved is None:
@@ -76,10 +76,10 @@ def fit_shapes(fit: Fit, most_steps: int = _MOST_STEPS) -> Fit:
 
 
 def _secant(share: float, before: np.ndarray, now: np.ndarray) -> float:
-    """The share of a step to take, so that the one after it vanishes.
+    """The share of a step to take so that the following step vanishes.
 
-    A ``share`` of the step ``before`` changed the steps, in standard errors, to ``now``.  Where the weights
-    follow the parameters, steps turn back or hardly get shorter.
+    A ``share`` of the step ``before`` changed the steps, in standard errors, to ``now``.  Because the weights
+    depend on the parameters, steps may reverse or hardly shrink.
     """
     along = float(before @ (before - now))
     if along <= 0.0:
@@ -88,7 +88,7 @@ def _secant(share: float, before: np.ndarray, now: np.ndarray) -> float:
 
 
 def _tried(fit: Fit, names: tuple[str, ...]) -> _Trial | None:
-    """A fit with tangents; parameters whose step would cross their bound are held there."""
+    """A fit with tangents; a parameter whose step would cross its bound is held there."""
     trial = _Trial.of(fit, names, names)
     if trial is None:
         return None
@@ -109,7 +109,7 @@ class _Trial:
 
     @classmethod
     def of(cls, fit: Fit, names: tuple[str, ...], free: tuple[str, ...]) -> _Trial | None:
-        """With a tangent for each free name; the others have neither step nor error."""
+        """The fit with a tangent for each free name; the others have neither step nor error."""
         problem, structure = with_tangents(fit.problem, fit.structure, fit.coefficients, free)
         count = len(fit.problem.candidates)
         padded = np.append(fit.coefficients, np.zeros(len(free)))
@@ -135,12 +135,12 @@ class _Trial:
 
     @property
     def settled(self) -> bool:
-        """Whether another step would change nothing."""
+        """Whether another step would change no parameter significantly."""
         return self.now.shapes is not None and self.now.shapes.settled
 
 
 def _advance(fit: Fit, trial: _Trial, names: tuple[str, ...], share: float) -> tuple[Fit | None, float]:
-    """The first fit along a share of the step, halved where needed, that is as likely; and the share."""
+    """The first fit along a share of the step, halved if needed, that is as likely; and the share."""
     for _ in range(_HALVINGS):
         moved = fit.problem.stepped(dict(zip(names, (share * trial.steps).tolist(), strict=True)))
         other = fit.grid.posed(moved).fit(fit.structure, trial.start, _ROUNDS)

@@ -1,13 +1,14 @@
-"""Coefficients by simulation error, for machines that move in ways the library knows nothing of.
+"""Coefficients by simulation error, for machines with motion that the library does not describe.
 
-Where equations hold only to some per cent, what they leave is not white: gears, belts and drives push at
-some frequencies and hardly at others, and an estimate that takes all of them alike is drawn to those that
-are of no use.  A free run is moved by the slow ones only.  There the coefficients minimise
+If equations hold only to a few per cent, their residual is not white: gears, belts and drives act at some
+frequencies and hardly at others. An estimate that weights all frequencies alike is dominated by vibration.
+Slow disturbances alone affect a free run.  The coefficients therefore minimise
 
     Σ_r Σ_n Σ_i ρ((q_i(t_n; λ, run r) − q_i(t_n)) / s_i),      ρ(x) = 2 (√(1 + x²) − 1),
 
-over runs r of a quarter period that begin on the smoothed curve, s_i the rms of such errors before.  Standard
-errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50:1), run by run.
+over runs r of a quarter period that start on the smoothed curve, with the rms s_i of these errors at the
+start values.  Standard errors are those of misspecified models (Huber 1967; White 1982, Econometrica 50:1),
+run by run.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ __all__ = ["LinearRuns", "SimulationFit", "linear_runs", "minimise_simulation_er
 _STEPS = 64  # of a free run
 _MOST_RUNS = 300  # more are thinned: bounds time
 _FEWEST_RUNS = 10  # each is a score of the standard errors
-_GAP = 0.05  # of a run, without samples
+_GAP = 0.05  # of a run: a longer stretch without samples is a gap
 _DIFFERENCE = 1e-5  # relative
 _DELAY = 1e-3  # of a run: step of a slope
-_LOST = 1e6  # a run that is further off, or diverges, counts as this
-_EVALUATIONS = 15  # of the optimiser, at most
+_LOST = 1e6  # error of a run that diverges or has a larger one
+_EVALUATIONS = 15  # limit of the optimiser
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +48,13 @@ class LinearRuns:
     Attributes
     ----------
     errors : (n_runs, n_values, n_dof) array
-        Over their root mean square in each coordinate.
+        Errors, divided by their root mean square in each coordinate.
     slopes : (n_runs, n_values, n_dof, n_columns) array
         Derivatives in the coefficients, in their units.
     here, units : (n_columns,) arrays
-        Coefficients, and what the slopes are counted in.
+        Coefficients, and units of the slopes.
     beside : (n_runs, n_values, n_dof, n_more) array
-        Slopes in what may differ, too, whatever the coefficients are.
+        Slopes in further parameters that are always fitted.
     """
 
     errors: np.ndarray
@@ -65,7 +66,7 @@ class LinearRuns:
     def with_columns(self, columns: Sequence[int]) -> LinearChoice:
         """The best coefficients of some columns, the others zero."""
         columns, here = list(columns), self.here / self.units
-        weight = 1.0 / np.sqrt(1.0 + self.errors**2)  # of ρ, as the runs are
+        weight = 1.0 / np.sqrt(1.0 + self.errors**2)  # of ρ, at the present errors
         out = np.setdiff1d(np.arange(here.size), columns)
         left = self.errors - self.slopes[..., out] @ here[out]
         used = np.concatenate([self.slopes[..., columns], self.beside], axis=-1)
@@ -83,14 +84,14 @@ class LinearRuns:
 
 @dataclass(frozen=True, eq=False)
 class LinearChoice:
-    """What some columns leave of the errors of free runs.
+    """Errors of free runs after a fit of some columns.
 
     Attributes
     ----------
     squares : (n_dof,) array
-        Weighted sum of squares that is left in each coordinate.
+        Remaining weighted sum of squares of each coordinate.
     estimates, z : (n_columns,) arrays
-        Coefficients, also over their standard errors, which are those of misspecified models.
+        Coefficients, and coefficients over their standard errors, which are those of misspecified models.
     """
 
     squares: np.ndarray
@@ -100,7 +101,7 @@ class LinearChoice:
 
 @dataclass(frozen=True, eq=False)
 class SimulationFit:
-    """Coefficients and covariance of the members that were moved.
+    """Coefficients and covariance of the fitted members.
 
     Attributes
     ----------
@@ -119,7 +120,7 @@ def minimise_simulation_error(
     coefficients: np.ndarray,
     horizon: float,
 ) -> SimulationFit | None:
-    """Minimise the errors of free runs along a smoothed curve, beginning at given coefficients.
+    """Minimise the errors of free runs along a smoothed curve, starting from given coefficients.
 
     Parameters
     ----------
@@ -127,15 +128,15 @@ def minimise_simulation_error(
         That of ``curve``.
     curve : Smooth
     structure : Structure
-        Terms to move; the coefficients of dissipation stay positive, but for those of a direction.
+        Terms to fit; coefficients of dissipation stay positive, except for asymmetric friction.
     coefficients : (n_candidates,) array
     horizon : float
-        Seconds.
+        Length of a run, in seconds.
 
     Returns
     -------
     SimulationFit or None
-        None where there are fewer than ten runs, or they cannot be followed.
+        None if there are fewer than ten runs, or if they diverge.
     """
     runs, members = _Runs(grid, curve, horizon), list(structure)
     if runs.n_runs < _FEWEST_RUNS:
@@ -165,14 +166,14 @@ def linear_runs(
 ) -> LinearRuns | None:
     """Errors of free runs at given coefficients, and their slopes in some of them.
 
-    Forces that act late do what viscous friction does, or the opposite: a common delay is beside them.
+    A delay of the forces resembles viscous friction of either sign. A common delay is therefore fitted, too.
 
     Parameters
     ----------
     grid, curve, coefficients, horizon
         As for :func:`minimise_simulation_error`.
     units : dict of int to float
-        Number of each candidate whose slope is wanted, absent ones too → unit of its coefficient.
+        Index of each candidate whose slope is needed, members or not → unit of its coefficient.
 
     Returns
     -------
@@ -208,17 +209,17 @@ def _sandwich(x: np.ndarray, flow: _Flow) -> np.ndarray:
 
 
 class _Runs:
-    """Begins of free runs, the motion along them, and the forces.
+    """Start times of free runs, the motion along them, and the forces.
 
     Attributes
     ----------
     begin : (n_runs,) array
-        Times at which they begin.
+        Times at which the runs start.
     nodes : (n_steps + 1,) array
-        Seconds since the begin.
+        Seconds since the start.
     q : (n_runs, n_steps + 1, n_dof) array
     qdot : (n_runs, n_dof) array
-        At the begin.
+        At the start.
     forces : (2 n_steps + 1, n_runs, n_dof) array or None
         At the nodes and between them.
     """
@@ -249,7 +250,7 @@ class _Runs:
 
 
 def _begins(trajectory: Trajectory, horizon: float) -> np.ndarray:
-    """Where runs of one trajectory begin, one after the other; none over a gap."""
+    """Start times of successive runs of one trajectory; no run covers a gap."""
     t = trajectory.t[np.isfinite(trajectory.q).all(axis=1)]
     if t.size < 2:
         return np.empty(0)

@@ -1,15 +1,15 @@
-"""Long recordings: blocks of trials that are computed when a sum over them is asked for, and then forgotten.
+"""Long recordings: blocks of trials that are recomputed for every sum over them, and not kept.
 
 The sums are those of :mod:`leastaction.estimation.blocks`.  A Gauss–Newton step is one pass along the motion:
-block by block the samples are laid on the splines, the equations linearised, and the curve eliminated.  What
-stays of a block k are its share of the sums and
+block by block, the basis is evaluated at the samples, the equations are linearised, and the curve is
+eliminated. For a block k, the pass keeps its share of the sums and
 
     X_k = H_k⁻¹ [g_k, C_k],
 
-from which the step of its control points follows, −X_k (1, δ), as soon as that of the coefficients, δ, is
-known.  X, the largest of all, waits in temporary files.  Memory holds the samples and the control points, and
-beside them one block for each worker; the blocks do not depend on the number of workers, and so neither do
-the results.
+from which the step of its control points follows, −X_k (1, δ), as soon as the step δ of the coefficients is
+known.  X is the largest array and is stored in temporary files.  Memory holds the samples, the control
+points, and one block for each worker.  The blocks, and therefore the results, do not depend on the number of
+workers.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["StreamedObservations", "is_long"]
 
-_LONG = 100_000  # samples: structures are searched on fewer
-_TOGETHER = 8  # blocks of one task: to hand over each by itself took 5 % of the time of two workers
-_FAR = 0.1  # a sample: a block is led on that its own step promises to lower the cost by so much
-_LEAST_TASKS = 32  # so that workers end at about the same time
+_LONG = 100_000  # samples; structures are searched on fewer
+_TOGETHER = 8  # blocks of one task: sending each by itself took 5 % of the time of two workers
+_FAR = 0.1  # a sample: a block is improved if its own step should lower the cost by more
+_LEAST_TASKS = 32  # so that workers finish at about the same time
 
 
 def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
@@ -48,11 +48,11 @@ def is_long(times: Sequence[np.ndarray], n_dof: int) -> bool:
 
 
 _Block = Recipe | Observations | Held
-"""How a block is given to whoever computes: its observations, or how to make them."""
+"""A block as an argument of a task: its observations, or their recipe."""
 
 
 class _Point(NamedTuple):
-    """Where a block is linearised; the forces, which stay, are not those of ``physics``."""
+    """The point at which a block is linearised; the forces are separate, because they do not change."""
 
     physics: Physics
     forces: np.ndarray | Held | None
@@ -61,9 +61,9 @@ class _Point(NamedTuple):
 
 
 class _Passed(NamedTuple):
-    """What a pass keeps of a block; no system where H is not positive definite, or none was asked for.
+    """The results of a pass for a block; without a system if H is not positive definite, or none is needed.
 
-    ``shelf`` is where the solution of the system is, if not there; ``control_points`` are new ones.
+    ``shelf`` holds the solution of the system if it is on disk; ``control_points`` are new ones.
     """
 
     squares: np.ndarray
@@ -76,37 +76,37 @@ class _Passed(NamedTuple):
 
 
 class StreamedObservations(InBlocks):
-    """Observations that are made anew, block by block, whenever they are needed; see `Observations`."""
+    """Observations that are formed block by block whenever they are needed; see `Observations`."""
 
     calibration: np.ndarray | None = None
 
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         super().__init__(grid, recipes, counts, crew)
-        # on a cluster samples are sent, and laid on the splines, once: the memory is not this machine's
+        # on a cluster, samples are sent once and the workers keep the observations in their own memory
         self._blocks = [crew.task(observed, r) if crew.keeps else crew.held(r) for r in recipes]
         self._forces: tuple[np.ndarray | None, list[Any]] = None, []
 
     def each(self, function: Callable[..., Any], given: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """Apply a function to every block, with what it is given there."""
+        """Apply a function to every block, with the arguments of that block."""
         every = [(block, *own) for block, own in zip(self._blocks, given, strict=True)]
         size = max(1, min(_TOGETHER, len(every) // _LEAST_TASKS))
         batches = [every[k : k + size] for k in range(0, len(every), size)]
         tasks = deque(self.crew.task(_in_turn, function, len(b), *chain.from_iterable(b)) for b in batches)
         del every, batches
         out: list[Any] = []
-        while tasks:  # a task that is done goes, with what it was given
+        while tasks:  # frees a finished task with its arguments
             out += self.crew.results([tasks.popleft()])[0]
         return out
 
     def passed(self, given: Sequence[tuple[Any, ...]]) -> list[_Passed]:
-        """One pass; the X of the blocks stay on disk where there is one that all share."""
+        """One pass; the X of the blocks stay on disk if all workers share it."""
         shelves = [self.crew.shelf() for _ in self.points]
         parts = self.each(_pass, [(*g, shelf) for g, shelf in zip(given, shelves, strict=True)])
-        # what comes from another process is a copy, and the file goes with the shelf that was made here
+        # the result holds a copy of the shelf; the file is removed with the original, made here
         return [p._replace(shelf=p.shelf and own) for p, own in zip(parts, shelves, strict=True)]
 
     def _forces_of(self, physics: Physics) -> list[Any]:
-        """The forces on each block, which are the same for one step after the other."""
+        """The forces on each block, cached from step to step."""
         forces = physics.forces
         if forces is not None and forces is not self._forces[0]:
             self._forces = forces, [self.crew.held(forces[intervals]) for intervals in self.intervals]
@@ -121,8 +121,8 @@ class StreamedObservations(InBlocks):
     ) -> StreamedLinearisation:
         """The joint problem linearised, and with weights its system eliminated, in one pass.
 
-        A step has to be as short as the worst block allows: one trial of thousands whose curve was far from
-        where it belongs held up all others.  With weights the curve of such a block is led on by itself.
+        The worst block limits the length of a step: one trial of thousands whose curve was far from its
+        optimum held up all others.  With weights, the curve of such a block is improved by itself.
         """
         at = self._points_of(physics, control_points, coefficients)
         found = self.passed([(point, weights, 0.0, True) for point in at])
@@ -148,7 +148,7 @@ class StreamedObservations(InBlocks):
     def _points_of(
         self, physics: Physics, control_points: np.ndarray, coefficients: np.ndarray
     ) -> tuple[_Point, ...]:
-        """Where each block is linearised."""
+        """The point at which each block is linearised."""
         unforced = replace(physics, forces=None)
         return tuple(
             _Point(unforced.within(intervals), forces, control_points[points], coefficients)
@@ -165,9 +165,9 @@ class StreamedObservations(InBlocks):
 
 @dataclass(frozen=True, eq=False)
 class StreamedLinearisation(Costs):
-    """The problem linearised at one point: its sums, and how to make the rest again; see `Linearisation`.
+    """The problem linearised at one point: its sums, and the inputs of the rest; see `Linearisation`.
 
-    ``ahead`` are the eliminated blocks at weights that were known beforehand.
+    ``ahead`` are the eliminated blocks at weights that were known in advance.
     """
 
     observations: StreamedObservations
@@ -219,7 +219,7 @@ class StreamedLinearisation(Costs):
 
 @dataclass(frozen=True, eq=False)
 class StreamedSystem:
-    """The Gauss–Newton system of a streamed motion; see `NormalEquations`."""
+    """The Gauss–Newton system of a streamed recording; see `NormalEquations`."""
 
     at: StreamedLinearisation
     weights: Weights
@@ -250,7 +250,7 @@ class StreamedSystem:
 class StreamedQuadratic:
     """The cost as a function of the coefficients alone; see `Quadratic`.
 
-    ``reach`` is gᵀH⁻¹[g, C], and ``solutions`` are the X of the blocks, or where they are.
+    ``reach`` is gᵀH⁻¹[g, C], and ``solutions`` are the X of the blocks or their files.
     """
 
     gradient: np.ndarray
@@ -276,7 +276,7 @@ class StreamedQuadratic:
 
 @dataclass(frozen=True, eq=False)
 class StreamedFactor:
-    """The factor of H, made again where it is needed."""
+    """The factor of H, recomputed when needed."""
 
     at: StreamedLinearisation
     weights: Weights
@@ -298,9 +298,9 @@ def _total(parts: Iterable[np.ndarray]) -> np.ndarray:
     return np.sum(list(parts), axis=0)
 
 
-# ---------------------------------------------------------------- what is computed with a block
+#                                                                                 computations with one block
 def _in_turn(function: Callable[..., Any], count: int, *given: Any) -> list[Any]:
-    """Apply a function to ``count`` blocks; what each is given comes one after the other."""
+    """Apply a function to ``count`` blocks, whose arguments follow each other in ``given``."""
     size = len(given) // count
     return [function(*given[k * size : (k + 1) * size]) for k in range(count)]
 
@@ -338,12 +338,12 @@ def _summed(at: Linearisation, weights: Weights | None, damping: float, shelf: S
     # single precision: a step needs no more
     solution = system.solution.astype(np.float32)
     shelf = shelf if shelf is not None and shelf.put(solution) else None
-    system = system._replace(solution=np.empty((0, 0)) if shelf else solution)  # no view: it would stay
+    system = system._replace(solution=np.empty((0, 0)) if shelf else solution)  # a view would keep the array
     return found._replace(system=system, shelf=shelf)
 
 
 def _is_far(at: Linearisation, system: Condensed | None) -> bool:
-    """Whether the curve, with coefficients held, is far from where its cost is least."""
+    """Whether the curve, for fixed coefficients, is far from its optimum."""
     return system is None or system.reach[0] > _FAR * at.observations.counts.sum()
 
 

@@ -1,4 +1,4 @@
-"""Which candidates are in a model."""
+"""The set of candidates in a model."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Structure:
     Attributes
     ----------
     members : tuple of int
-        Their numbers among the candidates, in rising order. Known candidates are in every structure and are
-        not listed.
+        Their indices among the candidates, in rising order. Known candidates belong to every structure and
+        are not listed.
 
     Examples
     --------

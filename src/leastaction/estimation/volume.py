@@ -1,4 +1,4 @@
-"""The log-determinant term: what the change of variables from the equation error to the curve contributes."""
+"""The log-determinant term: the change of variables from the equation error to the curve."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from leastaction.mechanics import Columns
 
 __all__ = ["Volume", "add_volumes", "positive_definite", "volume_term"]
 
-_VOLUME_POINTS = 512  # in a chunk, at which |M| is taken
+_VOLUME_POINTS = 512  # in a chunk, at which |M| is computed
 _CHUNK = 4096  # knot intervals handled at once
 
 
@@ -47,8 +47,8 @@ def volume_term(
 ) -> Volume:
     """The log-determinant term −2 Σ_i volume_i ⟨log |det M|⟩ of the cost: its value and derivatives in λ.
 
-    The equation error r is what is random, not the curve: the density of the curve carries the factor
-    |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
+    The probability model is on the equation error r. The change of variables to the curve contributes the
+    factor |∂r/∂q̈| = |det M| for every degree of freedom of the equation error.  Without it the cost rewards
     small coefficients, and large equation errors shrink all of them (errors-in-variables bias).
     """
     k, n = len(border), control_points.shape[1]
@@ -75,15 +75,15 @@ def volume_term(
 
 
 def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
-    """Knot intervals that a mean over time is taken from, run by run, and the share of each.
+    """Knot intervals of a mean over time, run by run, and the weight of each.
 
-    Those of a part of a grid are those that the whole grid takes in its range: the sums over parts are the
-    sums over the whole.
+    A part of a grid uses the same knot intervals as the whole grid, so that sums over parts are sums over the
+    whole.
     """
     begin, end = grid.before, grid.before + grid.n_intervals
     for start in range(begin - begin % _CHUNK, end, _CHUNK):
         stop = min(start + _CHUNK, grid.total)
-        stride = max(1, (stop - start) // _VOLUME_POINTS)  # a mean over time needs no more
+        stride = max(1, (stop - start) // _VOLUME_POINTS)  # enough for a mean over time
         share = (stop - start) / len(range(start, stop, stride)) / grid.total
         first = max(start, begin)
         sample = slice(first - begin + -(first - start) % stride, min(stop, end) - begin, stride)
@@ -92,7 +92,7 @@ def _volume_samples(grid: SplineGrid) -> Iterator[tuple[slice, float]]:
 
 
 def add_volumes(parts: Iterable[Volume]) -> Volume:
-    """The log-determinant term of a motion from those of its parts."""
+    """The log-determinant term of a motion, from the terms of its parts."""
     return reduce(
         lambda a, b: Volume(
             a.log_mean + b.log_mean, a.regular + b.regular, a.slope + b.slope, a.corner + b.corner

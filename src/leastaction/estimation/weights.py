@@ -1,6 +1,6 @@
-"""Noise and equation error estimated by the marginal likelihood, the curve integrated out.
+"""Noise and equation error estimated by the marginal likelihood, with the curve integrated out.
 
-Given a support, the weights (σ, w) maximise (Laplace's approximation, up to a constant)
+For a given structure, the weights (σ, w) maximise (Laplace's approximation, up to a constant)
 
     −½ cost − Σ_i n_i log σ_i + rank (½ Σ_i log w_i + ⟨log |det M|⟩) − ½ log|H(σ, w)|.
 
@@ -9,10 +9,10 @@ Setting its derivatives to zero gives fixed-point updates (MacKay 1992, Neural C
     w_i = (rank − γ_i) / ∫ r_i² dt,    γ_i = ∂ log|H| / ∂ log w_i,
     σ_c² = Σ (y_c − N_c P)² / (n_c − η_c),   η_c = ∂ log|H| / ∂ log σ_c⁻²,
 
-the latter for every channel c: positions, and velocities and accelerations where they are measured.
-The derivatives are traces, tr(H⁻¹ ∂H/∂ log w_i), taken exactly (:mod:`leastaction.estimation.elimination`).
+the latter for every channel c: positions, and measured velocities and accelerations.  The derivatives are
+traces, tr(H⁻¹ ∂H/∂ log w_i), computed exactly (:mod:`leastaction.estimation.elimination`).
 
-An exact model lets w grow without bound; on real hardware, or with knots that are too coarse, it settles.
+For an exact model, w grows without bound. On real hardware, or with knots that are too coarse, it converges.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from leastaction.estimation.settings import ESTIMATION
 
 __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
-# below about the square root of the smallest number ∫ r² counts as zero: products of its reciprocal overflow
+# of ∫ r²: smaller values count as zero, because products of their reciprocals overflow
 _NOTHING = 1e-150
-_SHORTEST = 0.1  # of the changes of the weights, taken at once
-_FARTHEST = np.log(30.0)  # that a weight goes where it turns back
+_SHORTEST = 0.1  # smallest share of a change of the weights in one step
+_FARTHEST = np.log(30.0)  # largest change of log w after a reversal
 _HALVINGS = 4  # of a step of the weights
-_MOST_STEPS = 100  # a structure that needs more is not worth it
+_MOST_STEPS = 100  # limit for a structure
 
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """Where a fit begins: curve, coefficients (known ones included), weights."""
+    """Start values of a fit: curve, coefficients (known ones included), weights."""
 
     control_points: np.ndarray
     coefficients: np.ndarray
@@ -50,9 +50,9 @@ class Start:
 
 
 def equation_rank(observations: Measurements) -> int:
-    """Directions of one coordinate that its equation touches: all but initial position and rate.
+    """Directions of one coordinate that its equation constrains: all but initial position and rate.
 
-    No more than there are points at which the equation is compared.
+    At most the number of quadrature points.
     """
     grid = observations.grid
     return min(grid.n_ctrl - 2 * len(grid.spaces), grid.n_intervals * grid.n_quadrature)
@@ -85,8 +85,8 @@ def start_weights(
 ) -> Weights:
     """w_i = (number of samples) / ∫ r_i² dt at the start: data and physics cost alike.
 
-    ``noise_std`` is that of the positions; what the start leaves of the other channels counts as their noise.
-    An equation without any term has no error to weigh: it gets the smallest weight of the others.
+    ``noise_std`` is the noise of the positions. The residual of the start serves as the noise of other
+    channels. An equation without any term has no error; it gets the smallest weight of the others.
     """
     at = linearise(observations, physics, control_points, coefficients)
     slack = np.full_like(noise_std, equation_rank(observations))
@@ -94,7 +94,7 @@ def start_weights(
     n = observations.n_dof
     others = np.sqrt(at.squares[n:] / observations.counts[n:])
     noise_std = np.maximum(np.concatenate([noise_std, others]), observations.floors)
-    linear = observations.coordinates.size  # channels behind these see several coordinates at once
+    linear = observations.coordinates.size  # later channels depend on several coordinates
     counts: np.ndarray = np.bincount(observations.coordinates, observations.counts[:linear])
     counts = counts + float(observations.counts[linear:].sum()) / n
     few = counts <= len(observations.grid.spaces)  # a hidden coordinate counts as any other
@@ -106,9 +106,9 @@ def start_weights(
 
 
 def update_weights(observations: Measurements, fit: JointFit) -> Weights:
-    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 where it hardly matters.
+    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 for nearly exact equations.
 
-    The weight of an equation that vanishes identically stays as it is.
+    The weight of an equation that vanishes identically does not change.
 
     Raises
     ------
@@ -125,11 +125,11 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
             continue
         slack[i] = max(rank - used[i], 1e-3)
         cost = max(at.equation[i] * weights.physics[i], 1e-300)
-        # where hardly any equation error is left, its size is mostly rounding: do not fall for it
-        left = max(slack[i], cost) > ESTIMATION.slack_left  # many samples may see an error without slack
+        # for a nearly exact equation, the size of the error is mostly rounding
+        left = max(slack[i], cost) > ESTIMATION.slack_left  # many samples may show an error without slack
         new_physics[i] = weights.physics[i] * np.clip(slack[i] / cost, 1 / 30 if left else 1 / 3, 30)
         if at.terms[i] > 0.0:
-            # an error that small makes no difference, and steps towards none at all would end on the way
+            # an error this small has no effect, and steps towards zero would be cut off by the step limit
             # not while coefficients are held
             hardly = not left and fit.covariance.size > 0
             least = rank / (ESTIMATION.small_error**2 * at.terms[i]) if hardly else 0.0
@@ -153,8 +153,8 @@ def fit_weights(
 ) -> JointFit:
     """Fit curve, coefficients and weights together.
 
-    Stops when the coefficients move by less than a twentieth of a standard error, and the evidence by
-    less than a half, from one round to the next; of more than 100,000 samples by a half for so many.
+    Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard error
+    and the evidence by less than a half. Above 100,000 samples this half grows in proportion.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
@@ -166,14 +166,14 @@ def fit_weights(
             break
         try:
             update = update_weights(observations, best)
-        except np.linalg.LinAlgError:  # at the limit of rounding H is not positive definite for other weights
+        except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
         change = _change(best.weights, update)
         if taken.size and float(taken @ change) < 0.0:
             update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
             change = _change(best.weights, update)
             stride = _secant(taken, before, change)
-        else:  # what turns back has gone far enough
+        else:  # a reversal needs no further acceleration
             update = _accelerate(best.weights, update)
         before = change
         for _ in range(_HALVINGS):
@@ -190,7 +190,7 @@ def fit_weights(
             value = evidence(observations, fit)
             if np.isfinite(value) and value >= best_evidence - tolerance:
                 break
-            # equations compete for the same error and take it from each other in turn
+            # two equations compete for the same error, and the weights oscillate
             stride *= 0.5
         else:
             break
@@ -205,36 +205,36 @@ def fit_weights(
 
 
 def _change(old: Weights, new: Weights) -> np.ndarray:
-    """By how much the logarithms of all weights change."""
+    """Changes of the logarithms of all weights."""
     pairs = ((old.physics, new.physics), (old.noise_std, new.noise_std))
     return np.concatenate([np.log(b / a) for a, b in pairs])
 
 
 def _secant(taken: np.ndarray, before: np.ndarray, change: np.ndarray) -> float:
-    """The share of the changes that meets the fixed point, where a step turned them round.
+    """The share of the changes that reaches the fixed point, after a step that reversed them.
 
-    Equations that compete for one error take it from each other in turn, round after round.  Along the step,
-    changes fall in proportion to it: from ``before`` to ``change``, and to none at the fixed point.
+    The weights of equations that compete for one error oscillate.  Along the step, changes fall linearly,
+    from ``before`` to ``change``, and to zero at the fixed point.
     """
     along = float(taken @ taken) / float(taken @ (before - change))
     return float(np.clip(along, _SHORTEST, 1.0))
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
-    """Between old and new weights, by their logarithms."""
+    """Weights between old and new ones, interpolated by their logarithms."""
     noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
     return replace(new, noise_std=noise_std, physics=old.physics * (new.physics / old.physics) ** share)
 
 
 def _accelerate(old: Weights, new: Weights) -> Weights:
-    """Square the growth of w while it is large: the plain fixed point needs many rounds for that."""
+    """Square the growth of w while it is large, because the plain fixed point needs many rounds."""
     ratio = new.physics / old.physics
     return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tuple[Start, float]:
-    """Fit the curve alone, coefficients held, and update the weights once.
+    """Fit the curve alone with fixed coefficients, and update the weights once.
 
     Returns the new start and the evidence at the old weights; −inf when the fit failed.
     """

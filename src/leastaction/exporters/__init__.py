@@ -1,1 +1,1 @@
-"""A model for other programs: `_write.export` and one module a format."""
+"""Export of models to other programs: `write.export` and one module for each format."""

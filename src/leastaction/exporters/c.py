@@ -72,7 +72,7 @@ def definitions(mechanics: Mechanics, parameters: str = "") -> str:
     first, values = assignments([mechanics.energy_expression], mechanics, CPrinter().doprint)
     energy = [
         "",
-        "/* Energy: the sum of qdot * dL/dqdot, less L. */",
+        "/* Energy: the sum of qdot * dL/dqdot, minus L. */",
         f"double leastaction_energy({first_argument}const double q[{n}], const double qdot[{n}]{time})",
         "{",
         *(f"    const double {name} = {code};" for name, code in first),

@@ -1,4 +1,4 @@
-r"""A law of links in a plane as MJCF (MuJoCo) and URDF.
+r"""Export of a chain of links in a plane as MJCF (MuJoCo) and URDF.
 
 With absolute angles θ_i from down, a chain of links under gravity has
 
@@ -6,9 +6,10 @@ With absolute angles θ_i from down, a chain of links under gravity has
     A_ii = I_i + m_i a_i² + l_i² Σ_{k>i} m_k,   A_ij = l_i c_j,
     b_i = g c_i,   c_i = m_i a_i + l_i Σ_{k>i} m_k,
 
-where l is the length of a link, a the distance of its centre of mass from its joint. These are base
-parameters: of the masses only such combinations matter. With g the lengths follow; the masses are then chosen
-from the last link on, each a little above the smallest that leaves its inertia positive.
+where l is the length of a link and a the distance of its centre of mass from its joint. These are base
+parameters: the motion depends on the masses only through such combinations. With g, the lengths follow. The
+masses are then chosen from the last link on, each slightly above the smallest for which its inertia is
+positive.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ from leastaction.model.model import LagrangianModel
 
 __all__ = ["Chain", "Link", "chain_of", "write_mjcf", "write_urdf"]
 
-GRAVITY = 9.81  # m/s²: it only decides how L is shared between masses and lengths
+GRAVITY = 9.81  # m/s²: determines only how L splits into masses and lengths
 _MOST_LINKS = 7
-_MARGINS = (0.25, 0.05, 0.01, 1e-3)  # of a mass above the smallest that can be
-_STATES = 20  # at which the whole of L is compared
-_APART = 0.01  # relative: how far products A_ij may be from l_i c_j
+_MARGINS = (0.25, 0.05, 0.01, 1e-3)  # of a mass above the smallest possible one
+_STATES = 20  # at which L is compared
+_APART = 0.01  # largest relative difference between products A_ij and l_i c_j
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Link:
     mass, centre, inertia : float
         Centre of mass from the joint along the link, and moment of inertia about it.
     length : float
-        To the next joint; of the last link twice the way to its centre.
+        To the next joint; for the last link, twice the distance to its centre.
     damping : float
         Viscous friction of its joint.
     """
@@ -63,11 +64,11 @@ class Chain:
     ----------
     links : tuple of Link
     upright : bool
-        Whether angles are counted from upright instead of from down.
+        Whether angles are measured from upright instead of from down.
     relative : bool
-        Whether the model counts each angle from the link before, as a joint does.
+        Whether the model measures each angle from the previous link, as a joint does.
     left_out : tuple of str
-        Friction that no joint has.
+        Friction that a joint cannot have.
     apart : float
         Largest relative difference of a coefficient from that of the law.
     """
@@ -79,7 +80,7 @@ class Chain:
     apart: float
 
     def placed(self) -> Iterator[tuple[int, Link, float, float]]:
-        """Number from 1, link, height of its joint above that before, and 1 or −1: up or down along it."""
+        """Number from 1, link, height of its joint above the previous one, and 1 (up) or −1 (down)."""
         way, sign = 0.0, 1.0 if self.upright else -1.0
         for number, link in enumerate(self.links, 1):
             yield number, link, sign * way, sign
@@ -92,11 +93,11 @@ def chain_of(model: LagrangianModel) -> Chain:
     Raises
     ------
     InputError
-        If it is none, with the reason.
+        If it is not a chain, with the reason.
     """
     n = model.n_dof
     if n > _MOST_LINKS or model.timed or model.prescribed:
-        raise _no_chain("it has too many coordinates, holds the time, or has a prescribed motion")
+        raise _no_chain("it has too many coordinates, depends on time, or has a prescribed motion")
     angles, rates, _ = state_symbols(model.coordinates)
     for relative in (False, True) if n > 1 else (False,):
         swap = {}
@@ -107,7 +108,7 @@ def chain_of(model: LagrangianModel) -> Chain:
         if found is not None:
             inertia, gravity = found
             if (gravity > 0).any() and (gravity < 0).any():
-                raise _no_chain("some of its links hang where others stand")
+                raise _no_chain("some of its links hang and others stand upright")
             damping, left_out = _dampers(model, relative)
             links, apart = _links(inertia, np.abs(gravity) / GRAVITY, damping)
             return Chain(links, bool(gravity[0] < 0), relative, left_out, apart)
@@ -118,16 +119,16 @@ def chain_of(model: LagrangianModel) -> Chain:
 
 
 def _no_chain(why: str) -> InputError:
-    return InputError(f"this law is not that of a chain of links in a plane: {why}; export another format")
+    return InputError(f"this law is not a chain of links in a plane: {why}; export another format")
 
 
 def _base_parameters(
     expr: sp.Expr, angles: list[sp.Symbol], rates: list[sp.Symbol]
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """A, shape (n, n), and b, shape (n,), of L in absolute angles; None where it has another form.
+    """A, shape (n, n), and b, shape (n,), of L in absolute angles; None if it has another form.
 
-    They are read off derivatives at one state, and the whole of L is compared at others: two trigonometric
-    expressions may be equal and look different.
+    They follow from derivatives at one state. L is then compared at other states, because two equal
+    trigonometric expressions may look different.
     """
     n, state = len(angles), [*angles, *rates]
     second = [sp.diff(expr, rates[i], rates[j]) for i in range(n) for j in range(n)]
@@ -150,7 +151,7 @@ def _base_parameters(
 
 
 def _dampers(model: LagrangianModel, relative: bool) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Viscous friction of each joint, and the terms of ψ that are none."""
+    """Viscous friction of each joint, and the other terms of ψ."""
     n, rates = model.n_dof, state_symbols(model.coordinates)[1]
     joints = [rates[k] - rates[k - 1] if k and not relative else rates[k] for k in range(n)]
     damping, left_out = np.zeros(n), []
@@ -166,7 +167,7 @@ def _dampers(model: LagrangianModel, relative: bool) -> tuple[np.ndarray, tuple[
 
 
 def _links(inertia: np.ndarray, moments: np.ndarray, damping: np.ndarray) -> tuple[tuple[Link, ...], float]:
-    """Links with these base parameters, and how far they are off where a chain has fewer than the law."""
+    """Links with these base parameters, and their error if a chain has fewer parameters than the law."""
     n = len(moments)
     lengths = np.zeros(n)
     for i in range(n - 1):
@@ -176,7 +177,7 @@ def _links(inertia: np.ndarray, moments: np.ndarray, damping: np.ndarray) -> tup
     upper = np.triu_indices(n, 1)
     apart = float(np.max(np.abs(product[upper] / inertia[upper] - 1.0), initial=0.0)) if n > 1 else 0.0
     if not apart <= _APART or (lengths[:-1] <= 0).any():
-        raise _no_chain(f"the lengths that its coefficients ask for contradict each other by {apart:.1%}")
+        raise _no_chain(f"its coefficients imply lengths that differ by {apart:.1%}")
     for margin in _MARGINS:
         found: list[Link] = []
         for i in reversed(range(n)):
@@ -197,18 +198,18 @@ def _links(inertia: np.ndarray, moments: np.ndarray, damping: np.ndarray) -> tup
 
 
 def _words(model: LagrangianModel, chain: Chain) -> str:
-    """What the file says about itself."""
+    """Comments of the file."""
     lines = about(model)
     start = "upright" if chain.upright else "hanging"
     lines.append(
-        f"Joint 1 turns from {start}, in the plane of x and z; each further one from the link before."
+        f"Joint 1 is measured from {start}, in the plane of x and z; each other joint from the previous link."
     )
     if not chain.relative and len(chain.links) > 1:
-        lines.append("The model counts every angle absolutely: joint k is its angle k less its angle k-1.")
-    lines.append(f"Gravity is {GRAVITY:g}. Other masses and inertias with the same L move alike.")
+        lines.append("The angles of the model are absolute: joint k is angle k minus angle k-1.")
+    lines.append(f"Gravity is {GRAVITY:g}. Other masses and inertias with the same L give the same motion.")
     if chain.apart > 1e-9:
         lines.append(f"Coefficients of the couplings are matched to {100 * chain.apart:.2g} %.")
-    lines += [f"Left out, no joint has it: friction {text}" for text in chain.left_out]
+    lines += [f"Left out, because a joint cannot have it: friction {text}" for text in chain.left_out]
     return "\n".join(["", *(f"  {line}" for line in lines), ""]).replace("--", "- -")
 
 

@@ -1,7 +1,7 @@
-"""A model as an FMU for co-simulation: an archive of a description, C sources and compiled libraries.
+"""Export as an FMU for co-simulation: an archive of a description, C sources and compiled libraries.
 
-The compiler found on the PATH makes the library of this platform.  Where the package ``ziglang`` is installed
-(extra ``fmu``), its ``cc`` makes those of the others.
+The compiler on the PATH builds the library of this platform.  If the package ``ziglang`` is installed (extra
+``fmu``), its ``cc`` builds the libraries of the others.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ TARGETS = {
         "aarch64-darwin": "aarch64-macos",
     },
 }
-"""Version of FMI -> its name of a platform -> Zig's name, with the oldest glibc that is supported."""
-_SECONDS = 600  # that a compilation may take
+"""Version of FMI -> its name of a platform -> Zig's name, with the oldest supported glibc."""
 
-_MAX_STEP = 1e-3  # seconds, unless the knots of the discovery or the halving test ask for less
+_SECONDS = 600  # limit of a compilation
+_MAX_STEP = 1e-3  # seconds, unless the knots of the discovery or the halving test require less
 _STEPS_PER_KNOT = 10
-_HALVINGS = 10  # most
+_HALVINGS = 10  # largest number
 _STEPS_TRIED = 100
 _STATES_TRIED = 16
 _TOLERANCE = 1e-8  # change of the state after so many steps when they are halved, relative to the motion
@@ -71,7 +71,7 @@ _SHARED_NAMES = (
 
 
 def write(model: LagrangianModel, version: int, file: str | None = None) -> bytes:
-    """Return the archive; `file` is its name, from which that of the model is made.
+    """Return the archive; the name of the model follows from its name, `file`.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def write(model: LagrangianModel, version: int, file: str | None = None) -> byte
     name = _identifier(file)
     step = longest_step(model)
     table = variables(model, step)
-    # The token ties the description to the library: whatever changes either must change it.
+    # The token ties the description to the library: any change of either must change the token.
     parts = [
         model_description(name, version, table, ""),
         *(text for _, text in sorted(source_files(model, version, name, "", step).items())),
@@ -102,7 +102,7 @@ def write(model: LagrangianModel, version: int, file: str | None = None) -> byte
 
 
 def _libraries(sources: Mapping[str, str], version: int) -> dict[str, tuple[bytes, str]]:
-    """Name of a platform -> library and suffix: this one, and with Zig the others."""
+    """Name of a platform -> library and suffix: this platform and, with Zig, the others."""
     options, zig = [f"-DFMI{version}_OVERRIDE_FUNCTION_PREFIX"], find_spec("ziglang") is not None
     out: dict[str, tuple[bytes, str]] = {}
     if not zig or _compiler() is not None:
@@ -116,7 +116,7 @@ def _libraries(sources: Mapping[str, str], version: int) -> dict[str, tuple[byte
 def source_files(
     model: LagrangianModel, version: int, name: str, token: str, step: float = _MAX_STEP
 ) -> dict[str, str]:
-    """File name -> text: what is the same for every model, and the equations with parameters."""
+    """File name -> text: common sources, and the equations with parameters."""
     ours = files("leastaction.exporters") / "sources"
     out = {
         path: (ours / path).read_text(encoding="utf-8")
@@ -139,9 +139,9 @@ def source_files(
         f"#define START_MAX_STEP {step!r}\n\n"
         f"enum {{ N_DOF = {n_dof}, N_COEFFICIENTS = {len(terms)} }};\n\n"
         f"#define START_COEFFICIENTS {{{numbers}}}\n\n"
-        "/* What the equations are functions of. */\n"
+        "/* Arguments of the equations. */\n"
         f"#define AT(q, qdot, t) q, qdot{clock(mechanics)}\n\n"
-        "/* Several FMUs in one program must not meet. */\n"
+        "/* Names must not clash if a program loads several FMUs. */\n"
         + "".join(f"#define {function} {name}_{function}\n" for function in _SHARED_NAMES)
         + "\n"
         f"void leastaction_acceleration(const double p[], const double q[{n_dof}], "
@@ -157,7 +157,7 @@ def source_files(
 
 
 def _identifier(file: str | None) -> str:
-    """Name of the model: a C identifier made of the name of the file."""
+    """Name of the model: a C identifier made from the name of the file."""
     if file is None:
         return "leastaction_model"
     stem = re.sub(r"[^A-Za-z0-9_]", "_", file.removesuffix(".fmu"))[:60]
@@ -165,10 +165,10 @@ def _identifier(file: str | None) -> str:
 
 
 def longest_step(model: LagrangianModel) -> float:
-    """Step of the integration inside, in seconds: halved until halving it once more changes nothing.
+    """Internal step of the integration in seconds, halved until another halving has no effect.
 
-    The start is 1 ms, or a tenth of a knot interval of the discovery if that is shorter. States are followed
-    that lie on the fitted curve, or about zero where a file keeps none.
+    It starts at 1 ms, or a tenth of a knot interval of the discovery if that is shorter. The test integrates
+    from states on the fitted curve, or near zero for a model from a file.
     """
     knots = model.provenance.get("knots_per_second")
     fastest = float(knots) if isinstance(knots, (int, float)) and knots > 0 else 0.0
@@ -202,7 +202,7 @@ def _states_to_try(model: LagrangianModel) -> tuple[np.ndarray, np.ndarray]:
 def _followed(
     model: LagrangianModel, start: np.ndarray, t: np.ndarray, step: float, count: int
 ) -> np.ndarray:
-    """The states after so many steps of the classical Runge-Kutta method, as the C code takes them."""
+    """The states after ``steps`` steps of the classical Runge–Kutta method, as in the C code."""
     n, x = model.n_dof, start.copy()
 
     def rates(x: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -223,7 +223,7 @@ def _archive(members: dict[str, bytes]) -> bytes:
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in members.items():
-            # A fixed date, so that the same model gives the same description and sources.
+            # A fixed date, so that the output is reproducible.
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             info.compress_type = zipfile.ZIP_DEFLATED
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
@@ -232,7 +232,7 @@ def _archive(members: dict[str, bytes]) -> bytes:
 
 
 def platform_name(version: int) -> str:
-    """Name that FMI gives this platform: ``linux64`` in version 2, ``x86_64-linux`` in version 3."""
+    """FMI's name of this platform: ``linux64`` in version 2, ``x86_64-linux`` in version 3."""
     systems = {"linux": ("linux", "linux"), "darwin": ("darwin", "darwin"), "win32": ("win", "windows")}
     short, long = systems.get(sys.platform, (sys.platform, sys.platform))
     machine = platform.machine().lower()
@@ -255,7 +255,7 @@ def compile_library(
     Parameters
     ----------
     target : str, optional
-        Platform as Zig names it; by default this one, by the compiler on the PATH.
+        Zig's name of a platform; by default this platform, with the compiler on the PATH.
 
     Raises
     ------
@@ -265,9 +265,8 @@ def compile_library(
     compiler = _compiler() if target is None else "ziglang"
     if compiler is None:
         raise InputError(
-            f"there is no C compiler on the PATH (looked for {', '.join(COMPILERS)}), and an FMU holds "
-            "compiled code; install one such as GCC or Clang, or pip install 'leastaction[fmu]', or export "
-            "another format"
+            f"there is no C compiler on the PATH (tried {', '.join(COMPILERS)}), which an FMU needs; install "
+            "one such as GCC or Clang, or pip install 'leastaction[fmu]', or export another format"
         )
     start = [compiler] if target is None else [sys.executable, "-m", "ziglang", "cc", "-target", target, "-s"]
     system = sys.platform if target is None else target

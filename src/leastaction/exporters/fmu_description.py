@@ -31,14 +31,14 @@ _UNITS = {
     "rad/s": {"rad": "1", "s": "-1"},
     "rad/s2": {"rad": "1", "s": "-2"},
 }
-"""Units that are known whatever the data: name -> exponents of its base units."""
-_SOURCES = ("model.c", "motion.c")  # beside the file of the version
+"""Units that do not depend on the data: name -> exponents of its base units."""
+_SOURCES = ("model.c", "motion.c")  # in addition to the file of the version
 
 
 def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
     """Return all variables, in the sequence that ``motion.h`` fixes."""
     out: list[Variable] = []
-    # Names of coordinates may be anything; they keep them, and the others make way.
+    # Coordinates keep their names; names of other variables change if they clash.
     taken = {*model.coordinates, *(f"{c}_dot" for c in model.coordinates)}
 
     def add(name: str, *rest, keep: bool = False, **more) -> None:
@@ -56,11 +56,11 @@ def variables(model: LagrangianModel, max_step: float) -> list[Variable]:
     for c, unit in angle.items():
         text = f"acceleration of {c}"
         add(f"{c}_dot_dot", text, "output", "continuous", initial="calculated", unit=unit and f"{unit}/s2")
-    add("energy", "sum of qdot * dL/dqdot, less L", "output", "continuous", initial="calculated")
+    add("energy", "sum of qdot * dL/dqdot, minus L", "output", "continuous", initial="calculated")
     for c in model.coordinates:
         what = f"acceleration of {c}" if c in model.prescribed else f"generalised force on {c}"
         add(f"{c}_force", what, "input", "continuous", start=0.0)
-    text = "longest step of the integration inside, in seconds"
+    text = "longest internal step of the integration, in seconds"
     add("max_step", text, "parameter", "tunable", initial="exact", start=max_step, unit="s")
     groups = (
         ("lagrangian", "L", model.terms, model.expressions),

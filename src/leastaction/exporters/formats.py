@@ -1,4 +1,4 @@
-"""Names of the formats, each with a line that says what it is; nothing is imported for it."""
+"""Names and descriptions of the formats, without further imports."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from leastaction.identifiers import quoted
 __all__ = ["FORMATS", "check_format"]
 
 FORMATS = {
-    "sympy": "Python script that makes L and the dissipation function with SymPy",
+    "sympy": "Python script that defines L and the dissipation function with SymPy",
     "latex": "L and the dissipation function as a displayed formula",
-    "python": "Python module that needs nothing: acceleration and energy",
-    "c": "C99 file that needs math.h only: acceleration and energy",
-    "casadi": "Python module that makes CasADi functions: acceleration, energy, mass matrix",
-    "jax": "Python module of functions for JAX: acceleration, state derivative, energy, mass matrix",
+    "python": "Python module without dependencies: acceleration and energy",
+    "c": "C99 file, needs only math.h: acceleration and energy",
+    "casadi": "Python module that creates CasADi functions: acceleration, energy, mass matrix",
+    "jax": "Python module for JAX: acceleration, state derivative, energy, mass matrix",
     "julia": "Julia module without packages: acceleration, state derivative for ODEProblem, energy",
-    "modelica": "Modelica package: mass matrix, right side, energy, and a model that moves",
+    "modelica": "Modelica package: mass matrix, right side, energy, and a model of the motion",
     "mjcf": "MuJoCo model of a chain of links in a plane, if the law is one",
     "urdf": "robot description of a chain of links in a plane, if the law is one",
     "matlab": "MATLAB or Octave function file: acceleration, state derivative for ode45, energy",
@@ -28,7 +28,7 @@ FORMATS = {
 
 
 def check_format(format: str) -> None:
-    """Refuse what is not the name of a format.
+    """Refuse an unknown format.
 
     Raises
     ------

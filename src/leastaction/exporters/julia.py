@@ -1,4 +1,4 @@
-"""A model for Julia and for Modelica, whose scalar code is the same: powers with ^, arrays from 1."""
+"""Export to Julia and Modelica, which share the same scalar code: powers with ^, arrays from 1."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["write_julia", "write_modelica"]
 
 
 _FUNCTIONS = """
-"Accelerations of one state; forces may be left out."
+"Accelerations of one state; forces are optional."
 function acceleration(q, qdot{t}, forces = nothing)
     mass, right = _equations(q, qdot{t})
     return mass \\ (forces === nothing ? right : right .+ forces)
@@ -51,7 +51,7 @@ def write_julia(model: LagrangianModel) -> str:
         "",
     ]
     first, values = body(equations(mechanics))
-    # Column by column with commas: in [a -b] a blank would begin another entry.
+    # Column by column with commas, because a blank separates entries, as in [a -b].
     columns = ", ".join(values[j * n + i] for i in range(n) for j in range(n))
     lines += [
         f"function _equations(q, qdot{t})",
@@ -61,7 +61,7 @@ def write_julia(model: LagrangianModel) -> str:
         "    return float(mass), float(right)",
         "end",
         "",
-        '"Energy: the sum of qdot * dL/dqdot, less L."',
+        '"Energy: the sum of qdot * dL/dqdot, minus L."',
         f"function energy(q, qdot{t})",
     ]
     first, values = body([mechanics.energy_expression])
@@ -89,7 +89,7 @@ end LeastactionModel;
 
 
 def write_modelica(model: LagrangianModel) -> str:
-    """Return the package: functions of the state, and a model that moves."""
+    """Return the package: functions of the state, and a model of the motion."""
     n, mechanics = model.n_dof, model.mechanics
     entries = equations(mechanics)
     lines = [
@@ -100,11 +100,11 @@ def write_modelica(model: LagrangianModel) -> str:
         ("mass_matrix", "mass matrix", f"mass[{n}, {n}]", entries[: n * n]),
         (
             "right_side",
-            "what the accelerations times the mass matrix are without forces",
+            "mass matrix times accelerations, without forces",
             f"right[{n}]",
             entries[n * n :],
         ),
-        ("energy", "sum of qdot * dL/dqdot, less L", "stored", [mechanics.energy_expression]),
+        ("energy", "sum of qdot * dL/dqdot, minus L", "stored", [mechanics.energy_expression]),
     )
     for name, text, result, expressions in parts:
         lines += _function(model, name, text, result, expressions)

@@ -18,7 +18,7 @@ _KEYWORD = re.compile(
 
 
 class _MatlabPrinter(MathPrinter):
-    """Scalar code. Where a real result does not exist, the real* functions stop; others become complex."""
+    """Scalar code. Without a real result, the real* functions stop; others return complex numbers."""
 
     def _print_log(self, expr):
         return f"reallog({self._print(expr.args[0])})"
@@ -78,7 +78,7 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
         *(f"% {line}" for line in about(model, "q({i})", 1)),
         "%",
         f"% model = {name}();",
-        f"% qddot = model.acceleration(q, qdot{t}, forces)    forces may be left out",
+        f"% qddot = model.acceleration(q, qdot{t}, forces)    forces are optional",
         "% xdot  = model.state_derivative(t, x, forces)   x = [q; qdot]; forces may be a function of t",
         f"% E     = model.energy(q, qdot{t})",
         f"% M     = model.mass_matrix(q, qdot{t})",
@@ -118,10 +118,10 @@ def write(model: LagrangianModel, file: str | None = None) -> str:
 def _function_name(file: str) -> str:
     stem, dot, suffix = file.rpartition(".")
     if not (dot and suffix == "m"):
-        raise InputError(f"{quoted(file)} does not end in .m; MATLAB looks for such files, e.g. pendulum.m")
+        raise InputError(f"{quoted(file)} does not end in .m, as MATLAB requires; use e.g. pendulum.m")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", stem) or _KEYWORD.fullmatch(stem):
         raise InputError(
-            f"{quoted(file)} cannot be called in MATLAB; begin with a letter, then letters, digits and "
-            "underscores, at most 63, no keyword, e.g. pendulum.m"
+            f"{quoted(file)} is not a name of a MATLAB function; use a letter, then letters, digits and "
+            "underscores, at most 63, and not a keyword, e.g. pendulum.m"
         )
     return stem

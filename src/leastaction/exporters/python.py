@@ -52,7 +52,7 @@ def write(model: LagrangianModel) -> str:
     first, values = assignments([mechanics.energy_expression], mechanics, code)
     lines += [
         f"def energy(q, qdot{t}):",
-        '    """Energy, the sum of qdot * dL/dqdot, less L."""',
+        '    """Energy, the sum of qdot * dL/dqdot, minus L."""',
         *(f"    {name} = {value}" for name, value in first),
         f"    return {values[0]}",
     ]
@@ -106,7 +106,7 @@ def write_jax(model: LagrangianModel) -> str:
     lines = [
         *(f"# {line}" for line in about(model)),
         "# Functions of one state, for jax.vmap, jax.grad, jax.jacobian and jax.jit.",
-        '# JAX computes in single precision unless told: jax.config.update("jax_enable_x64", True).',
+        '# JAX uses single precision by default; see jax.config.update("jax_enable_x64", True).',
         "import jax.numpy as jnp",
         "",
         f"N_DOF = {n}",
@@ -126,7 +126,7 @@ def write_jax(model: LagrangianModel) -> str:
     first, values = assignments([mechanics.energy_expression], mechanics, code)
     lines += [
         f"def energy(q, qdot{t}):",
-        '    """Energy, the sum of qdot * dL/dqdot, less L."""',
+        '    """Energy, the sum of qdot * dL/dqdot, minus L."""',
         *(f"    {name} = {value}" for name, value in first),
         f"    return {values[0]}",
     ]

@@ -1,4 +1,4 @@
-"""What the formats have in common: the equations with names for shared parts, and comments."""
+"""Common parts of the formats: equations with common subexpressions, and comments."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def unused(name: str, taken: Sequence[str]) -> str:
 
 
 def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> list[str]:
-    """What the file holds, for its comments: plain ASCII, whatever the coordinates are called."""
+    """Description of the file for its comments, in plain ASCII for any names of coordinates."""
     lines = ["Equations of motion  d/dt dL/dqdot - dL/dq = forces - dpsi/dqdot, written by leastaction."]
     for i, name in enumerate(model.coordinates):
         driven = (
@@ -44,7 +44,7 @@ def about(model: LagrangianModel, element: str = "q[{i}]", base: int = 0) -> lis
 
 
 def clock(mechanics: Mechanics, name: str = "t") -> str:
-    """The argument that stands for the time behind q and qdot; empty where the law does not hold it."""
+    """The time as an argument after q and qdot; empty if the law does not depend on it."""
     return f", {name}" if mechanics.timed else ""
 
 
@@ -60,9 +60,9 @@ def assignments(
     element: str = "{array}[{i}]",
     base: int = 0,
 ) -> tuple[list[tuple[str, str]], list[str]]:
-    """Return (name, code) for what has to be computed first, and the code of the expressions.
+    """Return (name, code) of common subexpressions, and the code of the expressions.
 
-    `element` and `base` say how an entry of the arrays q and qdot is written, and what its first one is.
+    `element` is the notation of an entry of the arrays q and qdot, and `base` its first index.
     """
     shared, reduced = sp.cse(
         [sp.sympify(e) for e in expressions], symbols=sp.numbered_symbols("c_", real=True)
@@ -80,7 +80,7 @@ def assignments(
 
 
 class _CodeMixin:
-    """What the printers of Python and C have in common."""
+    """Common part of the printers of Python and C."""
 
     def _print_Float(self, expr):
         return repr(float(expr))
@@ -105,7 +105,7 @@ class PythonPrinter(_CodeMixin, PythonCodePrinter):
     def _print_Pow(self, expr, rational=False):
         if expr.exp.is_Integer or abs(expr.exp) == sp.S.Half:
             return super()._print_Pow(expr, rational)
-        # A negative number to such a power must not become complex.
+        # A negative number to such a power must not give a complex number.
         return f"math.pow({self._print(expr.base)}, {self._print(expr.exp)})"
 
 
@@ -128,7 +128,7 @@ class CPrinter(_CodeMixin, C99CodePrinter):
 
 
 class MathPrinter(CPrinter):
-    """Scalar code of the languages that write powers with ``^``: Julia, Modelica, MATLAB."""
+    """Scalar code of languages with ``^`` for powers: Julia, Modelica, MATLAB."""
 
     def _print_RealAbs(self, expr):
         return f"abs({self._print(expr.args[0])})"

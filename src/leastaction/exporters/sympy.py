@@ -16,7 +16,7 @@ def write(model: LagrangianModel) -> str:
     names = names_in_terms(model.coordinates)
     if not model.timed:
         names.remove(TIME)
-    # A coordinate may have the name of anything else in the script.
+    # A coordinate may have any name that the script uses.
     module, lagrangian, dissipation = (
         unused(name, names) for name in ("sympy", "lagrangian", "dissipation_function")
     )

@@ -43,35 +43,34 @@ def export(
 @overload
 def export(model: LagrangianModel, format: str, path: _Path = None) -> str | bytes: ...
 def export(model, format, path=None):
-    """Write a model as a text or file that needs nothing of leastaction.
+    """Write a model as a text or file that does not need leastaction.
 
     ==============  =========================================================================================
     format          content
     ==============  =========================================================================================
-    ``"sympy"``     a Python script that makes ``lagrangian`` and ``dissipation_function`` with SymPy, over
-                    real symbols with the names of the coordinates and ``<coordinate>_dot``; all digits are
-                    kept
+    ``"sympy"``     a Python script that defines ``lagrangian`` and ``dissipation_function`` with SymPy, over
+                    real symbols with the names of the coordinates and ``<coordinate>_dot``, with all digits
     ``"latex"``     L and ψ as a displayed formula (needs the package amsmath), rounded to their errors
     ``"python"``    a module that imports only `math`: ``acceleration(q, qdot, forces=None)`` -> list and
                     ``energy(q, qdot)`` -> float of plain sequences
     ``"c"``         C99 that needs only ``math.h``: ``void leastaction_acceleration(q, qdot, forces,
                     qddot)``, ``double leastaction_energy(q, qdot)`` of arrays; ``forces`` may be ``NULL``
-    ``"casadi"``    a Python module that imports `casadi` and holds three ``casadi.Function``:
+    ``"casadi"``    a Python module that imports `casadi` and defines three ``casadi.Function``:
                     ``acceleration(q, qdot, forces)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``; without
-                    a file, `leastaction.casadi.functions` makes the same
+                    a file, `leastaction.casadi.functions` returns the same
     ``"jax"``       a Python module that imports `jax.numpy`: ``acceleration(q, qdot, forces=None)``,
                     ``state_derivative(t, x, forces=None)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)`` of
-                    one state, to be mapped, differentiated and compiled; double precision is the user's to
-                    ask for
+                    one state, to be mapped, differentiated and compiled; double precision must be enabled
+                    in JAX
     ``"julia"``     a module ``LeastactionModel`` that needs no package: ``acceleration(q, qdot, forces)``,
                     ``energy(q, qdot)``, ``mass_matrix(q, qdot)``, and ``state_derivative!(dx, x, p, t)`` for
                     ``ODEProblem``
     ``"modelica"``  a package ``LeastactionModel`` with the functions ``mass_matrix``, ``right_side`` and
                     ``energy``, and the model ``Motion`` with ``forces`` as inputs
-    ``"mjcf"``      a MuJoCo model of a chain of links in a plane, for laws that are one: masses, centres,
-                    inertias and lengths with which L is the same up to a constant (more than one set has
-                    it). Joints turn relative to the link before. What friction a joint cannot have is left
-                    out and named in the file
+    ``"mjcf"``      a MuJoCo model, if the law is that of a chain of links in a plane: masses, centres,
+                    inertias and lengths that give this L up to a constant (they are not unique). Joint
+                    angles are relative to the previous link. Friction that a joint cannot have is left out
+                    and named in the file
     ``"urdf"``      the same as a robot description
     ``"matlab"``    a function file for MATLAB and Octave; it returns a structure of function handles:
                     ``acceleration(q, qdot, forces)``, ``state_derivative(t, x, forces)`` with x = [q; qdot]
@@ -82,20 +81,20 @@ def export(model, format, path=None):
                     Inputs ``<coordinate>_force``; outputs ``<coordinate>``,
                     ``<coordinate>_dot``, ``<coordinate>_dot_dot`` and ``energy``; the start values of the
                     first two are the initial state. Parameters: the coefficients, ``lagrangian_1`` ... and
-                    ``dissipation_1`` ..., and ``max_step``, the longest step of the RK4 method inside (1 ms
+                    ``dissipation_1`` ..., and ``max_step``, the longest internal step of the RK4 method (1 ms
                     or a tenth of a knot interval of the discovery, halved until another halving changes 100
-                    steps by less than 1e-8 of the motion). Inputs are held over a communication step. Times
-                    and angles have units
+                    steps by less than 1e-8 of the motion). Inputs are constant during a communication step.
+                    Times and angles have units
     ``"fmu3"``      the same for FMI 3.0
     ==============  =========================================================================================
 
-    A law that holds the time takes it, ``t``, behind q and qdot in Python, C, CasADi, JAX, Julia and MATLAB.
-    That of an FMU and of Modelica's ``Motion`` is the time of the simulation, and the script for SymPy has a
+    If the law depends on time, ``t`` follows q and qdot as an argument in Python, C, CasADi, JAX, Julia and
+    MATLAB. An FMU and Modelica's ``Motion`` use the time of the simulation, and the script for SymPy has a
     symbol ``t``.
 
-    Where the mass matrix is exactly singular the accelerations are NaN (MATLAB also warns, an FMU refuses the
-    step); where a function is not defined (logarithm of a negative number), C and CasADi return NaN,
-    Python raises what `math` raises; MATLAB, Julia and Modelica stop with their own message.
+    If the mass matrix is exactly singular, the accelerations are NaN (MATLAB also warns, an FMU rejects the
+    step). If a function is undefined (logarithm of a negative number), C and CasADi return NaN, Python raises
+    the exception of `math`, and MATLAB, Julia and Modelica stop with their own message.
 
     Parameters
     ----------
@@ -103,8 +102,8 @@ def export(model, format, path=None):
     format : str
         One of the formats above.
     path : path, optional
-        File to write. For MATLAB and for an FMU its name is also that of the function or model; without a
-        path that is ``leastaction_model``.
+        File to write. For MATLAB and for an FMU, it also gives the name of the function or model, which is
+        ``leastaction_model`` without a path.
 
     Returns
     -------
@@ -114,8 +113,9 @@ def export(model, format, path=None):
     Raises
     ------
     InputError
-        If there is no such format, the file cannot be written or, for MATLAB, has a name that cannot be
-        called; for an FMU, if there is no C compiler; for MJCF and URDF, if the law is no chain of links.
+        If there is no such format, the file cannot be written or, for MATLAB, has a name that is not a valid
+        function; for an FMU, if there is no C compiler; for MJCF and URDF, if the law is not a chain of
+        links.
 
     Examples
     --------

@@ -15,7 +15,8 @@ from leastaction.findings.finding import (
 )
 from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import find, sentence
-from leastaction.findings.templates import REASONS, because, statements
+from leastaction.findings.stated import stated_error, statements
+from leastaction.findings.templates import REASONS, because
 from leastaction.findings.wording import Audience
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "find",
     "inexact",
     "sentence",
+    "stated_error",
     "statements",
     "status_of",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-from leastaction.findings import templates
+from leastaction.findings import stated, templates
 from leastaction.findings.wording import Message, fill
 
 __all__ = ["CODES"]
@@ -147,8 +147,7 @@ CODES: dict[str, Message] = {
         "warning",
         "a degree of freedom without a sensor seems to act on {subject}: a mass on a spring of its own, at "
         "{frequency:.3g} ± {error:.1g} Hz, explains at least {share:.0f%} of the equation error",
-        "add it with hidden=['{hidden}'] and candidates such as {terms}",
-        on_command_line="add it with --hidden {hidden} and candidates such as {terms}",
+        "declare a hidden coordinate {hidden}, with candidates such as {terms}",
     ),
     "hidden-coordinate": Message("note", templates.hidden_coordinate),
     "hidden-gauge": Message(
@@ -369,10 +368,15 @@ CODES: dict[str, Message] = {
         "samples, forces are {between}",
     ),
     "forecasts": Message(
-        "note", templates.followed, "compare forecasts of held-out trials with the accuracy that you need"
+        "note", stated.followed, "compare forecasts of held-out trials with the accuracy that you need"
+    ),
+    "forecasts-fail": Message(
+        "warning",
+        stated.failed,
+        "record more or longer trials with more varied motions, or offer fewer candidates",
     ),
     "forecast-reach": Message(
-        "note", templates.reach, "estimated from the intervals: forecast a trial that was held out"
+        "note", stated.reach, "estimated from the intervals: forecast a trial that was held out"
     ),
     "gravity-off": Message(
         "warning",

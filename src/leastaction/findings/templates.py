@@ -1,4 +1,4 @@
-"""Templates for the sentences of findings, and the wording of reasons and statements."""
+"""Templates for the sentences of findings, and the wording of reasons."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from leastaction.findings.finding import Finding
 from leastaction.findings.wording import fill
 
 __all__ = [
@@ -18,7 +17,6 @@ __all__ = [
     "correlated",
     "equations_off",
     "equations_off_remedy",
-    "followed",
     "friction",
     "gravity_remedy",
     "groups_differ",
@@ -28,12 +26,9 @@ __all__ = [
     "late_forces",
     "missing_term",
     "missing_term_remedy",
-    "off_by",
     "perhaps_angle_remedy",
     "rate_scaled",
-    "reach",
     "smoothed",
-    "statements",
     "time_dependent",
     "time_dependent_remedy",
     "time_unit",
@@ -274,75 +269,6 @@ def zero_offset(f: dict[str, Any]) -> str:
     size = "large" if f["offset"] > 0 else "small"
     text = f"{{term}} and its sine together indicate a zero offset: {{subject}} is too {size} by "
     return fill(text, f) + f"{1e3 * abs(f['offset']):.2g} mrad"
-
-
-_STRUCTURES = {
-    "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
-    "not among the candidates": (
-        *("missing-term", "time-dependent", "form-imitated", "simpler-form", "wrong-known-coefficient"),
-        *("energy-fed-in", "negative-dissipation", "swapped-forces"),
-    ),
-    "not determined by these data": (
-        *("hardly-determined", "scale-open", "form-open", "motion-in-noise"),
-        *("shape-undetermined", "shape-at-bound", "shape-not-settled"),
-    ),
-    "one of several that explain the data": ("competing-structures", "another-structure"),
-}
-"""What findings imply for the structure, the worst first."""
-_LITTLE = 1e-3  # of the forces: smaller equation errors have no finding
-
-
-def statements(findings: Iterable[Finding]) -> dict[str, str]:
-    """Summarise findings in a statement each on structure, equations and forecast.
-
-    Examples
-    --------
-    >>> statements([])
-    {'structure': 'determined', 'equations': 'hold to 0.1 % of the forces', 'forecast': 'not tested'}
-    """
-    found = tuple(findings)
-    codes = {finding.code for finding in found}
-    structure = next((words for words, some in _STRUCTURES.items() if codes & {*some}), "determined")
-    runs = _values(found, "forecasts")
-    if structure == "determined" and "equations-off" in codes and runs is None:
-        structure = "in doubt, since the equations do not hold"
-    left = [
-        fill("{equation_error:.2g%} of the forces (", finding.values) + ", ".join(finding.subject) + ")"
-        for finding in found
-        if "equation_error" in finding.values
-    ]
-    forecast = "not tested"
-    if runs is not None:
-        forecast = "simulations over " + off_by(runs)
-    elif (far := _values(found, "forecast-reach")) is not None:
-        forecast = reach(far) + " (by its intervals, not tested)"
-    equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
-    return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
-
-
-def _values(found: Iterable[Finding], code: str) -> dict[str, Any] | None:
-    return next(({**finding.values} for finding in found if finding.code == code), None)
-
-
-def off_by(f: dict[str, Any]) -> str:
-    """State how far simulations are off, and in the worst trial where that is known."""
-    text = "{horizon:.2g} s are off by {error:.2g%} of the spread"
-    if f.get("trials", 0) > 1:
-        text += ", {worst:.2g%} in the worst trial"
-    if f.get("left_out") is not None:
-        text += "; of trials left out of the fit, by {left_out:.2g%} and {worst_left_out:.2g%}"
-    return fill(text, f)
-
-
-def followed(f: dict[str, Any]) -> str:
-    """State how well simulations follow the data that were fitted."""
-    return "simulations started from states along the data, over " + off_by(f)
-
-
-def reach(f: dict[str, Any]) -> str:
-    """State how far ahead the model forecasts, according to its intervals."""
-    within = "forecasts are off by less than {share:.0f%} of the spread for "
-    return fill(within + ("{seconds:.2g} s and more" if f["to_the_end"] else "{seconds:.2g} s"), f)
 
 
 def smoothed(f: dict[str, Any]) -> str:

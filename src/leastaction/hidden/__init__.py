@@ -1,1 +1,1 @@
-"""Coordinates that no sensor saw: start values for their motion, and what is known of them."""
+"""Hidden coordinates: start values and standard errors of their motion, and undetectable changes."""

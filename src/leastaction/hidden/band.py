@@ -1,10 +1,10 @@
-"""How well a fit knows its curve: posterior standard deviation of the coordinates.
+"""Posterior standard deviation of the coordinates of a fitted curve.
 
 With the curve's block H of the normal matrix, its border C and the covariance Σ of the coefficients,
 
     cov(P) = H⁻¹ + H⁻¹C Σ CᵀH⁻¹,
 
-so that the variance of q_i(t) = b(t)ᵀP_i follows from the band of H⁻¹ and one solution a coefficient.
+so that the variance of q_i(t) = b(t)ᵀP_i needs the band of H⁻¹ and one solution for each coefficient.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _band(space: SplineSpace, inverse: np.ndarray, times: np.ndarray) -> np.ndar
 
 
 def normal_of(fit: Fit, trial: int) -> NormalEquations:
-    """The normal equations of one trajectory, whoever holds those of all."""
+    """The normal equations of one trajectory alone."""
     grid, problem = fit.grid, fit.problem
     spline, data = grid.spline, problem.trajectories
     counts = np.cumsum([0, *(space.n_intervals for space in spline.spaces)]).tolist()

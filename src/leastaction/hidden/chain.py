@@ -1,8 +1,8 @@
 """From motions in single windows to one motion along every trajectory.
 
-Every window has several solutions, on different branches of the hidden coordinate. The path is chosen
-that fits and continues from window to window: the sum of log(1 + χ²) and log(1 + jump²) is least. It is
-found by dynamic programming (Viterbi 1967, IEEE Trans. Inf. Theory 13:260).
+Every window has several solutions, on different branches of the hidden coordinate. The path through the
+windows minimises the sum of log(1 + χ²) and log(1 + jump²), so that it fits and is continuous. Dynamic
+programming finds it (Viterbi 1967, IEEE Trans. Inf. Theory 13:260).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from leastaction.hidden.shooting import Shooter, Solutions
 
 __all__ = ["Chained", "chain"]
 
-_SMALL = 0.02  # of a scale: a jump between windows that is of no concern
+_SMALL = 0.02  # of a scale: smaller jumps between windows are ignored
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,9 +28,9 @@ class Chained:
     ----------
     values : list of (n_times, n_hidden) arrays
     jumps : list of (n_windows - 1,) arrays
-        Between neighbouring windows, in scales of the hidden state.
+        Jumps between neighbouring windows, in scales of the hidden state.
     chosen : Solutions
-        Of every window the solution on the path.
+        The solution of every window that is on the path.
     """
 
     values: list[np.ndarray]
@@ -39,7 +39,7 @@ class Chained:
 
 
 def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.ndarray]) -> Chained:
-    """Choose a solution of every window, and read off the hidden coordinates.
+    """Choose a solution of every window and return the hidden coordinates.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def _jumps(ends: np.ndarray, begins: np.ndarray, unit: np.ndarray, period: np.nd
 
 
 def _turns(step: np.ndarray, period: np.ndarray) -> np.ndarray:
-    """The part of a step that is of no concern: whole periods; all of it where the period is zero."""
+    """The part of a step to ignore: whole periods, or all of it where the period is zero."""
     whole = np.where(np.isfinite(period) & (period > 0.0), period, 1.0)
     turns = np.where(np.isfinite(period), whole * np.round(step / whole), 0.0)
     return np.where(period > 0.0, turns, step)

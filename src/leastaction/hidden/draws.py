@@ -1,8 +1,8 @@
-"""Coefficients and hidden states to begin with, where nothing is known of them.
+"""Random start values of coefficients and hidden states.
 
-A coefficient is drawn about the size at which its term balances the known terms and forces, with either
-sign. Of many terms most begin near zero. Hidden angles begin anywhere on the circle. The sizes of hidden
-lengths and rates are taken from measured coordinates of the same kind.
+A coefficient is drawn about the size at which its term balances the known terms and forces, with a random
+sign. If there are many terms, most start near zero. Hidden angles start anywhere on the circle. The scales of
+hidden lengths and rates are those of measured coordinates of the same kind.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Scales:
     angular : (n_dof,) bool array
         Coordinates that are angles: hidden ones begin anywhere on the circle.
     cyclic : (n_dof,) bool array
-        Coordinates of which only the rate occurs: their zero is of no concern.
+        Coordinates that enter only by their rate, so that their zero is arbitrary.
     """
 
     q: np.ndarray
@@ -49,7 +49,7 @@ class Scales:
 
 
 def scales_of(problem: Problem, windows: Windows, period: float) -> Scales:
-    """Sizes of measured coordinates from the data; hidden ones are taken to be like these."""
+    """Scales of measured coordinates from the data; hidden ones are assumed to have similar scales."""
     names, measured = problem.coordinates, list(windows.measured)
     angular = np.array([name in problem.candidates.turning for name in names])
     q, qdot = windows.q.reshape(-1, len(names)), windows.qdot.reshape(-1, len(names))
@@ -91,13 +91,13 @@ def draw_coefficients(
 ) -> np.ndarray:
     """(n_sets, n_members) coefficients whose mass matrix is positive definite at drawn states.
 
-    Where there are many terms, most begin near zero.
+    If there are many terms, most start near zero.
     """
     shape = (_TRIED, len(members))
     drawn = sizes * np.exp(HIDDEN.spread * rng.standard_normal(shape)) * rng.choice([-1.0, 1.0], shape)
     passive = rng.random(shape) >= HIDDEN.active / len(members)
     drawn *= np.where(passive, HIDDEN.near_zero, 1.0)
-    if windows.forces is not None:  # what drives a motion may be a small part of the forces in it
+    if windows.forces is not None:  # at resonance, the driving force is a small part of the forces
         drawn *= np.exp(rng.uniform(0.0, np.log(HIDDEN.over_forces), (_TRIED, 1)))
     points = _states(windows, scales, rng)
     known = problem.candidates.mass_matrix(points, np.nan_to_num(problem.known))
@@ -111,9 +111,9 @@ def draw_coefficients(
 
 
 def draw_begins(scales: Scales, hidden: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-    """(n_starts, 2 n_hidden) hidden coordinates and rates, on a grid or, where it is too large, drawn.
+    """(n_starts, 2 n_hidden) hidden coordinates and rates, on a grid, or drawn if the grid is too large.
 
-    The grid of an angle begins anywhere.
+    The grid of an angle has a random offset.
     """
     axes: list[np.ndarray] = []
     for i in hidden:

@@ -1,13 +1,13 @@
-"""What the choice of a hidden coordinate leaves open.
+"""Changes of a hidden coordinate that the data cannot detect.
 
-A change q_h → Q(q) of a hidden coordinate h leaves the measured motion as it is. If the candidates can
+A change q_h → Q(q) of a hidden coordinate h does not affect the measured motion. If the candidates can
 express the new law, the data cannot distinguish the two. Continuous changes δq_h = g(q) are tested by
 their generators
 
     δφ = (∂φ/∂q_h) g + (∂φ/∂q̇_h) ġ,      g = 1, q_h, or a measured coordinate:
 
-the equations of Σ_k λ_k δφ_k must then be a sum of those of the free terms. Of discrete ones, the
-reflection q_h → −q_h and half a turn q_h → q_h + π are tested term by term.
+A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms.
+Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = ["Reflection", "canonical", "open_changes", "reflections"]
 
 _STATES = 200  # along the motion, at which equations are compared
-_MATTERS = 0.2  # of the largest coefficient alike
-_EXACT = 1e-7  # relative: what rounding leaves of equations that are a sum of others
+_MATTERS = 0.2  # of the largest coefficient of the same kind
+_EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
 
 OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
 SIGN, HALF_TURN = "sign", "half a turn"
@@ -36,14 +36,14 @@ SIGN, HALF_TURN = "sign", "half a turn"
 
 @dataclass(frozen=True, eq=False)
 class Reflection:
-    """A discrete change of a hidden coordinate that gives a law of the same terms.
+    """A discrete change of a hidden coordinate that maps a law to one with the same terms.
 
     Attributes
     ----------
     coordinate : int
     kind : {"sign", "half a turn"}
     signs : (n_candidates,) array
-        By which each coefficient changes: 1, -1, or NaN for a candidate that leaves the library.
+        Factor of each coefficient: 1, -1, or NaN for a candidate that becomes one outside the library.
     """
 
     coordinate: int
@@ -56,7 +56,7 @@ class Reflection:
 
 
 def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
-    """Discrete changes under which the terms of a structure, and known ones, stay terms of it."""
+    """Discrete changes that map the known terms and the terms of a structure to themselves."""
     held = [*members, *np.flatnonzero(np.nan_to_num(problem.known)).tolist()]
     out: list[Reflection] = []
     for i in problem.hidden:
@@ -73,7 +73,7 @@ def reflections(problem: Problem, members: Sequence[int]) -> list[Reflection]:
 
 
 def canonical(problem: Problem, members: Sequence[int], coefficients: np.ndarray) -> list[Reflection]:
-    """Changes that make the first coefficient positive which they would change and which matters."""
+    """Changes that make positive the first coefficient that is large enough and whose sign they change."""
     out: list[Reflection] = []
     for change in reflections(problem, members):
         moved = [k for k in sorted(members) if change.signs[k] == -1.0 and coefficients[k] != 0.0]
@@ -95,7 +95,7 @@ def _is_kinetic(problem: Problem, k: int) -> bool:
 
 
 def open_changes(fit: Fit) -> dict[str, tuple[str, ...]]:
-    """Hidden coordinate → kinds of continuous changes that its candidates leave open; empty: none."""
+    """Hidden coordinate → kinds of continuous changes that cannot be detected with these candidates."""
     problem = fit.problem
     names = problem.coordinates
     out: dict[str, tuple[str, ...]] = {}
@@ -120,7 +120,7 @@ def _pushed(problem: Problem, coordinate: int) -> bool:
 
 
 def _sign(term: Term, name: str, kind: str) -> float:
-    """By which a term is multiplied under a discrete change; NaN where it becomes another term."""
+    """Factor of a term under a discrete change; NaN if it becomes another term."""
     q, rate = sp.Symbol(name, real=True), sp.Symbol(f"{name}_dot", real=True)
     if not term.expr.free_symbols & {q, rate}:
         return 1.0
@@ -133,7 +133,7 @@ def _sign(term: Term, name: str, kind: str) -> float:
 
 
 def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points) -> bool:
-    """Whether a continuous change gives another law of the same free terms; of a symmetry it is the same."""
+    """Whether a continuous change gives another law with the same free terms; symmetries do not count."""
     problem = fit.problem
     names, members = problem.coordinates, list(fit.structure)
     held = [*members, *np.flatnonzero(problem.is_known).tolist()]
@@ -171,7 +171,7 @@ def _variation(name: str, generator: sp.Expr, names: Sequence[str]) -> Callable[
 
 
 def _states_about(fit: Fit) -> Points:
-    """States about the motion, all their parts independent of each other."""
+    """Random states of the size of the motion, with independent components."""
     rng = np.random.default_rng(0)
     n = fit.problem.trajectories.n_dof
     along = np.array(fit.points(_STATES).columns).reshape(3, n, -1)

@@ -1,15 +1,15 @@
-"""Motions of a law in many windows at once, and their fit to what was measured.
+"""Motions of a law in many windows at once, and their fit to the measured motion.
 
 A motion obeys the law and starts in each window from an unknown state (q, q̇) of all coordinates.
-Levenberg–Marquardt minimises its deviations from the smoothed motion in the measured coordinates. The
-unknowns are the initial states alone, or also the coefficients λ, which all windows share:
+The Levenberg–Marquardt method minimises its deviations from the smoothed motion in the measured coordinates.
+The unknowns are the initial states alone, or also the coefficients λ, which are common to all windows:
 
     Σ_w log(1 + χ_w²(x_w, λ) / s),       χ_w² = mean ((q(t; x_w, λ) − q_measured(t)) / scale)²,
 
 with s four times the median of χ_w². The logarithm bounds the influence of windows whose motion is on a
 wrong branch of the hidden coordinate. The states are eliminated window by window (variable projection;
-Golub & Pereyra 2003, Inverse Problems 19:R1). Many sets of coefficients are treated side by side: one
-batch of RK4 runs a step.
+Golub & Pereyra 2003, Inverse Problems 19:R1). Many sets of coefficients run side by side: each step
+integrates one batch by RK4.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from leastaction.simulation.integrate import rk4
 __all__ = ["Shooter", "Solutions", "law_of"]
 
 _DIFFERENCE = 1e-5  # of a unit
-_LOST = 1e6  # what diverges counts as this
+_LOST = 1e6  # deviation of a motion that diverges
 _FIRST_DAMPING = 1e-2  # relative to the diagonal
-_MOST_NUMBERS = 2**24  # in the motions of one batch: bounds memory
+_MOST_NUMBERS = 2**24  # in the motions of one batch; bounds the memory
 _MOST_CHANGE = 0.5  # of a coefficient, in one step
-_TINY = 1e-300  # added to what may vanish
-_LEAST_VARIANCE = 1e-2  # of deviations, in their scale: less is rounding
-_INDEPENDENT = 8.0  # values in a window, whose deviations are correlated
+_TINY = 1e-300  # added to divisors that may vanish
+_LEAST_VARIANCE = 1e-2  # of deviations, in their scale; smaller ones are rounding
+_INDEPENDENT = 8.0  # independent values in a window; deviations are correlated
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +85,7 @@ class Shooter:
         With the free coefficients as parameters; see `law_of`.
     windows : Windows
     unit : (2 n_dof,) array
-        Sizes of coordinates and rates.
+        Scales of coordinates and rates.
     """
 
     def __init__(self, mechanics: Mechanics, windows: Windows, unit: np.ndarray) -> None:
@@ -128,15 +128,15 @@ class Shooter:
         return error.reshape(*error.shape[:-2], -1)
 
     def screen(self, coefficients: np.ndarray, begins: np.ndarray, kept: int, rounds: int) -> Solutions:
-        """The best of many begins of every window, each with its own fit.
+        """The best of many start values of every window, each with its own fit.
 
         Parameters
         ----------
         coefficients : (n_sets, n_members) array
         begins : (n_sets, n_starts, 2 n_hidden) array
-            Hidden coordinates and rates at the begin.
+            Hidden coordinates and rates at the start of a window.
         kept : int
-            Begins of each window that are fitted.
+            Number of start values of each window that are fitted.
         rounds : int
             Steps of the fit.
 
@@ -144,7 +144,7 @@ class Shooter:
         -------
         Solutions
             With ``kept`` · n_windows windows: the kept ones of the first window, then of the second, …; fewer
-            where there are fewer begins.
+            if there are fewer start values.
         """
         n_sets, n_starts = begins.shape[:2]
         kept = min(kept, n_starts)
@@ -168,13 +168,13 @@ class Shooter:
 
     @property
     def _hidden(self) -> list[int]:
-        """Places of hidden coordinates and rates in a state."""
+        """Indices of hidden coordinates and rates in a state."""
         return [*self.windows.hidden, *(self.n_dof + i for i in self.windows.hidden)]
 
     def fit_states(
         self, coefficients: np.ndarray, states: np.ndarray, owner: np.ndarray, rounds: int
     ) -> Solutions:
-        """Fit the initial states, the coefficients held; ``owner`` is the window of each state of a set."""
+        """Fit the initial states with fixed coefficients; ``owner`` is the window of each state of a set."""
         n_sets, n_runs, size = states.shape
         given = np.repeat(coefficients, n_runs, axis=0).T
         owner, flat = np.tile(owner, n_sets), states.reshape(-1, size)
@@ -205,17 +205,17 @@ class Shooter:
     def fit(self, start: Solutions, sizes: np.ndarray, rounds: int) -> Solutions:
         """Fit coefficients and initial states of every set together.
 
-        Coefficients that hardly matter are drawn to zero: they have a normal prior of standard deviation
-        ``sizes``, beside deviations whose variance is the median of χ².
+        A normal prior of standard deviation ``sizes`` draws coefficients of little effect to zero. The
+        variance of the deviations is the median of χ².
 
         Parameters
         ----------
         start : Solutions
             One state for each window.
         sizes : (n_members,) array
-            Of the coefficients.
+            Standard deviations of the coefficients in the prior.
         rounds : int
-            Steps.
+            Steps of the fit.
         """
         states, coefficients = start.states, start.coefficients
         damping = np.full(len(coefficients), _FIRST_DAMPING)
@@ -297,14 +297,14 @@ class Shooter:
 def _cost(
     found: np.ndarray, coefficients: np.ndarray, typical: np.ndarray, prior: np.ndarray, count: int
 ) -> np.ndarray:
-    """(n_sets,) what a fit lowers: deviations of ``count`` values a window, and the prior."""
+    """(n_sets,) objective of a fit: deviations of ``count`` values in a window, and the prior."""
     scale = 4.0 * typical
     bounded = np.log1p(found / scale[:, None]).sum(axis=1)
     return count * scale * bounded + prior * (coefficients**2).sum(axis=1)
 
 
 def law_of(problem: Problem, members: Sequence[int]) -> Mechanics:
-    """The equations of some candidates with free coefficients, and of the known ones."""
+    """The equations of some candidates with free coefficients, and of the known terms."""
     symbols = [sp.Dummy(real=True) for _ in members]
     values: list[sp.Expr] = [sp.Float(float(value)) for value in np.nan_to_num(problem.known)]
     for k, symbol in zip(members, symbols, strict=True):

@@ -1,10 +1,11 @@
-"""Where a fit with hidden coordinates begins, without any help.
+"""Start values of a fit with hidden coordinates.
 
-1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states; then
+1. Many sets of coefficients are drawn. Each is tried in short windows, from many hidden states. Then
    coefficients and states are fitted together.
-2. The best sets go on to more and longer windows, in which fewer of them can follow the measured motion.
-3. The check: two sets end at the same law, or the best stands out. Otherwise more are drawn.
-4. The best law is fitted in windows that cover every trajectory, and their motions are chained to one.
+2. The best sets are fitted in more and longer windows, in which fewer of them follow the measured motion.
+3. The search is confirmed if two sets end at the same law, or if the best one stands out. Otherwise more sets
+   are drawn.
+4. The best law is fitted in windows that cover every trajectory, and their motions are chained.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ __all__ = ["HiddenStart", "find_start", "follow_again"]
 
 @dataclass(frozen=True, eq=False)
 class HiddenStart:
-    """Coefficients and motion to begin with.
+    """Start values of coefficients and motion.
 
     Attributes
     ----------
     coefficients : (n_candidates,) array
-        Of all candidates; known ones in place.
+        Of all candidates, known ones included.
     motions : list of (n_times, n_hidden) arrays
         Hidden coordinates at the samples of each trajectory.
     confirmed : bool
@@ -55,11 +56,11 @@ def find_start(
     ----------
     problem : Problem
     structure : Structure
-        Its members have unknown coefficients; dissipation begins at zero.
+        Its members have unknown coefficients; dissipation starts at zero.
     smooth : Smooth
-        The smooth curve through the samples; what it holds of hidden coordinates is not used.
+        The smooth curve through the samples; its hidden coordinates are not used.
     period : float
-        Of the measured motion, in seconds.
+        Period of the measured motion, in seconds.
     seed : int
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(seed))
@@ -76,21 +77,21 @@ def find_start(
 def follow_again(
     problem: Problem, structure: Structure, smooth: Smooth, period: float, coefficients: np.ndarray
 ) -> HiddenStart:
-    """Chain the motions of a law anew, where some trials of its fit may be on a wrong branch.
+    """Chain the motions of a law again, because some trials of its fit may be on a wrong branch.
 
     Parameters
     ----------
     problem, structure, smooth, period
         As for `find_start`.
     coefficients : (n_candidates,) array
-        Of the law.
+        Coefficients of the law.
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(1))
     return _started(hunt, coefficients[None, hunt.members], confirmed=True)
 
 
 def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
-    """The motion of one law, (1, n_members) coefficients, with signs and zeros as we choose them."""
+    """The motion of one law, (1, n_members) coefficients, with the conventional signs and zeros."""
     problem, nothing = hunt.problem, np.zeros((1, 0))
     values, chained = hunt.everywhere(Solutions(given, nothing, nothing))
     coefficients, motions = problem.completed(values), chained.values
@@ -103,7 +104,7 @@ def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
 
 
 class _Hunt:
-    """A search for one structure: its law, sizes of everything, and windows of any length."""
+    """A search for one structure: its law, scales of the motion, and windows of any length."""
 
     def __init__(
         self, problem: Problem, members: list[int], smooth: Smooth, period: float, rng: np.random.Generator
@@ -117,13 +118,13 @@ class _Hunt:
         self.sizes = term_sizes(problem, self.first, self.scales, rng)
 
     def windows(self, factor: float, most: int | None) -> Windows:
-        """Windows of some times the first length."""
+        """Windows of ``factor`` times the first length."""
         seconds = factor * HIDDEN.first_window * self.period
         most = None if most is None else int(most * max(1.0, len(self.members) / HIDDEN.terms_of_windows))
         return cut_windows(self.problem, self.smooth, seconds, HIDDEN.step * self.period, most)
 
     def drawn(self) -> Solutions:
-        """The best of many draws, after all stages but the last."""
+        """The best of many draws after all stages except the last."""
         sizes = self.sizes[self.members]
         given = draw_coefficients(self.problem, self.members, sizes, self.first, self.scales, self.rng)
         nothing = np.zeros((len(given), 0))
@@ -133,7 +134,7 @@ class _Hunt:
         return found
 
     def fitted(self, given: Solutions, factor: float, most: int, sets: int, rounds: int) -> Solutions:
-        """The best sets, begun anew and fitted in other windows."""
+        """The best sets, started again and fitted in other windows."""
         shooter = Shooter(self.mechanics, self.windows(factor, most), self.scales.unit)
         coefficients = given.best(sets).coefficients
         begins = np.stack([self._begins()] * len(coefficients))
@@ -143,7 +144,7 @@ class _Hunt:
     def everywhere(self, given: Solutions) -> tuple[np.ndarray, Chained]:
         """(n_candidates,) coefficients of one set, and its motion along every trajectory.
 
-        Motions are chained, fitted with all coefficients, those of the dissipation, too, and chained again.
+        Motions are chained, fitted with all coefficients including dissipation, and chained again.
         """
         members = self.all_members
         shooter = Shooter(law_of(self.problem, members), self.windows(HIDDEN.last[0], None), self.scales.unit)
@@ -173,7 +174,7 @@ def _joined(one: Solutions, other: Solutions) -> Solutions:
 
 
 def _agree(problem: Problem, members: Sequence[int], found: Solutions, sizes: np.ndarray) -> bool:
-    """Whether the two best sets are the same law, but for the choice of a sign or zero, or one stands out."""
+    """Whether the two best sets are the same law up to the choice of a sign or zero, or one stands out."""
     if len(found.coefficients) < 2:
         return False
     first, second = found.best(2).cost

@@ -1,4 +1,4 @@
-"""Short pieces of the measured motion, on which motions of a law are compared with it."""
+"""Short windows of the measured motion, in which motions of a law are compared with it."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ class Windows:
     Attributes
     ----------
     trial : (n_windows,) int array
-        The trajectory of each.
+        Trajectory of each window.
     begin : (n_windows,) array
-        Time at which it begins, in seconds.
+        Start of each window, in seconds.
     nodes : (n_nodes,) array
-        Seconds since the begin: steps of the integration, and where motions are compared.
+        Seconds since the start of a window, at which motions are integrated and compared.
     q, qdot : (n_windows, n_nodes, n_dof) arrays
         The smoothed motion; meaningless for hidden coordinates.
     measured, hidden : tuple of int
-        Coordinates.
+        Measured and hidden coordinates.
     scale : (n_dof,) array
-        Deviations of measured coordinates are counted in this; one for hidden coordinates.
+        Unit of the deviations of measured coordinates; one for hidden coordinates.
     forces : (2 n_nodes - 1, n_windows, n_dof) array or None
         Known forces at the nodes and between them.
     """
@@ -62,14 +62,14 @@ def cut_windows(problem: Problem, smooth: Smooth, seconds: float, step: float, m
     ----------
     problem : Problem
     smooth : Smooth
-        Of all coordinates; what it says of hidden ones is not used.
+        Of all coordinates; hidden ones are not used.
     seconds : float
         Length; shorter where a trajectory is shorter.
     step : float
         Longest step of the integration, in seconds.
     most : int or None
-        Windows, spread evenly over the data. None: so many that they cover every trajectory, the first at its
-        begin, the last at its end.
+        Number of windows, spread evenly over the data. None: as many as cover every trajectory from its start
+        to its end.
     """
     spans = [(space.breakpoints[0], space.breakpoints[-1]) for space in smooth.grid.spaces]
     longest = max(b - a for a, b in spans)

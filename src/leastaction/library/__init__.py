@@ -1,21 +1,20 @@
-"""Candidate terms: text goes in, trustworthy candidate terms come out.
+"""Candidate terms: parsing, generation and reduction.
 
-* No text is ever evaluated. ``scanner.py`` looks at the characters, ``parser.py`` walks Python's syntax
-  tree against a white list; every refusal is one line with the column and the cure, and takes
-  milliseconds, whatever the text. ``format_expression`` writes text that reads back as an equal
-  expression.
+* No text is evaluated. ``scanner.py`` checks the characters, and ``parser.py`` checks Python's syntax tree
+  against a whitelist. An error is one line with the column and the cure, and takes milliseconds for any
+  text. ``format_expression`` writes text that reads back as an equal expression.
 * A ``Term`` is text, a SymPy expression over real symbols, and its kind (``term.py``). A ``Library`` is
   an ordered, immutable set of them (``library.py``), given as a list, read from a file (``collect.py``) or
-  generated from the kinds of coordinates (``families.py``: the table of families stands there;
-  ``chains.py``: chains of many links).
-* ``Library.reduced()`` (``reduction.py``) leaves out what the data could never tell apart: terms whose
-  Euler–Lagrange expression is zero or a sum of those of others. A term is only dropped when that holds in
-  high precision (60 digits; 400 beside many nearly collinear terms), so a term that is merely hard to
-  tell apart always stays. ``Library.dropped`` says why each one went.
-* ``jets.py`` holds the derivatives behind that: values and first and mixed second derivatives by the
-  chain rule, in double or high precision, without symbolic differentiation. ``invariance.py`` asks with
-  them what shifts, turns and exchanges of coordinates demand of the coefficients.
-* ``tree.py`` holds kinematic trees, which stand for a library where the geometry is known (``geometry.py``);
+  generated from the kinds of coordinates (``families.py``, with the table of families; ``chains.py``: chains
+  of many links).
+* ``Library.reduced()`` (``reduction.py``) drops terms that no data can distinguish: terms whose
+  Euler–Lagrange expression is zero or a linear combination of others. This must hold in high precision (60
+  digits; 400 beside many nearly collinear terms), so that a nearly collinear term always stays.
+  ``Library.dropped`` gives the reasons.
+* ``jets.py`` computes the derivatives for this: values and first and mixed second derivatives by the chain
+  rule, in double or high precision, without symbolic differentiation. ``invariance.py`` derives from them the
+  conditions of shifts, rotations and exchanges of coordinates on the coefficients.
+* ``tree.py`` holds kinematic trees, which replace a library if the geometry is known (``geometry.py``).
   ``urdf.py`` and ``mjcf.py`` read them from files.
 
 Imports from outside this folder: ``errors``, ``identifiers`` and the reading of files.

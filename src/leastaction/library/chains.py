@@ -1,9 +1,9 @@
-"""Candidates for chains of many links: few enough to be searched where the general families are not.
+"""Candidates for chains of many links, few enough for a search.
 
-Planar links in a row have the kinetic energy Σ_ij m_ij ω_i ω_j cos(φ_i − φ_j) with the angles φ and rates ω
-of the links.  Where the coordinates are these angles, q̇_i q̇_j takes cos(q_i − q_j).  Where each q_i is
-measured from the link before, φ_i = q_1 + … + q_i, and q̇_i q̇_j takes the cosines of sums of neighbouring
-angles after the first of i and j: q_2, q_3, q_2 + q_3, … for q̇_1².  This family holds both.
+A planar chain has the kinetic energy Σ_ij m_ij ω_i ω_j cos(φ_i − φ_j) with the angles φ and rates ω of the
+links.  If the coordinates are these angles, the factors of q̇_i q̇_j are cos(q_i − q_j).  If each q_i is
+measured from the previous link, φ_i = q_1 + … + q_i, and the factors of q̇_i q̇_j are the cosines of sums of
+neighbouring angles after the first of i and j: q_2, q_3, q_2 + q_3, … for q̇_1².  This family contains both.
 
 =============  =================================================================================
 pair           factors of q̇_i q̇_j; σ is a sum of neighbouring angles, one angle included
@@ -15,7 +15,7 @@ x, y           1
 
 Potentials are cos σ, sin σ, θ, θ², (θ−φ)² of neighbours, x cos σ, x sin σ, powers of each x and of the
 differences x − y of neighbours.  Centres of mass off the line through two joints are in ``standard`` only.
-Names count in the order given, from the base of the chain to its end.
+Names must be given in the order of the links, from the base to the end of the chain.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["chain_kinetic", "chain_potentials", "runs", "runs_after"]
 
 
 def runs(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield every run of neighbours.
+    """Yield every run of neighbouring names.
 
     Examples
     --------
@@ -40,10 +40,10 @@ def runs(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def runs_after(a: str, b: str, angles: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the runs of angles on which the mass between two coordinates of a chain may depend.
+    """Yield the runs of angles on which the element of the mass matrix for two coordinates may depend.
 
-    If both are angles, these are the angles after the first of them; if one is, all; if none is, none: a mass
-    that is moved and not turned is the same everywhere.
+    If both are angles, these are the angles after the first of them. If one is, they are all angles. If none
+    is, there are none, because a mass that only translates is constant.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def runs_after(a: str, b: str, angles: Sequence[str]) -> Iterator[tuple[str, ...
 
 
 def chain_kinetic(coordinates: Sequence[str], angles: Sequence[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield pairs of coordinates whose velocities are multiplied, each with one factor."""
+    """Yield pairs of coordinates, whose velocities are multiplied, each with one factor."""
     lengths = [name for name in coordinates if name not in angles]
     for a, b in combinations_with_replacement(coordinates, 2):
         turning = (a in angles) + (b in angles)

@@ -22,12 +22,12 @@ def collect(
     parameters: Mapping[str, float] | None,
     kind: Kind,
 ) -> tuple[tuple[Term, ...], tuple[Dropped, ...]]:
-    """Terms in the order given, and those that repeat another one.
+    """Terms in the given order, and dropped repetitions.
 
     Raises
     ------
     InputError
-        For what is no list, and for a term that cannot be read.
+        If a value is not a list, or a term cannot be read.
 
     Examples
     --------
@@ -63,12 +63,12 @@ def read_terms(
     names
         Coordinates and velocities that may occur.
     parameters
-        Numbers to put in place of further names.
+        Values of further names.
 
     Raises
     ------
     InputError
-        With file and line, when a line cannot be read; also when the file cannot, or holds no term.
+        With file and line, if a line cannot be read; also if the file cannot be read or has no term.
     """
     shown = os.fspath(path)
     names = list(names)

@@ -1,4 +1,4 @@
-"""Families of candidates that mechanical systems are made of, generated from the kinds of coordinates.
+"""Families of candidates of mechanical systems, generated from the kinds of coordinates.
 
 Kinetic terms are q̇_i q̇_j g(q) for every pair i ≤ j, with the factors g of the table; potential terms are
 functions of q alone.  θ, φ stand for angles, x, y for other coordinates.
@@ -16,20 +16,20 @@ large     also sin θ cos θ, cos(θ+φ), sin(θ+φ),  also sin θ cos θ, x² c
           gyroscopic x ẏ
 ========  =====================================  ==================================================
 
-σ and τ are sums of two or more neighbouring angles; in a chain of links whose angles are each measured from
-the link before, they are the angles between links that do not touch.  The mass m_ij of such a chain depends
-on the joints after the first of i and j alone, so q̇_i q̇_j takes the sums of these; with one coordinate
-that is no angle it takes them all.  sin² σ and cos σ cos τ (τ begins where σ does, and may be one angle) go
-with squares q̇_i²: the arm on a turning base.  With these terms every planar chain is in ``standard``, its
-angles absolute or relative.
+σ and τ are sums of two or more neighbouring angles. In a chain of links with relative angles, they are the
+angles between links that do not touch.  The element m_ij of the mass matrix depends only on the joints after
+the first of i and j, so q̇_i q̇_j is combined with the sums of these; if one coordinate is not an angle, with
+all sums. sin² σ and cos σ cos τ (τ starts where σ does, and may be one angle) are factors of q̇_i²: an arm on
+a turning base.  With these terms, ``standard`` contains every planar chain with absolute or relative angles.
 
 The fourth family, ``chain``, is for many coordinates; see `leastaction.library.chains`.  ``auto`` takes
-``standard`` where that has no more than 250 candidates, and else ``chain`` where two coordinates or more are
-angles, ``compact`` where not; if that is too many also, the smallest of the three.
+``standard`` if that has at most 250 candidates.  Otherwise it takes ``chain`` if at least two coordinates are
+angles, and ``compact`` if not.  If that has more than 250 candidates, too, it takes the smallest of the
+three.
 
-Every size can be had with the gyroscopic terms x q̇, q̇ cos θ and q̇ sin θ beside them.
-No generated term is null or a sum of others: kinetic terms with one pair q̇_i q̇_j are independent when
-their factors are, and potentials when they are independent beside constants.
+The gyroscopic terms x q̇, q̇ cos θ and q̇ sin θ can be added to every size.  No generated term is null or a sum
+of others: kinetic terms with one pair q̇_i q̇_j are independent if their factors are, and potentials if they
+are independent up to constants.
 """
 
 from __future__ import annotations
@@ -78,14 +78,14 @@ def mechanical_terms(
     size
         ``"compact"``, ``"standard"``, ``"large"`` or ``"chain"``; ``"auto"`` or None: see `choose_size`.
     degree
-        Greatest total degree of the monomials in coordinates that are no angles; by default 2, 4 or 6.
+        Greatest total degree of the monomials in coordinates that are not angles; by default 2, 4 or 6.
     gyroscopic
         Whether to add terms linear in the velocities.
 
     Raises
     ------
     InputError
-        For an unknown size, a degree that is no small positive integer, or too many coordinates.
+        If the size is unknown, the degree is not a small positive integer, or there are too many coordinates.
 
     Examples
     --------
@@ -186,7 +186,7 @@ def _kinetic(
     factors = list(_kinetic_factors(lengths, angles, size))
     for a, b in combinations_with_replacement(coordinates, 2):
         given = [*factors, *(_sum_factors(a, b, angles) if size != "compact" else ())]
-        for factor in dict.fromkeys(given):  # large has some sums of two already
+        for factor in dict.fromkeys(given):  # "large" repeats some sums of two
             yield a, b, factor
 
 
@@ -225,7 +225,7 @@ def _kinetic_factors(lengths: Sequence[str], angles: Sequence[str], size: str) -
 
 
 def _gyroscopic(coordinates: Sequence[str], angles: Sequence[str]) -> list[str]:
-    """Return terms linear in the velocities; of x ẏ and y ẋ, which differ by d(xy)/dt, the first."""
+    """Return terms linear in the velocities; only the first of x ẏ and y ẋ, which differ by d(xy)/dt."""
     out: list[str] = []
     for a, b in permutations(coordinates, 2):
         if a in angles:

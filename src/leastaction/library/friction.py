@@ -1,4 +1,4 @@
-"""Families of friction that can be asked for by name, as candidates of the dissipation function.
+"""Families of friction, by name, as candidates of the dissipation function.
 
 With the rate v of a joint, ε the width in which |v| is smoothed, and −∂ψ/∂v the force that opposes motion:
 
@@ -13,17 +13,17 @@ load        |v|, |v| |cos q|, |v| |sin q|; for lengths |v| |q|    −sgn v times
 asymmetric  v²/2, |v|, v |v|/2, v                                 −|v| and −1, of either sign
 ==========  ====================================================  =======================================
 
-``auto`` is viscous and dry.  A family holds the symmetric friction that it modifies, so that each can be
-asked for alone.  Rates are those of every coordinate, and for all but ``load`` those between neighbours of
-one kind: a joint between two links rubs with its own rate if angles are measured from the link before, and
-with the difference of two if they are measured from a fixed direction.
+``auto`` is viscous and dry.  A family contains the symmetric friction that it modifies, so that each can be
+used alone.  Rates are those of every coordinate and, except for ``load``, differences between neighbours of
+one kind: the rate of a joint between two links is a coordinate rate if angles are relative, and a difference
+of two if they are measured from a fixed direction.
 
 The excess of static friction over sliding friction decays with the velocity scale v_s of Stribeck (1902), in
 the form of Tustin (1947), J. IEE 94:143; see Armstrong-Hélouvry, Dupont & Canudas de Wit (1994), Automatica
 30:1083.  The scale is a shape parameter, ``{x_stribeck}`` for the rate of x.
 
-A load is taken from the position alone: gravity presses on a bearing as |cos q| and twists a gear as |sin q|,
-a spring pulls as |q|.  Friction that grows with a measured torque is no function of q and q̇.
+The load depends on the position alone: gravity loads a bearing by |cos q| and a gear by |sin q|, a spring by
+|q|. Friction that grows with a measured torque is not a function of q and q̇.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from leastaction.library.term import Candidate, Term
 
 __all__ = ["FRICTION", "friction_terms", "has_direction", "with_families"]
 
-# of a rate v, with brackets (v) where it is a difference; {s} is the name of Stribeck's scale, in braces
+# of a rate v, or (v) for a difference; {s} is the name of the Stribeck scale in braces
 _OF_RATES = {
     "auto": ("{(v)}**2/2", "abs({v})"),
     "viscous": ("{(v)}**2/2",),
@@ -89,7 +89,7 @@ def _load(name: str, turns: bool) -> list[str]:
 def with_families(
     given: Iterable[Candidate] | Candidate, coordinates: Sequence[str], angles: Sequence[str]
 ) -> Iterable[Candidate] | Candidate:
-    """Candidates for friction, with the members of a family in place of its name, each once.
+    """Candidates for friction, with the name of a family replaced by its members, each once.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def with_families(
     if isinstance(given, str) and given in FRICTION:
         given = [given]
     if not isinstance(given, Iterable) or isinstance(given, Candidate):
-        return given  # to be refused with others
+        return given  # the caller refuses it
     out: list[Candidate] = []
     for item in given:
         if isinstance(item, str) and item in FRICTION:
@@ -112,8 +112,8 @@ def with_families(
 def has_direction(term: Term) -> bool:
     """Tell whether friction changes sign with the direction of motion: its coefficient may be negative.
 
-    Such a term, ψ(q, −q̇) = −ψ(q, q̇), says by how much friction differs between the directions. By itself it
-    dissipates in one and feeds energy in in the other.
+    Such a term, ψ(q, −q̇) = −ψ(q, q̇), is the difference of friction between the directions. By itself, it
+    dissipates energy in one direction and supplies it in the other.
 
     Examples
     --------

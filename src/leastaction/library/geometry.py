@@ -1,8 +1,7 @@
-"""What a library becomes where the geometry is known: a kinematic tree.
+"""Constructors of kinematic trees, for systems of known geometry.
 
-Multiplied out, the Lagrangian of a chain of seven joints has far too many terms for a list of expressions,
-but only ten parameters a link.  These constructors therefore return the tree, whose columns are computed
-numerically.
+The expanded Lagrangian of a chain of seven joints has far too many terms for a list of expressions, but only
+ten parameters a link.  These constructors therefore return the tree, whose columns are computed numerically.
 """
 
 from __future__ import annotations
@@ -40,9 +39,9 @@ class FromGeometry:
         Parameters
         ----------
         joints : iterable of mappings
-            One for each joint. With `modified`, rows of the table (``a``, ``d``, ``alpha``, ``theta``), see
-            `KinematicTree.from_dh`; without, axes and offsets (``axis``, ``origin``, ``rpy``, ``parent``),
-            see `KinematicTree.from_joints`. Lengths in m, angles in rad.
+            One for each joint. If `modified` is given, rows of the table (``a``, ``d``, ``alpha``,
+            ``theta``), see `KinematicTree.from_dh`. Otherwise axes and offsets (``axis``, ``origin``,
+            ``rpy``, ``parent``), see `KinematicTree.from_joints`. Lengths in m, angles in rad.
         modified : bool, optional
             Convention of the table: True for Craig's, False for the original one.
         gravity, base_rpy, name

@@ -1,4 +1,4 @@
-"""Candidates grown from the names of the coordinates alone, each with its description length.
+"""Candidates generated from the names of the coordinates alone, each with its description length.
 
 With θ, φ for angles and x, y for other coordinates, a function g of the coordinates is one of
 
@@ -12,11 +12,11 @@ and a candidate is q̇_i q̇_j g for a pair i ≤ j, or a potential: any g, mono
 three on), (x−y)ⁿ up to n = 4, θ, θ², θφ, (θ−φ)², and 1/x, 1/x², log x, √x, as well as the root, the
 logarithm, 1/r and 1/r² of every r² = x² + y² + ….
 
-The grammar is wide enough to write one function in several ways; `Library.reduced` takes the shortest.
+The grammar can express one function in several ways; `Library.reduced` keeps the shortest.
 
 The *size* of an expression is the number of its names and functions and of its powers beyond the first:
-2 for θ̇², 3 for sin² θ, 7 for φ̇² x² sin² θ.  Its description length is log S + log N: which of the S sizes,
-and which of the N expressions of that size.
+2 for θ̇², 3 for sin² θ, 7 for φ̇² x² sin² θ.  Its description length is log S + log N, with the number S of
+sizes and the number N of expressions of that size.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from leastaction.library.term import Term, make_term
 
 __all__ = ["description_lengths", "grown_terms", "size_of"]
 
-_DEGREES = {1: 6, 2: 6}  # of potentials in so many positions
-_DEGREE = 4  # in more, and of differences
+_DEGREES = {1: 6, 2: 6}  # number of positions → degree of potentials
+_DEGREE = 4  # for more positions, and for differences
 
 
 def grown_terms(coordinates: Sequence[str], angles: Sequence[str]) -> list[Term]:
-    """Candidates in rising size.
+    """Candidates by increasing size.
 
     Raises
     ------
     InputError
-        When there would be more than 1500.
+        If there would be more than 1500.
 
     Examples
     --------
@@ -88,9 +88,9 @@ def size_of(expr: sympy.Basic) -> int:
 
 
 def description_lengths(terms: Sequence[Term]) -> dict[Term, float]:
-    """What it takes to name each term, in nats: first its size, then which of that size.
+    """Code length of each term in nats: of its size, then of its choice among the terms of that size.
 
-    So exp(−length) adds up to one over all terms, a prior that favours short ones.
+    exp(−length) sums to one over all terms and is a prior that favours short ones.
 
     Examples
     --------

@@ -1,15 +1,16 @@
-r"""Whether a change of variables leaves L = Σ λ_k φ_k as it is, up to null terms: conditions on the λ_k.
+r"""Conditions on the λ_k under which a change of variables leaves L = Σ λ_k φ_k unchanged, up to null terms.
 
-A change q' = G q + c, which may turn the velocities about, takes φ to φ∘g with
+A change q' = G q + c, which may reverse the velocities, maps φ to φ∘g with
 
 .. math:: E_i[φ∘g](q, q̇, q̈) = \sum_j G_{ji} E_j[φ](g(q, q̇, q̈)).
 
-L stays as it is if Σ λ_k (E[φ_k∘g] − E[φ_k]) vanishes everywhere: linear in the coefficients, and no matter
-how the terms are written. The columns at random states have a rank; so many independent conditions A λ = 0
-there are. One generic element, such as a turn by 0.73, stands for a whole group of translations or turns.
+L is unchanged if Σ λ_k (E[φ_k∘g] − E[φ_k]) vanishes everywhere. This is linear in the coefficients and does
+not depend on the form of the terms. The rank of the columns at random states is the number of independent
+conditions A λ = 0. One generic element, such as a rotation by 0.73, represents a whole group of translations
+or rotations.
 
-A shift that adds a constant to L (x in a uniform field) is refused: its momentum is not conserved. So the
-values at rest must agree, too, where total derivatives vanish.
+A shift that adds a constant to L (x in a uniform field) is rejected, because its momentum is not conserved.
+The values at rest, where total derivatives vanish, must therefore agree as well.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ _RANK = 1e-8  # of columns of size one; rounding is far below
 _MARGIN = 5
 _SPARE_POINTS = 40
 _SHIFT, _ANGLE = 0.7351, 0.7351  # generic
-_FEW = 4  # coordinates of which every combination is tried
+_FEW = 4  # coordinates for which every combination is tested
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """q' = `matrix` q + `shift`; `reverse`: the velocities change their sign.
+    """q' = `matrix` q + `shift`; with `reverse`, the velocities change their sign.
 
-    `text` writes it down; `names` are the coordinates that change; its field is ξ = `turn` q + `direction`,
-    zero for a discrete change.
+    `text` describes the change, and `names` are the coordinates that change. Its field is ξ = `turn` q +
+    `direction`, zero for a discrete change.
     """
 
     text: str
@@ -57,7 +58,7 @@ class Change:
         return cls(text, names, matrix, _SHIFT * direction, turn, direction)
 
     def __call__(self, points: Points) -> Points:
-        """Where the states go."""
+        """The states after the change."""
         sign = -1.0 if self.reverse else 1.0
         q = self.matrix @ points.q + self.shift[:, None]
         return Points(q, sign * self.matrix @ points.qdot, self.matrix @ points.qddot)
@@ -69,7 +70,7 @@ class Change:
 
 
 def reversal(coordinates: Sequence[str]) -> Change:
-    """Time runs backwards."""
+    """Reversal of time."""
     n = len(coordinates)
     none = np.zeros((n, n)), np.zeros(n)
     return Change("t -> -t", tuple(coordinates), np.eye(n), np.zeros(n), *none, reverse=True)
@@ -82,8 +83,8 @@ def translations(coordinates: Sequence[str], groups: Sequence[Sequence[str]]) ->
     ----------
     coordinates
     groups
-        Coordinates of one kind, which may be shifted together. Of more than four only pairs, all of them, and
-        those that have one name for several bodies are.
+        Coordinates of one kind, which may be shifted together. Of more than four, only pairs, all together,
+        and those with one name for several bodies are shifted.
 
     Examples
     --------
@@ -124,10 +125,10 @@ def _many_signs(names: Sequence[str]) -> Iterator[tuple[int, ...]]:
 
 
 def turns(coordinates: Sequence[str], positions: Sequence[str]) -> Iterator[Change]:
-    """Turns in the plane of two positions, then in several planes at once.
+    """Rotations in the plane of two positions, then in several planes at once.
 
-    Several planes are tried of four positions; where names tell bodies, as x1, y1, x2, y2, the planes are
-    theirs.
+    Several planes are tested for four positions. If names refer to bodies, such as x1, y1, x2, y2, their
+    planes are used.
 
     Examples
     --------
@@ -156,7 +157,7 @@ def turns(coordinates: Sequence[str], positions: Sequence[str]) -> Iterator[Chan
 
 
 def exchanges(coordinates: Sequence[str], groups: Sequence[Sequence[str]]) -> Iterator[Change]:
-    """Exchanges of bodies where the names tell them, else of two coordinates, and mirror images.
+    """Exchanges of bodies, if names refer to bodies, otherwise of two coordinates; and reflections.
 
     Examples
     --------
@@ -193,7 +194,7 @@ def _pairings(names: Sequence[str]) -> Iterator[tuple[tuple[str, str], tuple[str
 
 
 def _grids(names: Sequence[str]) -> list[list[tuple[str, ...]]]:
-    """Names of bodies, a row each: x1, y1 and x2, y2, or x1, x2 and y1, y2; empty if they tell none."""
+    """Names of bodies, a row each: x1, y1 and x2, y2, or x1, x2 and y1, y2; empty if there are none."""
     matches = [re.fullmatch(r"(.*?)_?(\d+)", name) for name in names]
     parts = {(match[2], match[1]): match[0] for match in matches if match}
     numbers, heads = (list(dict.fromkeys(key[k] for key in parts)) for k in (0, 1))
@@ -204,7 +205,7 @@ def _grids(names: Sequence[str]) -> list[list[tuple[str, ...]]]:
 
 
 class Invariance:
-    """What a change of variables asks of the coefficients of some terms, all of L or all of ψ.
+    """Conditions of a change of variables on the coefficients of some terms, all of L or all of ψ.
 
     Parameters
     ----------
@@ -234,10 +235,10 @@ class Invariance:
         self._sizes[self._sizes == 0.0] = 1.0
 
     def conditions(self, change: Change) -> np.ndarray | None:
-        """A with A λ = 0 where the change leaves the sum as it is, shape (n_conditions, n_terms).
+        """A such that A λ = 0 if the change leaves the sum unchanged, shape (n_conditions, n_terms).
 
-        The rows are orthonormal for coefficients in units of the terms' sizes. None where too few states are
-        in the domain of all terms before and after the change.
+        The rows are orthonormal for coefficients in units of the sizes of the terms. None if too few states
+        are in the domain of all terms before and after the change.
         """
         moved, rest = self._at(change(self.points))
         rows = np.einsum("ji,kjp->kip", change.matrix, moved) - self._effects
@@ -252,7 +253,7 @@ class Invariance:
 
     @np.errstate(all="ignore")  # states outside the domain of a term are left out
     def _at(self, points: Points) -> tuple[np.ndarray, np.ndarray]:
-        """What each term adds to the equations, (n_terms, n_dof, n_points), and its values at rest."""
+        """Contribution of each term to the equations, (n_terms, n_dof, n_points), and its values at rest."""
         still = Points(points.q, np.zeros_like(points.q), np.zeros_like(points.q))
         jets, rest = Jets(self.coordinates, points), Jets(self.coordinates, still)
         effects = np.array([jets.effect(term) for term in self.terms])

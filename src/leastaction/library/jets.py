@@ -1,8 +1,8 @@
 """Values and derivatives of expressions at many points, without symbolic differentiation.
 
-A jet holds, at each point, u itself, du/dt along the motion (q̇, q̈; of the time itself, 1), ∂u/∂q_i,
-∂u/∂q̇_i and d/dt ∂u/∂q̇_i; sums, products and functions of jets follow from the chain rule.  One walk over an
-expression so gives E_i[φ] = d/dt ∂φ/∂q̇_i − ∂φ/∂q_i, in double or in high precision.
+A jet holds, at each point, u itself, du/dt along the motion (q̇, q̈; 1 for the time), ∂u/∂q_i, ∂u/∂q̇_i and
+d/dt ∂u/∂q̇_i. Sums, products and functions of jets follow from the chain rule.  One pass over an expression
+gives E_i[φ] = d/dt ∂φ/∂q̇_i − ∂φ/∂q_i, in double or in high precision.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["Jets", "Points"]
 
 @lru_cache(maxsize=8)
 def _context(digits: int) -> mpmath.MPContext:
-    """Return mpmath arithmetic of so many digits, apart from everybody else's."""
+    """Return a separate mpmath context with this number of digits."""
     context = mpmath.mp.clone()
     context.dps = digits
     return context
@@ -37,7 +37,7 @@ def _lift(values: np.ndarray, digits: int) -> np.ndarray:
 class Points:
     """States q, q̇, q̈, each an array (n_dof, n_points), at ``times``, an array (n_points,); zero by default.
 
-    Floats, or numbers of so many `digits`.
+    Floats, or numbers with this number of `digits`.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Points:
         return self.q.shape[1]
 
     def with_digits(self, digits: int) -> Points:
-        """Return the same points as numbers of so many digits."""
+        """Return the same points as numbers with this number of digits."""
         lifted = (_lift(values, digits) for values in (self.q, self.qdot, self.qddot, self.times))
         return Points(*lifted, digits)  # type: ignore[arg-type]
 
@@ -119,7 +119,7 @@ class _Arithmetic:
         if head is sympy.log:
             return self.log(u), 1 / u, -1 / (u * u)
         if head is sympy.Abs:
-            return abs(u), self.sign(u), 0  # the kink at zero carries no weight
+            return abs(u), self.sign(u), 0  # the kink at zero is neglected
         raise TypeError(f"no derivative is known for {head}")
 
 
@@ -131,9 +131,9 @@ class Jets:
     coordinates
         Names of the coordinates.
     points
-        Where; what they hold decides on the precision.
+        States; their numbers determine the precision.
     prescribed
-        Numbers of coordinates whose equations are left out.
+        Indices of coordinates whose equations are left out.
 
     Examples
     --------
@@ -164,7 +164,7 @@ class Jets:
                 self._cache[sympy.Symbol(symbol, real=True)] = jet
 
     def effect(self, term: Term) -> np.ndarray:
-        """Return what the term adds to the equations: E_i[φ] or ∂ψ/∂q̇_i, (n_equations, n_points)."""
+        """Return the term's part of the equations: E_i[φ] or ∂ψ/∂q̇_i, (n_equations, n_points)."""
         return self.effect_of(self.jet(term.expr), term)
 
     def effect_of(self, jet: np.ndarray, term: Term) -> np.ndarray:
@@ -173,7 +173,7 @@ class Jets:
         return effect[self._equations]
 
     def lift(self, values: np.ndarray) -> np.ndarray:
-        """Return floats in the precision of the points, so that products with them lose nothing."""
+        """Return floats in the precision of the points, so that products keep it."""
         return _lift(values, self._digits) if self._digits else values
 
     def jet(self, expr: sympy.Expr) -> np.ndarray:
@@ -185,7 +185,7 @@ class Jets:
         return found
 
     def fresh(self, expr: sympy.Expr) -> np.ndarray:
-        """Return the jet of an expression and keep those of its parts only."""
+        """Return the jet of an expression and cache only those of its parts."""
         found = self._cache.get(expr)
         if found is not None:
             return found

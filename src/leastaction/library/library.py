@@ -159,7 +159,7 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
         Raises
         ------
         InputError
-            For an unknown size or degree, or when there would be more than 1500 terms.
+            If the size or degree is unknown, or there would be more than 1500 terms.
 
         Examples
         --------
@@ -180,7 +180,7 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
         degree: int | None = None,
         gyroscopic: bool = False,
     ) -> int:
-        """Return how many terms `mechanical` would generate, without doing so.
+        """Return the number of terms that `mechanical` would generate.
 
         Examples
         --------
@@ -192,10 +192,10 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
 
     @classmethod
     def symbolic(cls, coordinates: Iterable[str] | str, angles: Iterable[str] | str = ()) -> Library:
-        """Grow the candidates from nothing but the names of the coordinates, by a grammar.
+        """Generate candidates from the names of the coordinates by a grammar.
 
-        More kinds of terms than `mechanical` has (at most 1500), and their `lengths`, so that short ones are
-        preferred.  `discover` leaves out those that are undefined somewhere along the data, and says so.
+        There are more kinds of terms than in `mechanical` (at most 1500), with `lengths`, so that short ones
+        are preferred.  `discover` leaves out terms that are undefined along the data, and reports them.
 
         Examples
         --------
@@ -209,7 +209,7 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
 
     @property
     def lengths(self) -> tuple[float | None, ...]:
-        """Description length of each term in nats. None unless made by `symbolic`: all are equal."""
+        """Description length of each term in nats; None except for terms from `symbolic`."""
         return tuple(self._lengths.get(term) for term in self._terms)
 
     @property
@@ -287,7 +287,7 @@ class Library(FromGeometry, ShownLibrary, Sequence[Term]):
         ----------
         expression
         kind
-            Look among the terms of the Lagrangian or of the dissipation function.
+            Search the terms of the Lagrangian or of the dissipation function.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Finding a term in a library, and showing what a library holds."""
+"""Search for a term in a library, and display of a library."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _REASONS = {"null": "without effect", "duplicate": "repeated", "dependent": "equ
 
 
 class ShownLibrary(Shown):
-    """How a library shows itself."""
+    """Display of a library."""
 
     def to_frame(self) -> pd.DataFrame:
         """Return the candidates as a data frame of pandas.
@@ -36,7 +36,7 @@ class ShownLibrary(Shown):
         -------
         pandas.DataFrame
             Columns ``expression``, ``kind`` ("lagrangian" or "dissipation") and ``length``, the description
-            length in nats, NaN where there is none.
+            length in nats, NaN if there is none.
 
         Raises
         ------
@@ -115,7 +115,7 @@ def place_of(wanted: Term, terms: Sequence[Term], coordinates: Sequence[str]) ->
 
 
 def place_within(library: Library, expression: Candidate, kind: Kind) -> int:
-    """Return the place of an expression in one of the two lists of a library; a term's own kind decides."""
+    """Return the place of an expression in one of the two lists of a library; a Term has its own kind."""
     names = names_in_terms(library.coordinates)
     kind = expression.kind if isinstance(expression, Term) else kind
     terms = library.terms if kind == "lagrangian" else library.dissipation
@@ -135,7 +135,7 @@ def place_among_all(library: Library, item: Candidate) -> int:
 
 
 def listing_of(library: Library) -> str:
-    """Return the first terms, coordinates, angles and dissipation as a call that could be typed."""
+    """Return the first terms, coordinates, angles and dissipation in the form of a call."""
     more = len(library) > _SHOWN
     listing = ", ".join(repr(term.text) for term in library.terms[:_SHOWN]) + (", ..." if more else "")
     parts = [f"[{listing}]", f"coordinates={list(library.coordinates)}"]

@@ -1,9 +1,9 @@
 """Read the kinematic tree of a MuJoCo model (MJCF), and write a tree as one.
 
-Only what mechanics needs is read, by a list of what is known: ``compiler``, ``option gravity``, classes of
-``default``, and in ``worldbody`` bodies with pose, inertial and joints.  What would change the mechanics and
-is not on the list is refused; geoms, sites, actuators and the like are left alone.  A body with several
-joints becomes a chain of links of which the last has the body's mass.
+Elements are read by a whitelist: ``compiler``, ``option gravity``, classes of ``default``, and in
+``worldbody`` bodies with pose, inertial and joints.  Other elements that affect the mechanics are refused.
+Geoms, sites, actuators and similar elements are ignored.  A body with several joints becomes a chain of
+links, of which the last has the mass of the body.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class _Reader:
             waiting += [(child, place) for child in reversed(inside)]
 
     def checked(self, child: ET.Element, parent: ET.Element) -> bool:
-        """Whether an element holds bodies."""
+        """Whether an element contains bodies."""
         if child.tag in ("body", "frame"):
             return True
         known = {"body": {"inertial", "joint", "freejoint"}}.get(parent.tag, set())
@@ -100,7 +100,7 @@ class _Reader:
         return f"{self.path}, {element.tag}" + (f" {quoted(name)}" if name else "")
 
     def body(self, element: ET.Element, above: _Place) -> _Place:
-        """Add the joints and the mass of a body; where its frame is."""
+        """Add the joints and the mass of a body, and return its frame."""
         where = self.where(element)
         if numbers(element.get("gravcomp", "0"), f"{where}, gravcomp", 1)[0] != 0.0:
             raise InputError(
@@ -121,7 +121,7 @@ class _Reader:
         row = read_inertial(element, self.compiler, where)
         if here.body >= 0:
             if row is None:
-                shaped = element.find("geom") is not None  # its mass would be that of geoms
+                shaped = element.find("geom") is not None  # MuJoCo takes the mass from geoms
                 row = np.full(10, np.nan) if shaped else np.zeros(10)
             added = moved(row, here.rotation, here.origin)
             self.inertias[here.body] = self.inertias[here.body] + added
@@ -129,7 +129,7 @@ class _Reader:
         return here
 
     def joint(self, name: str, given: Mapping[str, str], here: _Place, link: str) -> _Place:
-        """Add a joint; where the frame of its body is then."""
+        """Add a joint, and return the frame of its body."""
         where = f"{self.path}, joint {quoted(name)}"
         if name in self.names:
             raise InputError(f"{self.path} has two joints {quoted(name)}; give each a name of its own")
@@ -200,20 +200,21 @@ def read_mjcf(
     joints : list of str, optional
         Joints that move; all others stay where the file places them. By default all.
     gravity : array_like, shape (3,), optional
-        In the world, in m/s²; by default what the file says.
+        In the frame of the world, in m/s²; by default that of the file.
     base_rpy : array_like, shape (3,)
         As of `KinematicTree.from_dh`.
 
     Returns
     -------
     KinematicTree
-        Names hold ``_`` for signs that a name cannot hold. Bodies without joints belong to the link that
-        they are fixed to. A body whose mass would come from its geoms is unknown, and so is its link.
+        In names, ``_`` replaces characters that are not allowed. Bodies without joints belong to the link
+        that they are fixed to. If the mass of a body would come from geoms, the inertia of its link is
+        unknown.
 
     Raises
     ------
     InputError
-        If the file is no MJCF, or holds what is not supported.
+        If the file is not an MJCF, or has unsupported elements.
     """
     root = parse_robot(path, "mujoco", "MJCF")
     if next(root.iter("include"), None) is not None:
@@ -283,8 +284,8 @@ def write_mjcf(
         With inertias for every link, of a model's ``bodies()``.
     path : str or Path
     dynamics : mapping of str to array_like, shape (n_dof,), optional
-        What acts in the joints: "rotor", "viscous", "dry" and "spring"; by default `tree.dynamics`. Other
-        kinds have no counterpart in a joint of MuJoCo and are left out.
+        Coefficients of the joints: "rotor", "viscous", "dry" and "spring"; by default `tree.dynamics`. Other
+        kinds have no counterpart in MuJoCo and are left out.
     """
     if np.isnan(tree.inertias).any():
         raise InputError("the tree has links without inertia; take the tree of model.bodies()")
@@ -300,7 +301,7 @@ def write_mjcf(
     for k, row in enumerate(tree.inertias):
         chain = [*chain, k]
         if not row.any() and parents.count(k) == 1 and parents[k + 1 :][:1] == [k]:
-            continue  # without mass: its joint goes to the body that it carries
+            continue  # a link without mass: its joint belongs to the next body
         bodies[k] = _body(bodies[parents[chain[0]]], tree, chain, acting)
         chain = []
     ET.indent(root)

@@ -1,4 +1,4 @@
-"""Reads and writes expressions: a white list over Python's syntax tree; text is never evaluated.
+"""Reads and writes expressions, by a whitelist of Python's syntax tree; text is never evaluated.
 
 The grammar is ``+ - * / **``, parentheses, ``sin cos tan exp log sqrt abs`` of one argument, numbers,
 ``pi`` and the names that the caller allows.  Everything stands for a real number.
@@ -41,7 +41,7 @@ _ALLOWED_HEADS = (*_PARTS, sympy.Abs, sympy.log, sympy.sin, sympy.cos, sympy.tan
 def parse_expression(
     text: str, names: Iterable[str], parameters: Mapping[str, float] | None = None, *, shapes: bool = False
 ) -> sympy.Expr:
-    """Turn text into a SymPy expression over real symbols; the text is never evaluated.
+    """Parse text into a SymPy expression over real symbols; the text is never evaluated.
 
     Parameters
     ----------
@@ -51,10 +51,10 @@ def parse_expression(
     names
         Names that may occur: the coordinates, their velocities ``<coordinate>_dot`` and the time ``t``.
     parameters
-        Numbers to put in place of further names.
+        Values of further names.
     shapes
-        Whether unknown numbers may stand in it, named in braces: ``"exp(-{a}*x)"``. They become symbols
-        whose names keep the braces.
+        Whether shape parameters, named in braces, are allowed: ``"exp(-{a}*x)"``. They become symbols whose
+        names keep the braces.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def canonical_number(value: Fraction) -> sympy.Number:
 
 
 def _parameter(name: str, value: float) -> sympy.Number:
-    """Return a user parameter as a number; refuses what is not a finite real number of sensible size."""
+    """Return a user parameter as a number; refuses values that are not finite, real and of sensible size."""
     try:
         exact = Fraction(repr(value)) if isinstance(value, float) else Fraction(value)
         sizes_ok = exact == 0 or MIN_NUMBER <= abs(exact) <= MAX_NUMBER
@@ -202,7 +202,7 @@ class _Converter:
         if isinstance(node, ast.Name):
             return self.meaning.get(node.id, sympy.pi)  # the scanner has refused every other name
         if isinstance(node, ast.Set) and len(node.elts) == 1 and isinstance(node.elts[0], ast.Name):
-            return shape_symbol(node.elts[0].id)  # the scanner has refused it where it may not stand
+            return shape_symbol(node.elts[0].id)  # the scanner has checked that it is allowed
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.UAdd, ast.USub)):
             value = self._convert(node.operand, depth + 1)
             return -value if isinstance(node.op, ast.USub) else value
@@ -224,7 +224,7 @@ class _Converter:
         return canonical_number(value)
 
     def _chain(self, node: ast.BinOp, depth: int) -> sympy.Expr:
-        """Convert a sum or a product with all its operands at once: long sums are wide, not deep."""
+        """Convert a sum or a product with all its operands at once, without recursion for long sums."""
         additive = isinstance(node.op, (ast.Add, ast.Sub))
         family = (ast.Add, ast.Sub) if additive else (ast.Mult, ast.Div)
         operands: list[sympy.Expr] = []
@@ -240,7 +240,7 @@ class _Converter:
             operands.append(value)
             start = start.left
         if not additive:
-            # -a/b is read as (-a)/b: kept apart, the sign is not multiplied into a sum a.
+            # -a/b is parsed as (-a)/b; a separate sign is not multiplied into a sum a.
             while isinstance(start, ast.UnaryOp) and isinstance(start.op, (ast.UAdd, ast.USub)):
                 operands.append(sympy.Integer(-1 if isinstance(start.op, ast.USub) else 1))
                 start = start.operand
@@ -266,7 +266,7 @@ class _Converter:
         if name == "abs":
             return self._checked(node, _absolute(argument))
         result = getattr(sympy, name)(argument)
-        # SymPy turns tan(x + pi/2) into -cot(x), which the grammar does not have.
+        # SymPy rewrites tan(x + pi/2) as -cot(x), which is not in the grammar.
         cotangents = {c: 1 / sympy.tan(c.args[0]) for c in result.atoms(sympy.cot)}
         return self._checked(node, result.xreplace(cotangents) if cotangents else result)
 
@@ -275,7 +275,7 @@ class _Converter:
             value = _value(expr)
             if not math.isfinite(value):
                 raise self._error(node, "this is not a finite real number")
-            # what is tiny is written as one over something huge; only rational numbers become literals
+            # tiny numbers are written as 1/n with huge n; only rational numbers become literals
             if abs(value) > (MAX_NUMBER if expr.is_Rational else 1 / MIN_NUMBER):
                 raise self._error(node, "this number is out of range; expected |number| <= 1e12")
         elif expr.is_Mul and abs(_value(expr.as_coeff_Mul()[0])) > MAX_NUMBER:
@@ -286,7 +286,7 @@ class _Converter:
 
 
 def _value(number: sympy.Expr) -> float:
-    """Return a constant expression as a float; NaN for what is not one real number."""
+    """Return a constant expression as a float; NaN if it is not a real number."""
     try:
         if isinstance(number, sympy.Rational):
             return math.inf if number.q == 0 else number.p / number.q
@@ -299,7 +299,7 @@ def _value(number: sympy.Expr) -> float:
 
 
 def _is_too_high(exponent: sympy.Expr) -> bool:
-    """Tell whether a number as exponent is out of range; a shape parameter is not known yet."""
+    """Tell whether a numeric exponent is out of range; shape parameters have no value yet."""
     return not exponent.free_symbols and abs(_value(exponent)) > MAX_EXPONENT
 
 
@@ -316,7 +316,7 @@ def _explodes(argument: sympy.Expr) -> bool:
 
 
 def _absolute(argument: sympy.Expr) -> sympy.Expr:
-    """Return |argument|; exponentials are positive (SymPy brings in re() where it is not sure)."""
+    """Return |argument|; exponentials are positive, for which SymPy may introduce re()."""
     factors = sympy.Mul.make_args(argument)
     positive = [f for f in factors if isinstance(f, sympy.exp | sympy.Abs)]
     return sympy.Mul(*positive, sympy.Abs(sympy.Mul(*(f for f in factors if f not in positive))))
@@ -340,7 +340,7 @@ def _with_canonical_numbers(expr: sympy.Expr) -> sympy.Expr:
 
 
 def _unsupported(expr: sympy.Expr) -> str:
-    """Say what the grammar cannot hold in the expression; empty text when it is sound."""
+    """Describe the part of an expression that is not in the grammar; empty if there is none."""
     for part in sympy.preorder_traversal(expr):
         if part in (sympy.nan, sympy.zoo, sympy.oo, -sympy.oo, sympy.I):
             return "it is not a finite real number"
@@ -357,7 +357,7 @@ def _unsupported(expr: sympy.Expr) -> str:
 
 
 class _Printer(sympy.StrPrinter):
-    """SymPy's own text, except where our grammar spells things in another way."""
+    """SymPy's text, adapted to this grammar."""
 
     def _print_Abs(self, expr: sympy.Expr) -> str:
         return f"abs({self._print(expr.args[0])})"

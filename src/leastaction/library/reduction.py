@@ -1,8 +1,8 @@
-"""Which candidates add nothing to the equations of motion that the others do not.
+"""Search for redundant candidates: null terms, and linear combinations of others.
 
 Each candidate is a column: E_i[φ] = Σ_j φ_{q̇i q̇j} q̈_j + Σ_j φ_{q̇i qj} q̇_j − φ_{qi} (or ∂ψ/∂q̇_i) at
-random states.  Double precision proposes zero and dependent columns; 60-digit arithmetic at fresh states
-decides, so that candidates which are only nearly collinear are never dropped.
+random states.  Double precision proposes zero and dependent columns. Arithmetic with 60 digits at new states
+decides, so that nearly collinear candidates are never dropped.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from leastaction.library.term import Dropped, Term
 
 __all__ = ["find_redundant", "same_functions"]
 
-_PROPOSE = 1e-6  # relative size of what is left of a column; far above rounding, cheap when wrong
+_PROPOSE = 1e-6  # relative residual of a proposed column: far above rounding; the exact check decides
 _DIGITS = 60
 _ZERO = 1e-40
 _CONFIRM = 1e-30
@@ -52,16 +52,16 @@ def find_redundant(
     coordinates
         Names of the coordinates.
     keep
-        Indices of terms that should stay where there is a choice; then earlier terms stay.
+        Indices of terms that stay if there is a choice; otherwise earlier terms stay.
     prescribed
-        Indices of coordinates whose equations do not count.
+        Indices of coordinates whose equations are ignored.
     seed
-        Of the random states; the result does not depend on it.
+        Seed of the random states; the result does not depend on it.
 
     Returns
     -------
     dict
-        Index of each redundant term to what it is.
+        Index of each redundant term → description.
 
     Examples
     --------
@@ -121,11 +121,11 @@ class _Search:
         self.finite = np.empty((len(terms), n_points), dtype=bool)
         self.scales: list[float] = []
         for k, term in enumerate(terms):
-            jet = jets.fresh(term.expr)  # kept for parts of terms only: whole ones do not come again
+            jet = jets.fresh(term.expr)  # whole terms do not recur, so only parts are cached
             self.effects[k] = jets.effect_of(jet, term)
             self.finite[k] = np.isfinite(self.effects[k]).all(axis=0) & np.isfinite(jet.sum(axis=0))
             self.scales.append(_size(jet))
-        # one random mixture of the equations a state, as in the exact check: an identity holds for it, too
+        # one random combination of the equations at each state, as in the exact check
         self.mixtures = np.einsum("kip,ip->kp", self.effects, weights)
         self.exact = _ExactColumns(terms, coordinates, prescribed, self.pool, weights)
 
@@ -136,7 +136,7 @@ class _Search:
             narrow: list[int] = []
             rows = np.flatnonzero(self.finite[order].all(axis=0))
             while len(rows) < len(order) + _MARGIN and len(order) > 1:
-                # Domains that hardly meet: the narrowest one waits, and is examined apart.
+                # Domains that hardly overlap: the narrowest one is examined separately later.
                 narrow.append(min(order, key=lambda k: self.finite[k].sum()))
                 order.remove(narrow[-1])
                 rows = np.flatnonzero(self.finite[order].all(axis=0))
@@ -167,18 +167,18 @@ class _Search:
         return True
 
     def _eliminate(self, order: list[int], rows: np.ndarray) -> None:
-        """Take the columns one by one; one that is (nearly) a sum of those before gets the exact check."""
+        """Take the columns one by one; a column that is nearly a sum of earlier ones gets the exact check."""
         basis = np.zeros((len(rows), len(order)), order="F")
         triangle = np.zeros((len(order), len(order)))
         accepted: list[int] = []
         for k in order:
             column = self.mixtures[k, rows]
             if not column.any():
-                continue  # it acts only at other states, so nothing here can stand for it
+                continue  # it acts only at other states, so no column here can replace it
             m, left = len(accepted), column / np.abs(column).max()
             left /= np.linalg.norm(left)
             weights = np.zeros(m)
-            for _ in range(2):  # twice is enough for orthogonality to rounding
+            for _ in range(2):  # two passes give orthogonality to rounding
                 step = basis[:, :m].T @ left
                 left = left - basis[:, :m] @ step
                 weights += step
@@ -196,9 +196,9 @@ class _Search:
     def _confirm(
         self, k: int, accepted: list[int], triangle: np.ndarray, weights: np.ndarray, rows: np.ndarray
     ) -> dict[int, Any] | None:
-        """Decide in high precision whether term k is a sum of accepted ones: its coefficients, or None.
+        """Coefficients of term k as a sum of accepted ones, in high precision, or None.
 
-        The double precision coefficients only say which terms to try first.
+        The double precision coefficients only select the terms to try first.
         """
         guess = np.abs(np.linalg.solve(triangle, weights)) if accepted else np.zeros(0)
         for threshold in (1e-4, 1e-8):
@@ -213,7 +213,7 @@ class _Search:
         return self.exact.coefficients_of_all(k, accepted, rows)
 
     def _holds_elsewhere(self, k: int, coefficients: dict[int, Any]) -> bool:
-        """Check in double precision wherever the terms concerned are defined: |x| is x on one side only."""
+        """Check in double precision wherever these terms are defined: |x| equals x on one side only."""
         involved = [k, *coefficients]
         inside = self.finite[involved].all(axis=0)
         parts = [self.effects[k], *(-float(c) * self.effects[a] for a, c in coefficients.items())]
@@ -235,7 +235,7 @@ class _Search:
 
 
 class _ExactColumns:
-    """Columns in 60-digit arithmetic: one number per state, a random mixture of its equations."""
+    """Columns in 60-digit arithmetic: one random combination of the equations at each state."""
 
     def __init__(
         self,
@@ -281,16 +281,16 @@ class _ExactColumns:
         return max(np.abs(total)) <= _CONFIRM * max(max(abs(part)) for part in parts)
 
     def coefficients_of_few(self, k: int, support: list[int], rows: np.ndarray) -> dict[int, Any] | None:
-        """Return c with column_k = Σ c_a column_a over a small support, or None where there is no such c."""
+        """Return c with column_k = Σ c_a column_a over a small support, or None if there is no such c."""
         return self._solve(_Elimination(_CONFIRM), k, support, rows[-_FEW_POINTS:], _DIGITS)
 
     def coefficients_of_some(self, k: int, support: list[int], rows: np.ndarray) -> dict[int, Any] | None:
-        """The same in as many digits and as strictly as over all terms, but over those that matter."""
+        """The same with the digits and tolerance of the check over all terms, over the relevant ones."""
         n_rows = -(-(len(support) + _MARGIN) // _FEW_POINTS) * _FEW_POINTS  # few different sets of states
         return self._solve(_Elimination(_CONFIRM_MANY), k, support, rows[-n_rows:], _MANY_DIGITS)
 
     def coefficients_of_all(self, k: int, accepted: list[int], rows: np.ndarray) -> dict[int, Any] | None:
-        """The same over all accepted terms; later calls go on from what is eliminated already."""
+        """The same over all accepted terms; later calls reuse the elimination."""
         return self._solve(self._all, k, accepted, rows[-(len(self.terms) + _MARGIN) :], _MANY_DIGITS)
 
     def _solve(
@@ -302,7 +302,7 @@ class _ExactColumns:
 
 
 class _Elimination:
-    """Gaussian elimination that takes one column after the other; `tolerance` is relative."""
+    """Gaussian elimination, column by column; `tolerance` is relative."""
 
     def __init__(self, tolerance: Any) -> None:
         self.tolerance = tolerance
@@ -323,7 +323,7 @@ class _Elimination:
         left, factors = self._reduce(column)
         self.n_taken += 1
         if max(abs(left)) <= self.tolerance * max(abs(column)):
-            return  # independent of the others only at states that are not among these rows
+            return  # independent of the others only at states outside these rows
         pivot = int(np.argmax(np.abs(left)))
         self.labels.append(label)
         self._columns.append(left / left[pivot])
@@ -338,7 +338,7 @@ class _Elimination:
         for j in reversed(range(len(wanted))):
             later = sum(solution[i] * self._factors[i][j] for i in range(j + 1, len(wanted)))
             solution[j] = (wanted[j] - later) / self._factors[j][j]
-        # What is left of a zero coefficient is rounding, far below any coefficient of an identity.
+        # The rounding error of a zero coefficient is far below any coefficient of an identity.
         return {a: c for a, c in zip(self.labels, solution, strict=True) if abs(c) > _ZERO}
 
 
@@ -348,7 +348,7 @@ def _size(values: np.ndarray) -> float:
 
 
 def _nice(value: Any) -> Fraction | float:
-    """Return a high-precision number as a short fraction where it is one."""
+    """Return a high-precision number as a short fraction if it is one."""
     fraction = Fraction(str(value)).limit_denominator(10**6)
     return fraction if abs(fraction - Fraction(str(value))) < Fraction(1, 10**20) else float(value)
 

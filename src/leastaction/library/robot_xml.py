@@ -1,6 +1,6 @@
-"""What is read alike in URDF and MJCF files (XML, numbers, names, inertias), and the settings of an MJCF.
+"""Common parts of URDF and MJCF files (XML, numbers, names, inertias), and the settings of an MJCF.
 
-Document types and entities are refused, so that no file can make the parser expand or fetch anything.
+Document types and entities are refused, so that the parser never expands or fetches anything.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ def parse_robot(path: str | Path, tag: str, what: str) -> ET.Element:
     """
     data = read_bytes(check_path(path), _MOST + 1)
     if len(data) > _MOST:
-        raise InputError(f"{path} has more than {_MOST} bytes; a {what} has less")
+        raise InputError(f"{path} has more than {_MOST} bytes, too many for a {what}; give another file")
 
     def refuse(*_: object) -> int:
         raise InputError(f"{path} declares a document type or entities; remove them, a {what} needs none")
 
-    # expat first, for declarations alone: ElementTree gives no way to refuse them
+    # expat runs first to find declarations, which ElementTree cannot refuse
     guard = expat.ParserCreate()
     guard.StartDoctypeDeclHandler = guard.EntityDeclHandler = guard.ExternalEntityRefHandler = refuse
     try:
@@ -73,7 +73,7 @@ def parse_robot(path: str | Path, tag: str, what: str) -> ET.Element:
 
 
 def numbers(text: str, where: str, count: int = 3) -> np.ndarray:
-    """So many finite numbers, separated by blanks."""
+    """``count`` finite numbers, separated by blanks."""
     try:
         values = np.array([float(part) for part in text.split()])
     except ValueError:
@@ -84,13 +84,13 @@ def numbers(text: str, where: str, count: int = 3) -> np.ndarray:
 
 
 def identifier(name: str) -> str:
-    """The name with ``_`` for signs that expressions cannot hold."""
+    """The name with ``_`` for characters that expressions do not allow."""
     text = re.sub(r"\W", "_", name)
     return text if _NAME.match(text) else f"_{text}"
 
 
 def moved(row: np.ndarray, rotation: np.ndarray, origin: np.ndarray) -> np.ndarray:
-    """Inertial parameters in a frame in which their own frame has this pose."""
+    """Inertial parameters, transformed from a frame with this pose."""
     mass, first = row[0], rotation @ row[1:4]
     own = rotation @ symmetric(row[4:]) @ rotation.T
     cross = origin @ first * np.eye(3) * 2.0 - np.outer(origin, first) - np.outer(first, origin)
@@ -129,7 +129,7 @@ _ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
 class Compiler(NamedTuple):
-    """What ``compiler`` and ``option`` say.
+    """Settings of ``compiler`` and ``option``.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ class Compiler(NamedTuple):
     sequence : str
         Of Euler angles: small letters turn with the body.
     autolimits, from_geoms : bool
-        Whether a range limits by itself; whether every mass comes from geoms.
+        Whether a range implies a limit; whether every mass comes from geoms.
     gravity : (3,) array
     """
 
@@ -150,7 +150,7 @@ class Compiler(NamedTuple):
 
     @classmethod
     def of(cls, root: ET.Element, path: str) -> Compiler:
-        """Of a file; a later element counts before an earlier one."""
+        """The settings of a file; a later element overrides an earlier one."""
         given: dict[str, str] = {}
         for element in root.findall("compiler"):
             given.update(element.attrib)
@@ -176,7 +176,7 @@ class Compiler(NamedTuple):
         )
 
     def limits(self, given: Mapping[str, str], unit: float, where: str) -> np.ndarray:
-        """(4,) lowest and highest coordinate, speed and torque of a joint; NaN where there is no limit."""
+        """(4,) lowest and highest coordinate, speed and torque of a joint; NaN without a limit."""
         out = np.full(4, np.nan)
         limited = given.get("limited", "auto")
         if "range" in given and (limited == "true" or (limited == "auto" and self.autolimits)):
@@ -187,14 +187,14 @@ class Compiler(NamedTuple):
 
 
 class Defaults(NamedTuple):
-    """Attributes of joints by class; the first class is that of elements without one."""
+    """Attributes of joints by class; the first class applies to elements without one."""
 
     main: str
     joints: Mapping[str, Mapping[str, str]]
 
     @classmethod
     def of(cls, root: ET.Element, path: str) -> Defaults:
-        """Of a file; a class inherits from the one around it."""
+        """The defaults of a file; a class inherits from the enclosing one."""
         main, found = "main", dict[str, dict[str, str]]()
         waiting: list[tuple[ET.Element, dict[str, str], bool]] = [
             (element, {}, True) for element in reversed(root.findall("default"))
@@ -218,7 +218,7 @@ class Defaults(NamedTuple):
 def joint_attributes(
     element: ET.Element, defaults: Defaults, childclass: str | None, where: str
 ) -> dict[str, str]:
-    """The attributes of a joint, those of its class included."""
+    """The attributes of a joint, including those of its class."""
     name = element.get("class") or childclass or defaults.main
     if name not in defaults.joints and name != defaults.main:
         raise InputError(f"{where} is of class {quoted(name)}, which no <default> defines; define it")
@@ -277,7 +277,7 @@ def _rotation(key: str, values: np.ndarray, compiler: Compiler) -> np.ndarray:
 
 
 def read_inertial(body: ET.Element, compiler: Compiler, where: str) -> np.ndarray | None:
-    """(10,) inertial parameters in the frame of the body; None where the file gives none."""
+    """(10,) inertial parameters in the frame of the body; None if the file gives none."""
     element = body.find("inertial")
     if element is None or compiler.from_geoms:
         return None

@@ -1,7 +1,7 @@
-"""Looks at the characters of an expression before Python's parser does: names, limits, positions.
+"""Checks the characters of an expression before Python's parser: names, limits, positions.
 
-It refuses early what the grammar cannot hold, with the column and the cure, and it keeps deep or huge
-input away from the recursive parser.
+It refuses text outside the grammar early, with the column and the cure, and keeps deep or huge input away
+from the recursive parser.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _ALIASES = {"ln": "log", "arg": "abs", "fabs": "abs", "sec": "1/cos", "csc": "1/
 
 @dataclass(frozen=True)
 class Source:
-    """The normalised text of one expression and where its numbers stand."""
+    """The normalised text of one expression and the positions of its numbers."""
 
     text: str
     numbers: dict[int, str]
@@ -61,7 +61,7 @@ class Source:
         return len(self.text.encode()[:byte_offset].decode(errors="ignore"))
 
     def error(self, position: int, problem: str) -> InputError:
-        """Return the error that shows the text around a position (0-based) and says the problem."""
+        """Return the error that quotes the text around a position (0-based) and states the problem."""
         return _error(self.text, position, problem)
 
 
@@ -88,7 +88,7 @@ def scan(
     Raises
     ------
     InputError
-        At the first token that cannot stand where it does.
+        At the first misplaced token.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def scan(
 
 
 class _Scanner:
-    """A two-state machine: after an operator an operand must follow, and the other way round."""
+    """A machine with two states: it expects an operand or an operator."""
 
     def __init__(self, text: str, names: Collection[str], parameters: Collection[str], shapes: bool):
         self.text = text
@@ -170,7 +170,7 @@ class _Scanner:
         return self.text[position:].strip() != ""
 
     def _operand(self, kind: str, token: str, position: int) -> bool:
-        """Note a number or check a name; returns True when the next token must open a bracket."""
+        """Record a number or check a name; returns True if the next token must open a bracket."""
         if kind == "number":
             if token.isdigit() and token != token.lstrip("0") and token.strip("0"):
                 raise _error(self.text, position, f"write {token} without leading zeros")
@@ -193,7 +193,7 @@ class _Scanner:
     def _shape(self, name: str, position: int) -> None:
         """Check the name of a shape parameter."""
         if not self.shapes:
-            problem = f"{{{name}}} is a shape parameter, which has its place in a library; write a number"
+            problem = f"{{{name}}} is a shape parameter, which is allowed in a library only; write a number"
             raise _error(self.text, position, problem)
         if name in self.known or name in FUNCTIONS:
             raise _error(self.text, position, f"{name!r} is the name of something else; rename the parameter")

@@ -1,7 +1,7 @@
 """Shape parameters: unknown numbers inside candidates, written in braces, as in ``exp(-{a}*x)``.
 
-With numbers κ in place, a candidate φ(q, q̇; κ) is a term like any other, and ∂φ/∂κ_j is one, too: that is all
-that the estimation needs.
+With values κ, a candidate φ(q, q̇; κ) is a term like any other, and so is ∂φ/∂κ_j. The estimation needs no
+more.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def exchanges(terms: Sequence[Term]) -> list[dict[str, str]]:
     Parameters
     ----------
     terms : sequence of Term
-        All that hold some of the names.
+        All terms that contain some of the names.
 
     Examples
     --------
@@ -54,7 +54,7 @@ def exchanges(terms: Sequence[Term]) -> list[dict[str, str]]:
 
 
 def alike(terms: Sequence[Term]) -> list[dict[int, dict[str, str]]]:
-    """Candidates that can be exchanged with one another: those of xᵐ, xⁿ and e^(−ax) are the first two.
+    """Candidates that can be exchanged: of xᵐ, xⁿ and e^(−ax), the first two.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def alike(terms: Sequence[Term]) -> list[dict[int, dict[str, str]]]:
     Returns
     -------
     list of dict
-        For each kind the places of its terms, and how each calls what the first of them has a name for.
+        For each class, the indices of its terms, and their names for the parameters of the first of them.
 
     Examples
     --------
@@ -87,7 +87,7 @@ def alike(terms: Sequence[Term]) -> list[dict[int, dict[str, str]]]:
 
 
 def _exchange(terms: Sequence[Term], one: int, other: int) -> dict[str, str]:
-    """The exchange of names that turns a term into another and leaves all as they are; empty if none does."""
+    """The exchange of names that turns a term into another and preserves the set; empty if there is none."""
     templates = [term if term.template is None else term.template.term for term in terms]
     a, b = templates[one], templates[other]
     names, others = (list(dict.fromkeys(_NAME.findall(t.text))) for t in (a, b))
@@ -101,13 +101,13 @@ def _exchange(terms: Sequence[Term], one: int, other: int) -> dict[str, str]:
 
 
 def _somewhere(names: Sequence[str]) -> dict[str, float]:
-    """Numbers that nothing simplifies with, each its own, always the same for the same name."""
+    """Generic values, different for each name and reproducible."""
     seeds = {name: list(name.encode()) for name in names}
     return {name: round(np.random.default_rng(seeds[name]).uniform(0.3, 2.2), 9) for name in names}
 
 
 def term_somewhere(term: Term) -> Term:
-    """The term with numbers that nothing simplifies with, under its own text; itself if it has numbers.
+    """The term with generic values under its own text; unchanged without shape parameters.
 
     Examples
     --------
@@ -122,10 +122,10 @@ def term_somewhere(term: Term) -> Term:
 
 
 def tangent(terms: Sequence[Term], coefficients: Sequence[float], name: str) -> Term:
-    """Σ_k λ_k ∂φ_k/∂κ over terms with numbers: the term whose coefficient is a step of κ.
+    """Σ_k λ_k ∂φ_k/∂κ over terms with values: the term whose coefficient is a step of κ.
 
-    All terms are of one kind. The coefficients travel as numbers of the template, too, so that the functions
-    compiled for it serve every step.
+    All terms are of one kind. The coefficients are parameters of the template, so that its compiled functions
+    serve every step.
 
     Examples
     --------
@@ -150,7 +150,7 @@ def tangent(terms: Sequence[Term], coefficients: Sequence[float], name: str) -> 
 
 
 def check_numbers(terms: Sequence[Term], values: Mapping[str, float]) -> None:
-    """Refuse to go on without numbers for all shape parameters.
+    """Check that all shape parameters have values.
 
     Raises
     ------
@@ -158,12 +158,12 @@ def check_numbers(terms: Sequence[Term], values: Mapping[str, float]) -> None:
     """
     lacking = set(shape_names([term for term in terms if term.template is None])) - set(values)
     if lacking:
-        raise InputError(f"no number for the shape parameter {min(lacking)!r} of the library; give one")
+        raise InputError(f"the shape parameter {min(lacking)!r} of the library has no value; give one")
 
 
-@lru_cache(maxsize=1024)  # a library is made anew many times of the same terms
+@lru_cache(maxsize=1024)  # libraries are often made again from the same terms
 def check_shapes(term: Term) -> None:
-    """Refuse a shape parameter that only scales its term: the coefficient does that already.
+    """Refuse a shape parameter that only scales its term, as the coefficient does.
 
     Raises
     ------
@@ -188,6 +188,6 @@ def check_shapes(term: Term) -> None:
         ratio = slopes[usable] / values[usable]
         if usable.sum() > 1 and np.ptp(ratio) <= _PROPORTIONAL * np.abs(ratio).max():
             raise InputError(
-                f"the shape parameter {{{name}}} only scales the term {term.text!r}, which its coefficient "
-                f"does already; leave {{{name}}} out"
+                f"the shape parameter {{{name}}} only scales the term {term.text!r}, as its coefficient "
+                f"does; leave {{{name}}} out"
             )

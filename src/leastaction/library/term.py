@@ -45,7 +45,7 @@ class Term:
     kind
         ``"lagrangian"`` or ``"dissipation"``.
     template
-        The term with shape parameters from which this one was made, and their numbers by name.
+        The term with shape parameters from which this one was made, and their values by name.
 
     Examples
     --------
@@ -64,34 +64,34 @@ class Term:
 
     @property
     def shapes(self) -> tuple[str, ...]:
-        """Names of the shape parameters, with or without numbers."""
+        """Names of the shape parameters, with or without values."""
         expr = self.expr if self.template is None else self.template.term.expr
         return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
 
     def numbered(self, values: Mapping[str, float]) -> Template:
-        """The term with the numbers of its shape parameters, to twelve digits; see `at`."""
+        """The term with the values of its shape parameters, to twelve digits; see `at`."""
         whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)
         values = {**dict(had), **values}
         return Template(whole, tuple((name, float(f"{values[name]:.12g}")) for name in self.shapes))
 
     def at(self, values: Mapping[str, float]) -> Term:
-        """Return the term with numbers for its shape parameters, to twelve digits.
+        """Return the term with values for its shape parameters, to twelve digits.
 
         Parameters
         ----------
         values
-            Numbers by name. A term that has numbers keeps those that are not given.
+            Values by name. A term that has values keeps those that are not given.
 
         Raises
         ------
         KeyError
-            If a number is lacking.
+            If a value is missing.
         """
         if not self.shapes:
             return self
         template = self.numbered(values)
         whole, numbers = template.term, dict(template.values)
-        # one that cancels out of the expression has no number, and none matters
+        # a parameter that cancels out of the expression needs no value
         text = _BRACES.sub(lambda found: _literal(found, numbers.get(found["name"], 1.0)), whole.text)
         expr = whole.expr.xreplace({shape_symbol(name): sympy.Float(x) for name, x in numbers.items()})
         return Term(text, expr, self.kind, template)
@@ -99,14 +99,14 @@ class Term:
 
 @dataclass(frozen=True)
 class Template:
-    """Where a term with numbers comes from: the term with shape parameters, and (name, number) of each."""
+    """Origin of a term with values: the term with shape parameters, and (name, value) of each."""
 
     term: Term
     values: tuple[tuple[str, float], ...]
 
 
 def _literal(found: re.Match[str], number: float) -> str:
-    """A number in place of braces; the sign in front of it takes a minus up."""
+    """A number instead of braces, merged with the sign in front of it."""
     sign, power = found["sign"] or "", found["power"] or ""
     if number >= 0:
         return f"{sign}{number!r}{power}"
@@ -118,7 +118,7 @@ def _literal(found: re.Match[str], number: float) -> str:
 
 
 Candidate = str | Term | sympy.Expr
-"""What a user may give for a term."""
+"""Types that a user may give for a term."""
 
 
 @dataclass(frozen=True)
@@ -155,9 +155,9 @@ def make_term(
     names
         Coordinates and velocities that may occur.
     parameters
-        Numbers to put in place of further names.
+        Values of further names.
     kind
-        What the term is a candidate of.
+        Function that the term is a candidate of.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def make_term(
         source = source.text
     source = _text_of(source)
     expr = parse_expression(source, names, parameters, shapes=True)
-    # Text with a parameter in it could not be read back by itself (from a saved model).
+    # Text with a parameter could not be read back by itself (from a saved model).
     by_itself = not parameters or not _mentions(source, parameters)
     text = "".join(normalise(source).split()) if by_itself else format_expression(expr)
     return Term(text, expr, kind)
@@ -214,8 +214,7 @@ def smooth_abs(source: Term | Library, scale: Mapping[str, float]) -> Term | Lib
     source
         A term or a whole library (its terms and its dissipation).
     scale
-        Velocity name to ε, in the units of that velocity; where u has several velocities the largest ε
-        counts.
+        Velocity name → ε, in the units of that velocity. If u has several velocities, the largest ε is used.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Kinematic trees: links that joints of one degree of freedom hang on each other.
+"""Kinematic trees: links connected by joints of one degree of freedom.
 
 The frame of a link moves with it, and its origin lies on the axis of the joint that carries it.  With the
 pose (R₀, p₀) of the joint in the frame of the parent link, its axis a, and its coordinate q, the link has
@@ -37,22 +37,22 @@ class Joint:
     Attributes
     ----------
     name, link : str
-        Of the joint and of the link.
+        Names of the joint and of the link.
     kind : str
         "revolute" or "prismatic".
     parent : int
-        Number of the joint whose link it sits on; -1 for the base. Less than its own number.
+        Index of the joint that carries the parent link; -1 for the base. Less than its own index.
     rotation, origin : (3, 3) and (3,) arrays
         Pose of the joint in the parent link's frame at coordinate zero.
     axis : (3,) array
         Unit vector in the frame of the joint.
     inertia : (10,) array or None
-        What the maker or a drawing says of the link, see `INERTIAL`, in kg, kg m and kg m².
+        Nominal inertial parameters of the link, see `INERTIAL`, in kg, kg m and kg m².
     limits : (4,) array or None
-        Lowest and highest coordinate (rad, m), speed (rad/s, m/s) and torque (N m, N); NaN where the file
-        gives none.
+        Lowest and highest coordinate (rad, m), speed (rad/s, m/s) and torque (N m, N); NaN if the file gives
+        none.
     dynamics : mapping of str to float
-        What the maker says acts in the joint: "rotor", "viscous", "dry", "spring" and "offset".
+        Nominal coefficients of the joint: "rotor", "viscous", "dry", "spring" and "offset".
     """
 
     name: str
@@ -90,7 +90,7 @@ class KinematicTree:
         gravity.flags.writeable = False
         object.__setattr__(self, "gravity", gravity)
         if not self.joints:
-            raise InputError("the tree has no joint that moves; give a revolute or prismatic joint")
+            raise InputError("the tree has no movable joint; give a revolute or prismatic joint")
         check_coordinate_names(self.coordinates)
         for k, joint in enumerate(self.joints):
             if not -1 <= joint.parent < k:
@@ -114,16 +114,16 @@ class KinematicTree:
         Parameters
         ----------
         rows : iterable of mappings
-            One for each joint: ``a`` and ``d`` in m, ``alpha`` and ``theta`` (where the coordinate is zero)
-            in rad, zero where they are left out; ``kind`` ("revolute", or "prismatic", whose coordinate adds
-            to ``d``), ``name`` and ``link``.
+            One for each joint: ``a`` and ``d`` in m, ``alpha`` and ``theta`` (at coordinate zero) in rad,
+            zero by default; ``kind`` ("revolute", or "prismatic", whose coordinate adds to ``d``), ``name``
+            and ``link``.
         modified : bool
             Craig's convention, in which a row is Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d); otherwise a row is
             Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α).
         gravity : array_like, shape (3,)
             In the world, in m/s².
         base_rpy : array_like, shape (3,)
-            Roll, pitch and yaw of the base in the world, in rad: how the arm is mounted.
+            Roll, pitch and yaw of the base in the world, in rad, for the mounting of the arm.
         name : str
 
         Notes
@@ -149,7 +149,7 @@ class KinematicTree:
             else:
                 pose = rotation @ turn, origin
                 rotation, origin = tilt, np.array([a, 0.0, d])
-                if row.get("kind") == "prismatic":  # d comes before what moves
+                if row.get("kind") == "prismatic":  # the coordinate follows d
                     pose = pose[0], pose[1] + pose[0] @ (0.0, 0.0, d)
                     origin = np.array([a, 0.0, 0.0])
             joints.append(_joint(k, row, k - 1, *pose, np.array([0.0, 0.0, 1.0])))
@@ -171,8 +171,7 @@ class KinematicTree:
         joints : iterable of mappings
             One for each joint, parents first: ``axis`` (3 numbers, in the frame of the joint), ``origin``
             (m) and ``rpy`` (rad) of the joint in the frame of its parent link; ``kind``; ``parent`` (name of
-            the parent joint, None for the base; the joint before it where it is left out), ``name`` and
-            ``link``.
+            the parent joint, None for the base; by default the previous joint), ``name`` and ``link``.
         gravity, base_rpy, name
             As of `from_dh`.
 
@@ -221,7 +220,7 @@ class KinematicTree:
 
     @cached_property
     def ancestors(self) -> tuple[tuple[int, ...], ...]:
-        """Of each joint, itself and those between it and the base."""
+        """For each joint, itself and the joints between it and the base."""
         found: list[tuple[int, ...]] = []
         for k, joint in enumerate(self.joints):
             found.append((k,) if joint.parent < 0 else (k, *found[joint.parent]))
@@ -229,19 +228,19 @@ class KinematicTree:
 
     @cached_property
     def inertias(self) -> np.ndarray:
-        """(n_links, 10) what the maker or a drawing says of the links; NaN where nothing is known."""
+        """(n_links, 10) nominal inertial parameters of the links; NaN if unknown."""
         unknown = np.full(len(INERTIAL), np.nan)
         return np.array([unknown if j.inertia is None else j.inertia for j in self.joints])
 
     @cached_property
     def limits(self) -> np.ndarray:
-        """(n_dof, 4) lowest and highest coordinate, speed and torque of each joint; NaN where unknown."""
+        """(n_dof, 4) lowest and highest coordinate, speed and torque of each joint; NaN if unknown."""
         unknown = np.full(4, np.nan)
         return np.array([unknown if j.limits is None else j.limits for j in self.joints])
 
     @property
     def dynamics(self) -> dict[str, np.ndarray]:
-        """Kind of friction, rotor or spring → (n_dof,) what the maker says; for `ArmModel.of_tree`."""
+        """Kind of friction, rotor or spring → (n_dof,) nominal coefficients; for `ArmModel.of_tree`."""
         kinds = dict.fromkeys(kind for joint in self.joints for kind in joint.dynamics)
         return {kind: np.array([j.dynamics.get(kind, 0.0) for j in self.joints]) for kind in kinds}
 

@@ -1,7 +1,7 @@
 """Read the kinematic tree of a URDF, and write identified inertias back into one.
 
-Only what mechanics needs is read: links with their inertia, joints with origin, axis, kind, limits and
-dynamics.  Meshes and everything else are left alone; no mesh need exist.
+The reader uses links with their inertia, and joints with origin, axis, kind, limits and dynamics.  It ignores
+meshes, which need not exist, and all other elements.
 """
 
 from __future__ import annotations
@@ -65,21 +65,21 @@ def read_urdf(
     ----------
     path : str or Path
     joints : list of str, optional
-        Joints that move; all others stay where their coordinate is zero, as if they were fixed (the fingers
-        of a gripper, for example). By default all joints that can move.
+        Joints that move; all others (such as the fingers of a gripper) are fixed at coordinate zero. By
+        default all movable joints.
     gravity, base_rpy : array_like, shape (3,)
         As of `KinematicTree.from_dh`.
 
     Returns
     -------
     KinematicTree
-        Its joints bear the names of the file, with ``_`` for signs that a name cannot hold. Links that fixed
-        joints hold together are one, and their inertias are added. A link without inertia is unknown.
+        Joints have the names of the file, with ``_`` for characters that are not allowed. Links connected by
+        fixed joints become one, and their inertias are added. A link without inertia is unknown.
 
     Raises
     ------
     InputError
-        If the file is no URDF, or has joints that are not supported.
+        If the file is not a URDF, or has unsupported joints.
     """
     root = _root(path)
     found, masses = _contents(root, str(path), joints)
@@ -121,10 +121,10 @@ def read_urdf(
 
 
 def write_urdf(tree: KinematicTree, source: str | Path, path: str | Path) -> None:
-    """Write a URDF with the inertias of a tree in place of its own.
+    """Write a URDF with the inertias of a tree instead of its own.
 
-    The first link of every body gets them; links that are fixed to it lose theirs, because only the sum is
-    known. All else stays as it is, but comments.
+    The first link of every body gets the inertia. Links that are fixed to it have none, because only the sum
+    is known. Everything else except comments is kept.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def _joint(element: ET.Element, path: str, moving: list[str] | None) -> _UrdfJoi
 
 
 def _placed(joints: list[_UrdfJoint], moving: set[str], path: str) -> tuple[list[_Placed], list[_UrdfJoint]]:
-    """All links that hang on the root, and the moving joints in sequence, parents first."""
+    """All links connected to the root, and the moving joints in sequence, parents first."""
     children = [joint.child for joint in joints]
     for child in children:
         if children.count(child) > 1:
@@ -248,7 +248,7 @@ def _placed(joints: list[_UrdfJoint], moving: set[str], path: str) -> tuple[list
 
 
 def _growing(items: list[_Placed]) -> Iterator[_Placed]:
-    """Items, also those that are added meanwhile."""
+    """Items, including those that are added during the iteration."""
     k = 0
     while k < len(items):
         yield items[k]
@@ -270,7 +270,7 @@ def _root(path: str | Path) -> ET.Element:
 
 
 def _limits(element: ET.Element | None, kind: str, where: str) -> np.ndarray:
-    """(4,) lowest and highest coordinate, speed, torque; NaN where there is no limit."""
+    """(4,) lowest and highest coordinate, speed, torque; NaN without a limit."""
     given = {} if element is None else element.attrib
     keys = ("lower", "upper", "velocity", "effort")
     out = [float(numbers(given.get(key, "0"), f"{where}, {key}", 1)[0]) for key in keys]

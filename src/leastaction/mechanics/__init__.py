@@ -12,17 +12,17 @@ __all__ = ["Columns", "Points"]
 
 
 class Points:
-    """States at many points, with the functions of them that candidates share.
+    """States at many points, with cached values of functions that several candidates contain.
 
     Parameters
     ----------
     q, qdot, qddot : (n_points, n_dof) arrays
-        ``qddot`` may be left out where no strong form is needed.
-    times : (n_points,) array or function that makes it, optional
-        In seconds; only candidates that hold the time ask for them.
+        ``qddot`` may be omitted if no strong form is needed.
+    times : (n_points,) array or function that returns it, optional
+        In seconds; used only by candidates that contain the time.
     intervals : slice, optional
-        Knot intervals whose quadrature points these are: first point of each, then second point of each, …;
-        or of each the first point alone.
+        Knot intervals of these quadrature points: the first point of each interval, then the second point of
+        each, …; or the first point of each alone.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class Points:
     def value(
         self, atom: sp.Basic, function: Callable[..., Any], timed: bool, numbers: tuple[float, ...] = ()
     ) -> np.ndarray:
-        """Value of sin(θ), √(…) and the like, computed once for all candidates.
+        """Value of a function such as sin(θ) or √(…), computed once for all candidates.
 
-        ``numbers`` are those of the shape parameters, as the function takes them behind the state and, where
-        it is ``timed``, the time.
+        ``numbers`` are the values of the shape parameters. The function takes them after the state and, if it
+        is ``timed``, the time.
         """
         key = (atom, numbers)
         if key not in self._cache:
@@ -69,14 +69,14 @@ class Points:
         return self._cache[key]
 
     def kept(self, owner: object, make: Callable[[], Any]) -> Any:
-        """What an owner, such as a kinematic tree, needs of these states; made once for all candidates."""
+        """A value that an owner, such as a kinematic tree, computes once from these states."""
         if id(owner) not in self._kept:
-            self._kept[id(owner)] = owner, make()  # with the owner, whose number must not be given away
+            self._kept[id(owner)] = owner, make()  # keeps the owner alive: its id stays unique
         return self._kept[id(owner)][1]
 
 
 class Columns(Protocol):
-    """Candidates as functions of the state, symbolic or numeric: what a fit asks of them.
+    """Interface of candidates to a fit: functions of the state, symbolic or numeric.
 
     The equations of motion are Σ_k λ_k E_ik(q, q̇, q̈) = f_i, with one column E_k for each candidate; see
     :mod:`leastaction.mechanics.euler_lagrange` and :mod:`leastaction.mechanics.arm_columns`.
@@ -91,7 +91,7 @@ class Columns(Protocol):
         ...
 
     def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
-        """(nu, i, j) → Σ_k λ_k ∂E_ik/∂q_j^{(nu)}; what is missing is zero."""
+        """(nu, i, j) → Σ_k λ_k ∂E_ik/∂q_j^{(nu)}; missing entries are zero."""
         ...
 
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:

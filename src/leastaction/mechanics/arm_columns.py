@@ -1,15 +1,15 @@
-"""Columns of a kinematic tree: inertial parameters of its links, and what acts in its joints.
+"""Columns of a kinematic tree: inertial parameters of its links, and torques in its joints.
 
 The equations of motion of an arm are linear in
 
 * the ten inertial parameters of each link (:mod:`leastaction.mechanics.rigid_bodies`),
 * the inertia of each rotor seen through its gear, as a mass on the joint's own acceleration,
 * friction: viscous q̇, dry s(q̇), Stribeck s(q̇) exp(−(q̇/v_s)²), load-dependent |τ| s(q̇), quadratic q̇|q̇|,
-* what differs between the directions of motion: |q̇|,
+* friction that differs between the directions of motion: |q̇|,
 * springs q, and constant torques,
 
-with s(v) = v/√(v² + ε²), a sign that is smooth at rest.  After a reversal, gears and seals yield before they
-slide: dry friction then turns over a distance δ, z′ = (1 − z sgn q̇)/δ along the way (Dahl 1968, Aerospace
+with s(v) = v/√(v² + ε²), a smoothed sign.  After a reversal, gears and seals yield before they slide. Dry
+friction then reverses over a distance δ, z′ = (1 − z sgn q̇)/δ along the path (Dahl 1968, Aerospace
 Corporation TOR-158), and depends on the motion, not on the state alone.
 """
 
@@ -67,7 +67,7 @@ _KINDS = {
     "asymmetric": "viscous friction of joint {} that differs between the directions",
     "spring": "spring of joint {}",
     "offset": "constant torque in joint {}",
-    "turn": "relative error of the distance, or speed, over which dry friction of joint {} turns",
+    "turn": "relative error of the distance, or speed, over which dry friction of joint {} reverses",
 }
 
 
@@ -90,8 +90,8 @@ class ArmTerm:
     speed : float
         v_s of a Stribeck term.
     distance : float
-        δ of dry friction, in the joint's unit; 0 where it follows the sign of the velocity at once. A "turn"
-        is what a relative change of δ, or of ε where δ is zero, adds to unit friction.
+        δ of dry friction, in the joint's unit; 0 if it follows the sign of the velocity at once. A "turn" is
+        the derivative of unit friction in log δ, or in log ε if δ is zero.
     """
 
     text: str
@@ -103,7 +103,7 @@ class ArmTerm:
     distance: float = 0.0
 
     def said(self, tree: KinematicTree) -> str:
-        """What it is, in words."""
+        """The term in words."""
         if self.kind != "inertia":
             return _KINDS[self.kind].format(tree.coordinates[self.place])
         name, link = INERTIAL[self.component], tree.links[self.place]
@@ -204,12 +204,12 @@ class ArmColumns:
     tree : KinematicTree
     terms : sequence of ArmTerm
     reference : (n_links, 10) array, optional
-        Inertial parameters whose torque counts as the load of friction that depends on it.
+        Inertial parameters from which the load of load-dependent friction is computed.
     prescribed : sequence of int
         Joints whose equations are not used.
     history : (2, n_intervals, n_quadrature, n_dof) array, optional
-        Dry friction that depends on the motion, and its derivative in log δ, where the equations are
-        compared; see `presliding`. Without it, dry friction follows the sign of the velocity at once.
+        Dry friction that depends on the motion, and its derivative in log δ, at the quadrature points; see
+        `presliding`. Without it, dry friction follows the sign of the velocity at once.
     """
 
     def __init__(
@@ -255,12 +255,12 @@ class ArmColumns:
             elif term.distance and self.history is not None:
                 assert points.intervals is not None
                 way = self.history[int(term.kind == "turn"), points.intervals, :, term.place].T.ravel()
-                local = _Local(way, (0.0, 0.0, 0.0))  # its slope is left out, too
+                local = _Local(way, (0.0, 0.0, 0.0))  # its slope is neglected, too
             found.append((k, term, local))
         return found
 
     def _load(self, points: Points) -> np.ndarray:
-        """(n_dof, n_points) size of the torques of the reference; its slope is left out of derivatives."""
+        """(n_dof, n_points) absolute torques of the reference; derivatives neglect their slope."""
         assert self.reference is not None
         reference = self.reference
         return points.kept(

@@ -4,8 +4,7 @@ The Euler–Lagrange equations d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ = f
 
     M_ij = ∂²L/∂q̇_i∂q̇_j,    r_i = ∂L/∂q_i − ∂ψ/∂q̇_i − Σ_j (∂²L/∂q̇_i∂q_j) q̇_j − ∂²L/∂q̇_i∂t.
 
-Where the motion of a coordinate is prescribed, q̈_i = f_i takes the place of its equation: its force is its
-acceleration.
+If the motion of a coordinate is prescribed, q̈_i = f_i replaces its equation: its "force" is its acceleration.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from leastaction.library import Term, time_symbol
 __all__ = ["Mechanics", "RealAbs", "RealSign", "state_symbols"]
 
 
-# SymPy's own derivative of |u| brings in re() and im() where it is not sure that u is real, and a delta
-# function the second time. Here all is real, and a kink has no second derivative worth the name.
+# SymPy's derivative of |u| contains re() and im() unless u is known to be real, and its second derivative a
+# delta function. Here u is real, and the second derivative is taken as zero.
 class RealSign(sp.Function):
     """Sign of a real number; its derivative is taken as zero."""
 
@@ -75,13 +74,13 @@ class Mechanics:
 
     Notes
     -----
-    `mass`, `right` and `energy_expression` are written in the neutral symbols `q` and `qdot`, so that no
-    name of a coordinate can meet a name in generated code, and in `t`, which is no name of a coordinate.
+    `mass`, `right` and `energy_expression` use the neutral symbols `q` and `qdot`, so that no name of a
+    coordinate clashes with a name in generated code, and `t`, which is not allowed as a coordinate.
 
     Attributes
     ----------
     timed : bool
-        Whether L or ψ holds the time; then whatever is computed needs `t`.
+        Whether L or ψ contains the time; every method then needs `t`.
     """
 
     def __init__(
@@ -112,7 +111,7 @@ class Mechanics:
         parameters: Sequence[sp.Symbol] = (),
         prescribed: Sequence[int] = (),
     ) -> Mechanics:
-        """Terms of L and ψ with their coefficients, numbers or parameters."""
+        """The mechanics of terms of L and ψ, with numbers or parameters as coefficients."""
         parts: dict[str, sp.Expr] = {"lagrangian": sp.Integer(0), "dissipation": sp.Integer(0)}
         for term, value in zip(terms, values, strict=True):
             parts[term.kind] += value * term.expr
@@ -120,7 +119,7 @@ class Mechanics:
 
     @property
     def state(self) -> list[sp.Symbol]:
-        """The symbols `q` and `qdot`, and the time where it matters."""
+        """The symbols `q` and `qdot`, and the time if the law depends on it."""
         return [*self.q, *self.qdot, *([time_symbol] if self.timed else [])]
 
     @cached_property
@@ -130,7 +129,7 @@ class Mechanics:
 
     @cached_property
     def mass(self) -> list[list[sp.Expr]]:
-        """M_ij, symmetric but for the rows of prescribed coordinates."""
+        """M_ij, symmetric except for the rows of prescribed coordinates."""
         n = self.n_dof
         upper = {(i, j): sp.diff(self.momentum[i], self.qdot[j]) for i in range(n) for j in range(i, n)}
         rows = [[upper[min(i, j), max(i, j)] for j in range(n)] for i in range(n)]
@@ -153,7 +152,7 @@ class Mechanics:
 
     @cached_property
     def energy_expression(self) -> sp.Expr:
-        """Σ_i q̇_i ∂L/∂q̇_i − L, without the products that cancel."""
+        """Σ_i q̇_i ∂L/∂q̇_i − L, without products that cancel."""
         return sp.expand_mul(
             sp.Add(*(v * p for v, p in zip(self.qdot, self.momentum, strict=True))) - self._lagrangian
         )
@@ -161,7 +160,7 @@ class Mechanics:
     def equations(self, forces: bool) -> tuple[sp.Eq, ...]:
         """Equations in the symbols of the coordinates: solved for q̈ up to three coordinates.
 
-        Coordinates that are prescribed have none; their accelerations stay in those of the others.
+        Prescribed coordinates have no equation; their accelerations remain in the other equations.
         """
         q, qdot, qddot = self._named
         back = dict(zip([*self.q, *self.qdot], [*q, *qdot], strict=True))
@@ -279,7 +278,7 @@ class Mechanics:
         if self.n_dof > 2:
             mass, right = self.mass_and_right(q, qdot, parameters, t)
             return _solve(mass, right if forces is None else right + forces)
-        # Simulations call this for a few states at a time: columns cost half of what matrices do.
+        # Simulations call this for few states at a time; columns then take half the time of matrices.
         out = np.empty(q.shape if forces is None else np.broadcast_shapes(q.shape, forces.shape))
         with np.errstate(all="ignore"):
             values = self._equations_function(*self._columns(q, qdot, t), *parameters)
@@ -308,7 +307,7 @@ def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:
     try:
         return np.linalg.solve(mass, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        # One singular matrix must not take the others with it.
+        # A singular matrix must not affect the others.
         singular = np.linalg.det(mass) == 0
         safe = np.where(singular[..., None, None], np.eye(right.shape[-1]), mass)
         return np.where(singular[..., None], np.nan, np.linalg.solve(safe, right[..., None])[..., 0])

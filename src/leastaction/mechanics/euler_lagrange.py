@@ -1,4 +1,4 @@
-"""Candidate terms put through the Euler–Lagrange operator, with exact symbolic derivatives.
+"""The Euler–Lagrange operator applied to candidate terms, with exact symbolic derivatives.
 
 For a candidate φ(q, q̇, t) of the Lagrangian the operator is, by the chain rule,
 
@@ -43,7 +43,7 @@ def _clean(expr: sp.Expr) -> sp.Expr:
 
 
 def _gradient(expr: sp.Expr, symbols: Sequence[sp.Symbol]) -> list[sp.Expr]:
-    """∂expr/∂symbol for each; most are zero where there are many coordinates, and SymPy is not asked."""
+    """∂expr/∂symbol for each symbol; SymPy is called only for symbols that occur."""
     present = expr.free_symbols
     return [_clean(sp.diff(expr, s)) if s in present else sp.S.Zero for s in symbols]
 
@@ -68,7 +68,7 @@ class _Compiled:
         self._atoms = [(a, _atom_function(a, (*state, *_clock(a), *shapes)), bool(_clock(a))) for a in atoms]
         self._clock = _clock(sp.Tuple(*bodies))
         arguments = [*symbols, *stand_ins, *self._clock, *shapes]
-        # dummify: a coordinate may bear the name of a numpy function
+        # dummify: a coordinate may have the name of a numpy function
         self._function = sp.lambdify(arguments, bodies, modules="numpy", cse=len(bodies) > 2, dummify=True)
         self._n_symbols = len(symbols)
 
@@ -85,7 +85,7 @@ class _Compiled:
 
 
 def _clock(expr: sp.Basic) -> tuple[sp.Symbol, ...]:
-    """The time, where an expression holds it."""
+    """The time, if an expression contains it."""
     return tuple(symbol for symbol in (time_symbol,) if symbol in expr.free_symbols)
 
 
@@ -122,7 +122,7 @@ class _Column:
         self._compiled: dict[str, _Compiled] = {}
 
     def get(self, what: str) -> _Compiled:
-        with _compiling:  # SymPy is not for several threads, and once is enough
+        with _compiling:  # SymPy is not thread-safe
             return self._get(what)
 
     def _get(self, what: str) -> _Compiled:
@@ -133,7 +133,7 @@ class _Column:
         return self._compiled[what]
 
     def _weak(self) -> dict[tuple[int, ...], sp.Expr]:
-        """(0, i): what χ̇ multiplies, ∂φ/∂q̇_i; (1, i): what χ multiplies, ∂φ/∂q_i or −∂ψ/∂q̇_i."""
+        """(0, i): factor of χ̇, ∂φ/∂q̇_i; (1, i): factor of χ, ∂φ/∂q_i or −∂ψ/∂q̇_i."""
         rates = _gradient(self.term.expr, self.qdot)
         if self.term.kind == "dissipation":
             return {(1, i): -rate for i, rate in enumerate(rates)}
@@ -175,12 +175,12 @@ def _column(term: Term, coordinates: tuple[str, ...]) -> _Column:
 
 
 class _Numbered:
-    """The functions of a candidate with shape parameters, with numbers for these."""
+    """The functions of a candidate with shape parameters, at given values of these."""
 
     def __init__(self, term: Term, template: Template, coordinates: tuple[str, ...]) -> None:
         self._column = _column(template.term, coordinates)
         values = dict(template.values)
-        # 1/0 is infinite, as of an array: no error
+        # 1/0 is infinite, as for an array, not an error
         self._numbers = tuple(np.float64(values[name]) for name in term.shapes)
 
     def get(self, what: str) -> Callable[[Points], Iterable[tuple[tuple[int, ...], np.ndarray | float]]]:
@@ -196,11 +196,11 @@ class EulerLagrange:
         Candidates of L and of the dissipation function, in any mixture.
     coordinates : sequence of str
     prescribed : sequence of int
-        Coordinates that unknown forces move: their equations are empty, and the mass matrix is that of the
-        others, with a one for each of them.
+        Coordinates moved by unknown forces: their equations are empty, and the mass matrix is that of the
+        other coordinates, with a one on the diagonal for each of them.
     values : sequence of mapping, optional
-        Numbers for the shape parameters of each term, empty where it has none or has its numbers. To put them
-        into the terms themselves (`Term.at`) takes more time than to evaluate these.
+        Values of the shape parameters of each term; empty for a term without free ones. Evaluating them takes
+        less time than substituting them into the terms (`Term.at`).
     """
 
     grouped = False
@@ -233,7 +233,7 @@ class EulerLagrange:
         return len(self.terms)
 
     def weak(self, points: Points) -> np.ndarray:
-        """(2, n_terms, n_dof, n_points): what χ̇ multiplies, ∂φ/∂q̇, and what χ does, ∂φ/∂q or −∂ψ/∂q̇."""
+        """(2, n_terms, n_dof, n_points): factors of χ̇, ∂φ/∂q̇, and of χ, ∂φ/∂q or −∂ψ/∂q̇."""
         out = np.zeros((2, len(self), self.n_dof, points.n_points))
         for k, column in enumerate(self._columns):
             for (part, i), value in column.get("weak")(points):
@@ -298,7 +298,7 @@ class EulerLagrange:
 
     @property
     def turning(self) -> tuple[str, ...]:
-        """Coordinates that stand inside a sine or cosine."""
+        """Coordinates inside a sine or cosine."""
         waves = [wave for term in self.terms for wave in term.expr.atoms(sp.sin, sp.cos)]
         inside = {symbol.name for wave in waves for symbol in wave.free_symbols}
         return tuple(name for name in self.coordinates if name in inside)
@@ -312,7 +312,7 @@ class EulerLagrange:
         return self
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # functions do not travel between processes: they are compiled once more where they arrive
+        # compiled functions cannot be pickled; the receiving process compiles them again
         return type(self), (self.terms, self.coordinates, self.prescribed, self._values)
 
     def of(self, terms: Sequence[Term], values: Sequence[Mapping[str, float]] | None = None) -> EulerLagrange:
@@ -360,7 +360,7 @@ def euler_lagrange(
             f"q, qdot and qddot have the shapes {', '.join(map(str, shapes))}; expected one shape "
             f"(n_times, {len(library.coordinates)}) for the coordinates {', '.join(library.coordinates)}"
         )
-    library = library.at({})  # says which shape parameter has no number
+    library = library.at({})  # raises for a shape parameter without a number
     columns = EulerLagrange((*library.terms, *library.dissipation), library.coordinates)
     points = Points(states[0], states[1], states[2], _times(columns, t, len(states[0])))
     return columns.strong(points).transpose(2, 1, 0)

@@ -1,13 +1,13 @@
 """Equations of motion of kinematic trees, numerically, at many states at once.
 
-Everything is written in the frame of the base.  A joint has the screw S_i = (axis, velocity of the point at
-the origin of the base's frame), a link the motion v_i of the same kind; with λ the parent,
+All quantities are in the frame of the base.  A joint has the screw S_i = (axis, velocity of the point at the
+origin of the base frame), a link the motion v_i of the same kind; with the parent λ,
 
     v_i = v_λ + S_i q̇_i,    Ṡ_i = v_i × S_i,    a_i = a_λ + S_i q̈_i + Ṡ_i q̇_i,    a_base = −g,
     f_i = I_i a_i + v_i ×* I_i v_i,    τ_i = S_i · Σ_{k beyond i} f_k.
 
-f_k is linear in the ten inertial parameters of link k, which gives the columns.  Derivatives are those of
-Singh, Russell & Wensing 2022, IEEE Robotics and Automation Letters 7:1776: exact, at the price of a few
+f_k is linear in the ten inertial parameters of link k, which gives the columns.  The derivatives follow
+Singh, Russell & Wensing 2022, IEEE Robotics and Automation Letters 7:1776. They are exact and cost a few
 evaluations.
 """
 
@@ -73,7 +73,7 @@ class Motion:
 
     @classmethod
     def of(cls, tree: KinematicTree, points: Points) -> Motion:
-        """The motion at points, computed once for each of them."""
+        """The motion at points; cached with the points."""
 
         def make() -> Motion:
             states = np.stack(points.columns, axis=1).reshape(points.n_points, -1, points.n_dof)
@@ -106,7 +106,7 @@ class Motion:
 
     @cached_property
     def accelerations(self) -> list[np.ndarray]:
-        """a_i, gravity in it."""
+        """a_i, gravity included."""
         out: list[np.ndarray] = []
         for i, parent in enumerate(self.parents):
             own = self.screws[i] * self.qddot[:, i, None] + self.screw_rates[i] * self.qdot[:, i, None]
@@ -143,12 +143,12 @@ class Motion:
 
 
 def regressor(motion: Motion) -> np.ndarray:
-    """(n_links, 10, n_dof, n_points): what each inertial parameter adds to each torque."""
+    """(n_links, 10, n_dof, n_points): torques for a unit of each inertial parameter."""
     n, n_points = len(motion.tree), len(motion.qdot)
     out = np.zeros((n, _N, n, n_points))
     for i in range(n):
         v, a = motion.in_link(i, motion.velocities[i]), motion.in_link(i, motion.accelerations[i])
-        # what a body-fixed point at the origin accelerates by
+        # acceleration of a body-fixed point at the origin
         a[:, 3:] += _cross(v[:, :3], v[:, 3:])
         wrench = _wrench_columns(v, a)
         for j in motion.tree.ancestors[i]:
@@ -254,7 +254,7 @@ def slopes(motion: Motion, parameters: np.ndarray) -> dict[tuple[int, int, int],
 
 
 def _beyond(motion: Motion, values: list[np.ndarray]) -> list[np.ndarray]:
-    """Sums over each link and those that it carries."""
+    """Sums over each link and its descendants."""
     out = list(values)
     for i in reversed(range(len(out))):
         parent = motion.parents[i]

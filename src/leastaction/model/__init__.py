@@ -1,1 +1,1 @@
-"""What a discovery returns, saves and prints."""
+"""The model that a discovery returns: values, file, text and formulas."""

@@ -1,4 +1,4 @@
-"""Measured columns as functions of the coordinates, with the calibration numbers that were estimated."""
+"""Measured columns as functions of the coordinates, with estimated calibration numbers."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Calibration"]
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """How the measured columns depend on the motion: y = h(q, q̇, q̈; κ) + noise.
+    """Dependence of the measured columns on the motion: y = h(q, q̇, q̈; κ) + noise.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Calibration:
     numbers : tuple of ShapeParameter
         The calibration numbers κ in the braces, with standard errors.
     covariance : ndarray or None
-        Of the model's free coefficients, then of the calibration numbers.
+        Covariance of the model's free coefficients, then of the calibration numbers.
 
     Raises
     ------
@@ -39,7 +39,7 @@ class Calibration:
 
     Notes
     -----
-    Numbers that the data leave open have large standard errors, and the model has the finding
+    Numbers that the data do not determine have large standard errors, and the model has the finding
     ``calibration-open``.
 
     Examples
@@ -80,15 +80,15 @@ class Calibration:
         qddot: ArrayLike | None = None,
         t: ArrayLike | None = None,
     ) -> np.ndarray:
-        """What the sensors would measure, without noise.
+        """Values of the measured columns, without noise.
 
         Parameters
         ----------
         q, qdot, qddot : array_like, shape (n_times, n_dof)
-            Coordinates and their derivatives, for example those of a simulation. Derivatives that no function
-            depends on may be left out.
+            Coordinates and their derivatives, for example from a simulation. Derivatives that no function
+            depends on may be omitted.
         t : array_like, shape (n_times,), optional
-            Times in seconds, where a function depends on them.
+            Times in seconds; required if a function depends on time.
 
         Returns
         -------
@@ -97,7 +97,7 @@ class Calibration:
         Raises
         ------
         InputError
-            If the shapes do not fit together, or a derivative is lacking.
+            If the shapes differ, or a derivative is missing.
         """
         first = np.asarray(q, dtype=float)
         given = [first, *(None if x is None else np.asarray(x, dtype=float) for x in (qdot, qddot))]

@@ -1,4 +1,4 @@
-"""What a model accepts at the door: its own parts, and the states it computes with."""
+"""Checks of the parts of a model, and of the states that its methods take."""
 
 from __future__ import annotations
 
@@ -59,6 +59,12 @@ def checked_fields(model: LagrangianModel) -> dict[str, Any]:
     if n_weights not in (0, len(coordinates)):
         raise InputError(
             f"fit: physics_weight has {n_weights} entries; expected one for each of {', '.join(coordinates)}"
+        )
+    spectrum = model.fit.error_spectrum
+    if spectrum and len(spectrum[0]) != 1 + len(coordinates):
+        raise InputError(
+            f"fit: error_spectrum has rows of {len(spectrum[0])} numbers; expected a frequency and one "
+            f"for each of {', '.join(coordinates)}"
         )
     _check_provenance(model.provenance)
     _check_groups(model.groups, n_free)
@@ -121,7 +127,7 @@ def _shape(item: object, place: int) -> ShapeParameter:
 
 
 def _with_findings(diagnostics: Diagnostics | None, fit: FitSummary) -> Diagnostics | None:
-    """The diagnostics show the findings of the fit; nobody else has any."""
+    """The diagnostics with the findings of the fit."""
     if diagnostics is None or diagnostics.findings == fit.findings:
         return diagnostics
     return replace(diagnostics, findings=fit.findings)
@@ -203,7 +209,7 @@ def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | 
     Raises
     ------
     InputError
-        If a last axis does not hold one number per coordinate, or the shapes do not fit together.
+        If a last axis does not hold one number per coordinate, or the shapes cannot be broadcast.
     """
     given = {label: real_array(x, label) for label, x in arrays.items() if x is not None}
     n_dof = len(coordinates)
@@ -218,7 +224,7 @@ def checked_states(coordinates: Sequence[str], arrays: Mapping[str, ArrayLike | 
         return [whole.get(label) for label in arrays]
     except ValueError:
         shapes = ", ".join(f"{label} {array.shape}" for label, array in given.items())
-        raise InputError(f"the shapes do not fit together: {shapes}; make them equal") from None
+        raise InputError(f"the shapes cannot be broadcast: {shapes}; make them equal") from None
 
 
 def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
@@ -227,7 +233,7 @@ def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
     Raises
     ------
     InputError
-        If there are none, or they cannot be broadcast.
+        If times are missing, or they cannot be broadcast.
     """
     if t is None:
         raise InputError("the law depends on time: give t, the time of each state in seconds")
@@ -239,11 +245,11 @@ def checked_times(t: ArrayLike | None, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def checked_start_std(value: ArrayLike, n_dof: int, law: Law) -> np.ndarray:
-    """Standard deviations of q and q̇ at the start of a simulation that is to state its error, (2, n_dof)."""
+    """Standard deviations of q and q̇ at the start of a simulation with standard errors, (2, n_dof)."""
     if law.openness is None:
         raise InputError(
-            "start_std asks for the error of the motion, but the model lacks the standard error of a "
-            "coefficient or a physics weight; leave start_std out, or take the model from a discovery"
+            "with start_std the simulation states its error, but the model lacks a physics weight or the "
+            "standard error of a coefficient; leave start_std out, or use a model from a discovery"
         )
     given = real_array(value, "start_std")
     try:
@@ -282,13 +288,13 @@ def check_force_function(coordinates: Sequence[str], forces: Callable[[float], A
 def checked_inputs(
     coordinates: Sequence[str], prescribed: Sequence[str], inputs: Mapping[str, ArrayLike]
 ) -> dict[int, ArrayLike]:
-    """Return the places of coordinates whose motion is given; only prescribed ones can be moved."""
+    """Return the indices of coordinates whose motion is given; only prescribed ones are allowed."""
     for name in inputs:
         if name not in prescribed:
             listing = ", ".join(prescribed) or "no coordinate"
             raise InputError(
-                f"inputs gives the motion of {quoted(name)}; in this model {listing} can be moved (a "
-                "coordinate that was prescribed in the discovery)"
+                f"inputs gives the motion of {quoted(name)}; only a coordinate that was prescribed in the "
+                f"discovery is allowed, here {listing}"
             )
     return {coordinates.index(name): values for name, values in inputs.items()}
 
@@ -299,25 +305,25 @@ def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Traject
     if data.coordinates != model.coordinates:
         raise InputError(
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
-            f"{', '.join(model.coordinates)}, and the sequence matters too"
+            f"{', '.join(model.coordinates)}; give the same names in the same sequence"
         )
     chosen = angles_in(model.coordinates, model.provenance)
     return data.unwrap(chosen) if chosen else data
 
 
 def angles_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> list[str]:
-    """Coordinates that a discovery was told are angles."""
+    """Coordinates that were declared angles in the discovery."""
     return _listed(coordinates, provenance, "angles")
 
 
 def prescribed_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> tuple[str, ...]:
-    """Coordinates that a discovery was told are prescribed; not all of them, whatever a file says."""
+    """Coordinates that were prescribed in the discovery; never all of them, even if a file lists all."""
     found = _listed(coordinates, provenance, "prescribed")
     return tuple(found) if len(found) < len(coordinates) else ()
 
 
 def _listed(coordinates: Sequence[str], provenance: Mapping[str, Any], option: str) -> list[str]:
-    """Coordinates that an option of the discovery names; files may hold anything there."""
+    """Coordinates that an option of the discovery names; entries of a file are checked."""
     options = provenance.get("options")
     names = options.get(option) if is_mapping(options) else None
     return [c for c in coordinates if c in names] if is_list(names) else []

@@ -1,19 +1,22 @@
-r"""Simple numbers inside the 95 % intervals of coefficients and shape parameters: offered, never put in.
+r"""Simple numbers inside the 95 % intervals of coefficients and shape parameters: proposed, never
+substituted.
 
-The list is short: p/q up to 4/4, whole numbers up to ten, π/4 … 4π, √2 and 1/√2. A number x whose logarithm
-may lie anywhere within a factor of two meets one of the n numbers of the list in (x/2, 2x) by chance with
+The list is short: p/q up to 4/4, whole numbers up to ten, π/4 … 4π, √2 and 1/√2. For an estimate x whose
+logarithm is uniform within a factor of two, and n numbers of the list in (x/2, 2x), the expected number of
+chance hits is
 
 .. math:: n \log(b/a) / \log 4
 
-for an interval (a, b). From the surest question on, numbers are offered as long as the sum of these chances,
-over all questions so far, stays below 5 % of the number of offers. So one offer in twenty is a chance at
-most, and a law without simple numbers gets one with a probability of 5 % at most. Zero is not on the list.
+for an interval (a, b). Quantities are sorted by this chance, and numbers are proposed while the sum of the
+chances of all quantities so far stays below 5 % of the number of proposals. On average, at most one proposal
+in twenty is a coincidence, and a law without simple numbers gets one with a probability of at most 5 %. Zero
+is not on the list.
 
-The questions are the shape parameters and the coefficients as they stand, in the units of the data and on
-the scale that the known term or the forces set; then ratios of coefficients, which depend on neither, where
-they do not follow from numbers that are offered already; either kind has half of the 5 %. A ratio has no unit
-if both terms scale alike with the units of position and time. Its denominator is the known one of these
-terms, or else the surest. Terms that do not scale, such as exp(−x), have no ratios.
+The quantities are, first, the shape parameters and coefficients in the units of the data, on the scale set by
+the known term or the forces. Second, they are ratios of coefficients, which depend on neither, unless they
+follow from proposed numbers. Each kind has half of the 5 %. A ratio has no unit if both terms scale alike
+with the units of position and time. Its denominator is the known one of these terms, or the most precise.
+Terms that do not scale, such as exp(−x), have no ratios.
 """
 
 from __future__ import annotations
@@ -65,7 +68,7 @@ class Offer:
     subject : str
         Expression of the term, or the name of a shape parameter in braces.
     reference : str
-        For a ratio: expression of the term below; else empty.
+        For a ratio: expression of the term in the denominator; otherwise empty.
     estimate, standard_error : float
     lower, upper : float
         95 % interval.
@@ -103,15 +106,15 @@ class Offer:
 
 @dataclass(frozen=True)
 class SimpleConstants:
-    """Simple numbers inside intervals of a model, and whether all of them can be true.
+    """Simple numbers inside intervals of a model, and a test of all of them together.
 
     Attributes
     ----------
     offers : tuple of Offer
     chi2 : float
-        Squared distance of the estimates from the offered numbers, with their covariance.
+        Squared distance of the estimates from the proposed numbers, with their covariance.
     freedom : int
-        Its degrees of freedom: independent offers.
+        Its degrees of freedom: independent proposals.
     compatible : bool
         Whether `chi2` is below the threshold of the package's false-alarm rate.
     """
@@ -124,7 +127,7 @@ class SimpleConstants:
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """A number, p·`row` over p·`below`; p·`row` itself where `below` is zero."""
+    """A quantity, p·`row` over p·`below`; p·`row` itself if `below` is zero."""
 
     subject: str
     reference: str
@@ -157,7 +160,7 @@ def find_simple_constants(model: LagrangianModel) -> SimpleConstants:
 
 
 def _accepted(questions: list[_Question]) -> list[tuple[_Question, Offer]]:
-    """The surest questions with a simple number, as many as chance has hardly a share in."""
+    """The quantities with a simple number, limited by the expected number of coincidences."""
     ranked = sorted(((_expected(question), k) for k, question in enumerate(questions)))
     found: list[tuple[_Question, Offer]] = []
     n_kept, total = 0, 0.0
@@ -165,7 +168,7 @@ def _accepted(questions: list[_Question]) -> list[tuple[_Question, Offer]]:
         offer = _offer(questions[k], expected)
         found += [(questions[k], offer)] if offer else []
         total += expected
-        if total <= 0.5 * SELECTION.simple_numbers * len(found):  # the other half is for the other kind
+        if total <= 0.5 * SELECTION.simple_numbers * len(found):  # the other kind has the other half
             n_kept = len(found)
     return found[:n_kept]
 
@@ -173,7 +176,7 @@ def _accepted(questions: list[_Question]) -> list[tuple[_Question, Offer]]:
 def _together(
     model: LagrangianModel, offers: list[Offer], asked: list[_Question], covariance: np.ndarray
 ) -> SimpleConstants:
-    """The offers, with the test of all of them at once."""
+    """The proposals, with the test of all of them together."""
     if not offers:
         return SimpleConstants()
     values = values_of(model)
@@ -191,7 +194,7 @@ def _together(
 
 
 def _expected(question: _Question) -> float:
-    """How many numbers of the list an interval holds by chance."""
+    """Expected number of list entries in an interval by chance."""
     if question.lower * question.upper <= 0.0:
         return math.inf
     size = abs(question.estimate)
@@ -214,7 +217,7 @@ def _offer(question: _Question, expected: float) -> Offer | None:
 
 
 def _direct(model: LagrangianModel) -> list[_Question]:
-    """The coefficients as they stand, and the shape parameters."""
+    """The coefficients and the shape parameters."""
     both = (*model.terms, *model.dissipation, *(shape.as_term() for shape in model.shapes))
     unit = np.eye(len(both))
     return [
@@ -227,7 +230,7 @@ def _direct(model: LagrangianModel) -> list[_Question]:
 
 
 def _ratios(model: LagrangianModel, covariance: np.ndarray) -> list[_Question]:
-    """Ratios within the terms that scale alike."""
+    """Ratios of terms that scale alike."""
     both = (*model.terms, *model.dissipation)
     unit = np.eye(len(covariance))
     values = values_of(model)
@@ -254,7 +257,7 @@ def _ratios(model: LagrangianModel, covariance: np.ndarray) -> list[_Question]:
 
 
 def _scalings(model: LagrangianModel) -> list[tuple[object, ...] | None]:
-    """How each term grows with the units of position and time; None where it does not as a power."""
+    """Powers with which each term scales with the units of position and time; None if it is not a power."""
     names = model.coordinates
     angles = angles_in(names, model.provenance)
     points = Points.draw(np.random.default_rng(0), len(names), 12)

@@ -1,4 +1,4 @@
-"""What a discovery leaves behind besides the model: curve, path, what was dropped, where time went."""
+"""Diagnostics of a discovery: fitted curve, selection path, dropped candidates and timings."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class PathPoint:
         ``cost`` + (number of free terms) · log(number of samples), relative to the chosen structure.
     chosen : bool
     reason : str
-        Why it was not chosen; see `leastaction.selection.alternatives.Alternative`.
+        Reason why it was not chosen; see `leastaction.selection.alternatives.Alternative`.
     coefficients, standard_errors : tuple of float
         Values of the expressions' coefficients, predicted by the quadratic model around the chosen structure.
     kinds : tuple of {"lagrangian", "dissipation"}
@@ -80,9 +80,9 @@ class PathPoint:
 
 
 def pareto(points: Sequence[PathPoint]) -> tuple[PathPoint, ...]:
-    """The structures that no shorter one explains as well, in rising length, and the chosen one.
+    """Structures that no shorter one fits equally well, in rising length, and the chosen one.
 
-    Empty where there are no description lengths. What its own fit does not bear out is left out.
+    Empty without description lengths. Structures that their own fit does not confirm are left out.
 
     Examples
     --------
@@ -211,7 +211,7 @@ class HiddenMotion(NamedTuple):
     q : (n_times,) array
         The coordinate.
     standard_error : (n_times,) array
-        Of ``q``, given the structure of the law; the choice of the coordinate's sign or zero is not in it.
+        Of ``q``, for the given structure; the choice of the sign or zero of the coordinate is not included.
     """
 
     t: np.ndarray
@@ -235,7 +235,7 @@ class Diagnostics(Shown):
     path : tuple of PathPoint
         Best structure of each size, by increasing size, then the runners-up of the chosen size.
     pareto : tuple of PathPoint
-        For libraries with description lengths (`Library.symbolic`): structures that no shorter one explains
+        For libraries with description lengths (`Library.symbolic`): structures that no shorter one fits
         equally well, by increasing length, and the chosen one.
     dropped : tuple of Dropped
         Candidates removed before the fit, with reasons.
@@ -337,7 +337,7 @@ class Diagnostics(Shown):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes as sentences: what was done on the user's behalf, and what else is worth knowing."""
+        """Notes as sentences: changes made to data and library, and further information."""
         return tuple(str(finding) for finding in self.findings if finding.severity == "note")
 
     def curve(self, times: Sequence[np.ndarray] | None = None, nu: int = 0) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""The model file: JSON in, checked by a white list; JSON out.
+"""Reading and writing of model files: JSON, checked against a schema.
 
 Schema 2, where ``null`` stands for "not available"::
 
@@ -10,6 +10,7 @@ Schema 2, where ``null`` stands for "not available"::
      "noise_std": [number or null for each coordinate],
      "fit": {"status": "ok", "usable" or "doubtful", "chi2_per_sample": number or null,
              "physics_weight": [number or null for each coordinate, or nothing],
+             "error_spectrum": [[frequency, number for each coordinate], ...],       optional
              "findings": [{"code": text, "severity": "warning" or "note", "subject": [text, ...],
                            "values": {text: number, text, null or a list of these},
                            "message": text, "remedy": text}, ...],
@@ -30,9 +31,9 @@ Schema 2, where ``null`` stands for "not available"::
 ``shapes``, ``groups``, ``calibration`` and ``covariance`` may be left out; a term may have a ``"template"``,
 its expression with shape parameters in braces.
 
-``fit.warnings`` repeats the findings of that severity in sentences, and ``fit.statements`` says what they
-leave of structure, equations and forecast, for scripts that want no more; neither is read.  In schema 1 the
-warnings stood alone: their sentences become findings with the code ``text``.
+``fit.warnings`` repeats the warnings as sentences, and ``fit.statements`` summarises the verdicts on
+structure, equations and forecast, for scripts that need no more. Neither is read.  Schema 1 had warnings
+alone, whose sentences become findings with the code ``text``.
 
 Numbers are finite; expressions are read by `leastaction.library.parse_expression`, never evaluated.
 """
@@ -71,6 +72,7 @@ _REQUIRED = ("schema", "coordinates", "terms", "dissipation", "noise_std", "fit"
 
 def encode(model: LagrangianModel) -> dict[str, Any]:
     """Return the model as plain dictionaries, lists, text and finite numbers."""
+    spectrum = model.fit.error_spectrum
     document = {
         "schema": SCHEMA,
         "coordinates": list(model.coordinates),
@@ -82,6 +84,7 @@ def encode(model: LagrangianModel) -> dict[str, Any]:
             "chi2_per_sample": _number_or_none(model.fit.chi2_per_sample),
             "physics_weight": [_number_or_none(w) for w in model.fit.physics_weight],
             "findings": [finding.to_dict() for finding in model.fit.findings],
+            **({"error_spectrum": [[*row] for row in spectrum]} if spectrum else {}),
             "warnings": list(model.fit.warnings),
             "statements": model.fit.statements,
         },
@@ -122,12 +125,12 @@ def _number_or_none(value: float) -> float | None:
 
 
 def plain_json(value: Any, place: str, depth: int = 0) -> Any:
-    """Return a copy made of JSON's types; NumPy's become plain, what is not finite becomes None.
+    """Return a copy with JSON types; NumPy types become plain, and non-finite numbers None.
 
     Raises
     ------
     InputError
-        If something in it has no place in JSON.
+        If a value cannot be written as JSON.
     """
     if depth > _MAX_DEPTH:
         raise InputError(f"{place} is nested more than {_MAX_DEPTH} levels deep; make it flatter")
@@ -170,13 +173,13 @@ def load(path: str | os.PathLike[str]) -> LagrangianModel:
     InputError
         If the file is not a model of this or an older version; the text names the file and the place.
     """
-    from leastaction.model.model import LagrangianModel  # which writes with this module
+    from leastaction.model.model import LagrangianModel  # circular import
 
     return LagrangianModel.from_dict(_read_document(path), os.fspath(path))
 
 
 def _read_document(path: str | os.PathLike[str]) -> Any:
-    """Read a file as strict JSON; what it means is not looked at yet.
+    """Read a file as strict JSON, without a check of its content.
 
     Raises
     ------
@@ -195,7 +198,7 @@ def _read_document(path: str | os.PathLike[str]) -> Any:
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise InputError(
-            f"{file}: {where}: not valid JSON ({error.msg}); the file may be cut short, make it again"
+            f"{file}: {where}: not valid JSON ({error.msg}); the file may be cut short, write it again"
         ) from None
     except UnicodeDecodeError as error:
         raise InputError(f"{file} is not UTF-8 text (byte {error.start}); expected a model in JSON") from None
@@ -204,7 +207,7 @@ def _read_document(path: str | os.PathLike[str]) -> Any:
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     except ValueError:
-        # Python refuses whole numbers of thousands of digits.
+        # Python refuses integers with thousands of digits.
         raise InputError(f"{file} contains a number with too many digits; expected a model in JSON") from None
 
 
@@ -218,7 +221,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_depth(document: Any) -> None:
-    """Refuse what is nested so deeply that even quoting it in a message would fail."""
+    """Refuse a document that is nested too deeply to be quoted in a message."""
     level: list[Any] = [document]
     for _ in range(_MAX_DEPTH + 10):
         level = [x for item in level for x in _inside(item)]
@@ -330,7 +333,7 @@ def _numbers(value: Any, place: str) -> tuple[float, ...]:
 def _number(value: Any, place: str, nullable: bool = False, least: float = -math.inf) -> float:
     if value is None and nullable:
         return math.nan
-    # Here null is the only way to say "not available": what overflows to infinity is an error.
+    # null is the only code for "not available"; a number that overflows to infinity is an error.
     return as_float(value, place, least=least)
 
 
@@ -354,7 +357,9 @@ def _term(value: Any, place: str) -> ModelTerm:
 
 def _fit(value: Any, schema: int) -> FitSummary:
     required = ("status", "chi2_per_sample", "physics_weight", "warnings")
-    _check_entries(value, "fit", required if schema == 1 else (*required, "findings"), ("statements",))
+    _check_entries(
+        value, "fit", required if schema == 1 else (*required, "findings"), ("statements", "error_spectrum")
+    )
     warnings = [
         _text(w, f"fit.warnings[{i}]")
         for i, w in enumerate(_list(value["warnings"], "fit.warnings", MAX_TERMS))
@@ -366,6 +371,7 @@ def _fit(value: Any, schema: int) -> FitSummary:
         _numbers(value["physics_weight"], "fit.physics_weight"),
         warnings if schema == 1 else None,
         [Finding.from_dict(item, f"fit.findings[{i}]") for i, item in enumerate(found)],
+        _list(value.get("error_spectrum", []), "fit.error_spectrum", MAX_TERMS),
     )
 
 

@@ -1,17 +1,17 @@
-r"""Gravity over length, from a potential and a coupling: a check of times and lengths that needs no mass.
+r"""Gravity over length, from a potential and a coupling: a check of times and lengths without a mass.
 
-Of a chain of links, link i of length l_i carries what is behind it. With the mass m of all that and the
-distance a of its centre along link j, L holds
+In a chain of links, link i of length l_i carries all later links. With their mass m and the distance a of
+their centre of mass along link j, L contains
 
 .. math:: m a l_i \,\dot\theta_i \dot\theta_j \cos(\theta_i - \theta_j) + m g a \cos\theta_j,
 
-so the potential over the coupling is g/l_i, whatever is known or sets the scale of L.  Where angles are
-measured from the link before, the coupling is that of q̇₁² cos(q_{i+1} + … + q_j), and the potential
-cos(q₁ + … + q_j).
-A single pendulum, ½ I θ̇² + m g a cos θ, has g/l of the simple pendulum that swings alike, l = I/(m a).
+so that the ratio of potential and coupling is g/l_i, whatever sets the scale of L.  If angles are measured
+from the previous link, the coupling is the coefficient of q̇₁² cos(q_{i+1} + … + q_j), and the potential that
+of cos(q₁ + … + q_j).
+A single pendulum, ½ I θ̇² + m g a cos θ, has g/l of the equivalent simple pendulum, l = I/(m a).
 
-With l known this is g.  Another value means that times are in another unit than seconds (a clock that is off
-by a factor k changes it by k²), that the length is not in metres, or that the plane of motion is inclined.
+If l is known, this gives g.  A wrong value means that times are not in seconds (a clock that is off by a
+factor k changes g by k²), that the length is not in metres, or that the plane of motion is inclined.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
 __all__ = ["STANDARD_GRAVITY", "GravityRatio", "checked_lengths", "gravity_findings", "gravity_ratios"]
 
 STANDARD_GRAVITY = 9.80665
-_RANGE = 0.03  # share of g that lengths and places explain
-_SIZES = (1e-3, 100.0)  # metres of pendulums that people build
-_ALIKE = 0.02  # share by which a factor may differ from that of a unit
-# factors of the clock, and what was given in another unit than seconds and metres
+_RANGE = 0.03  # relative deviation of g that errors of the length and the location explain
+_SIZES = (1e-3, 100.0)  # metres: plausible lengths of pendulums
+_ALIKE = 0.02  # largest relative difference between a factor and the factor of a unit
+# factor of the clock → quantity that is not in seconds or metres
 _UNITS = {
     1e-3: "times may be in milliseconds",
     1e-6: "times may be in microseconds",
@@ -58,13 +58,13 @@ class GravityRatio:
     Attributes
     ----------
     link : str
-        Coordinate of the link whose length it is.
+        Coordinate of the link of this length.
     potential, coupling : str
-        The terms of L that it comes from.
+        The two terms of L.
     value, standard_error : float
-        In 1/s² where times are in seconds.
+        g/l in 1/s², if times are in seconds.
     length : float or None
-        Metres, where it was given.
+        In metres, if given.
     """
 
     link: str
@@ -76,7 +76,7 @@ class GravityRatio:
 
     @property
     def gravity(self) -> float | None:
-        """g in m/s², where the length was given."""
+        """g in m/s², if the length was given."""
         return None if self.length is None else self.value * self.length
 
     @property
@@ -86,9 +86,9 @@ class GravityRatio:
 
     @property
     def clock(self) -> float | None:
-        """Seconds that a second of the recording would have to be; None where g is that of the Earth.
+        """True seconds in a second of the recording, from g; None if g is that of the Earth.
 
-        Also where no length was given.
+        Also None if no length was given.
         """
         if self.gravity is None or self.length is None:
             return None
@@ -99,7 +99,7 @@ class GravityRatio:
 
     @property
     def unit(self) -> str:
-        """What is in another unit than seconds or metres, where a usual one explains g; else empty."""
+        """The quantity that may be in another unit, if a common unit explains g; otherwise empty."""
         clock = self.clock or 1.0
         error = self.standard_error / (2.0 * self.value)
         return next((said for k, said in _UNITS.items() if abs(clock / k - 1.0) <= _ALIKE + 2.0 * error), "")
@@ -108,10 +108,10 @@ class GravityRatio:
         error = f" ± {self.standard_error:.2g}" if self.standard_error > 0.0 else ""
         source = f"from {self.potential} over {self.coupling}"
         if self.length is None:
-            kind = "of the simple pendulum that swings alike" if self._single else f"of the link {self.link}"
+            kind = "of the equivalent simple pendulum" if self._single else f"of the link {self.link}"
             return f"g/l {kind} is {self.value:.5g}{error} 1/s², {source}: l = {self.on_earth:.4g} m on Earth"
         error = f" ± {self.standard_error * self.length:.2g}" if self.standard_error > 0.0 else ""
-        text = f"g is {self.gravity:.5g}{error} m/s², {source} and l = {self.length:g} m of {self.link}"
+        text = f"g is {self.gravity:.5g}{error} m/s², {source} and l = {self.length:g} m for {self.link}"
         if self.clock is None:
             return text
         text = f"{text}: not that of the Earth"
@@ -136,18 +136,18 @@ def gravity_ratios(
     ----------
     model : LagrangianModel
     lengths : mapping of str to float, optional
-        Metres of the links, by coordinate: from joint to joint, or of a simple pendulum.
+        Lengths of the links in metres, by coordinate: from joint to joint, or of a simple pendulum.
 
     Raises
     ------
     InputError
-        For a length that is no positive number, or of which the model has no ratio.
+        If a length is not positive, or the model has no ratio for it.
 
     Examples
     --------
     >>> from leastaction.model.model import LagrangianModel, ModelTerm
     >>> model = LagrangianModel("q", [ModelTerm("q_dot**2", 0.5), ModelTerm("cos(q)", 9.81e-6, 1e-9)])
-    >>> (ratio,) = gravity_ratios(model, {"q": 1.0})  # milliseconds were taken for seconds
+    >>> (ratio,) = gravity_ratios(model, {"q": 1.0})  # times in milliseconds
     >>> round(ratio.value, 9), round(ratio.clock, 6)
     (9.81e-06, 0.001)
     """
@@ -156,14 +156,14 @@ def gravity_ratios(
     missing = [name for name in given if name not in best]
     if missing:
         raise InputError(
-            f"a length is given for {quoted(missing[0])}, but the model has no g/l of it; it has those of "
+            f"a length is given for {quoted(missing[0])}, for which the model has no g/l; it has g/l for "
             f"{', '.join(best) or 'no coordinate'}"
         )
     return tuple(best[name] for name in model.coordinates if name in best)
 
 
 def gravity_findings(model: LagrangianModel, lengths: Mapping[str, float]) -> list[Finding]:
-    """Where g is not that of the Earth with the lengths given, or no length that people build gives it."""
+    """Findings if g with the given lengths is not that of the Earth, or a length is implausible."""
     found: list[Finding] = []
     best = _best(model, lengths)
     for link, r in best.items():
@@ -178,7 +178,7 @@ def gravity_findings(model: LagrangianModel, lengths: Mapping[str, float]) -> li
 
 
 def _best(model: LagrangianModel, lengths: Mapping[str, float]) -> dict[str, GravityRatio]:
-    """Of each link the ratio with the smallest relative error."""
+    """For each link, the ratio with the smallest relative error."""
     best: dict[str, GravityRatio] = {}
     for ratio in _ratios(model, lengths):
         held = best.get(ratio.link)
@@ -201,7 +201,7 @@ def checked_lengths(lengths: Mapping[str, Any], coordinates: Sequence[str] = ())
 
 
 def _ratios(model: LagrangianModel, lengths: Mapping[str, float]) -> Iterator[GravityRatio]:
-    """Every pair of a potential and a coupling that make a ratio."""
+    """Every ratio of a potential and a coupling."""
     names = names_in_terms(model.coordinates)
     places = {make_term(term.expression, names).expr: k for k, term in enumerate(model.terms)}
     covariance = covariance_of(model)

@@ -1,4 +1,4 @@
-"""What differs between groups of trials: a payload, a temperature, other springs."""
+"""Differences between groups of trials: a payload, a temperature, other springs."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Groups:
         names = _names(self.names)
         differences = tuple(_difference(item, names) for item in self.differences)
         if len({(d.expression, d.kind, d.group) for d in differences}) < len(differences):
-            raise InputError("groups has two differences of one term in one group; give each once")
+            raise InputError("groups has two differences of one term in one group; give each only once")
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "differences", differences)
         object.__setattr__(self, "trials", tuple(self.trials))
@@ -214,7 +214,7 @@ class Groups:
 def _names(given: Iterable[object]) -> tuple[str, ...]:
     names = [name for name in given if isinstance(name, str) and name]
     if len(names) < 2 or len({*names}) < len([*given]):
-        raise InputError(f"groups has the names {quoted(given)}; expected different ones, two at least")
+        raise InputError(f"groups has the names {quoted(given)}; expected at least two different names")
     return tuple(names)
 
 
@@ -242,7 +242,7 @@ def _matrix(rows: Any, most: int) -> np.ndarray | None:
 
 
 class Grouped:
-    """What a model knows of groups of trials."""
+    """Methods of a model for groups of trials."""
 
     def of_group(self, name: str) -> LagrangianModel:
         """The model with the coefficients of one group of trials.
@@ -255,8 +255,8 @@ class Grouped:
         Returns
         -------
         LagrangianModel
-            Of that group alone: with its coefficients, their errors and covariance, and without `groups` and
-            diagnostics. That of the first group has the coefficients of the model itself.
+            For that group alone: with its coefficients, their errors and covariance, and without `groups` and
+            diagnostics. The first group has the coefficients of the model itself.
 
         Raises
         ------
@@ -281,9 +281,9 @@ class Grouped:
         return {}
 
     def of_trial(self, number: int) -> LagrangianModel:
-        """The model with the coefficients that hold in one of the trials that it was found from.
+        """The model with the coefficients of one of the trials of its discovery.
 
-        The model itself where there are no groups.
+        Without groups, this is the model itself.
         """
         groups = cast("LagrangianModel", self).groups
         if groups is None or not groups.trials:
@@ -311,13 +311,13 @@ class Grouped:
 
     @cached_property
     def _open_law(self) -> Law:
-        """What simulations and forecasts run, and what the data leave open of it."""
+        """The law for simulations and forecasts, with the uncertainty of its coefficients."""
         model = cast("LagrangianModel", self)
         law = model.mechanics
         return Law(law.acceleration, law.prescribed, law.timed, openness_of(model))
 
     def own_trials(self, count: int) -> list[int]:
-        """Of so many trials that the model was found from those that obey it: all, or the first group."""
+        """Indices of the trials, out of ``count``, that obey this model: all, or the first group."""
         groups = cast("LagrangianModel", self).groups
         if groups is None or not groups.trials:
             return list(range(count))
@@ -338,7 +338,7 @@ def _of_group(
         before = sizes.get(key, ModelTerm(d.expression, 0.0))
         sizes[key] = replace(before, coefficient=before.coefficient + d.difference, standard_error=math.nan)
         rows[key] = rows.get(key, 0.0) + units[len(free) + groups.differences.index(d)]
-    # a term that is absent from the first group comes behind the others of its kind
+    # a term that is absent from the first group follows the others of its kind
     order = sorted(sizes, key=lambda key: key[0] == "dissipation")
     covariance = None
     if groups.covariance is not None:

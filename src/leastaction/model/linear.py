@@ -5,9 +5,8 @@ deviations δ from it obey
 
 .. math:: M \ddot δ + C \dot δ + K δ = δf, \qquad C = −∂r/∂\dot q, \quad K = −∂r/∂q
 
-(Meirovitch, Fundamentals of Vibrations, 2001, ch. 7). M, C and K have the scale of L, which each mode
-of a linear law without known forces may have of its own. Frequencies, damping ratios and shapes do not depend
-on it.
+(Meirovitch, Fundamentals of Vibrations, 2001, ch. 7). M, C and K scale with L. In a linear law without known
+forces, the scale of each mode is arbitrary. Frequencies, damping ratios and shapes do not depend on it.
 
 Standard errors are those of the delta method with the covariance of coefficients and shape parameters; the
 equilibrium moves with them. M, C, K and the equilibrium are differentiated along the principal directions of
@@ -40,7 +39,7 @@ __all__ = ["Equilibrium", "Linearisation", "Resting"]
 Stability = Literal["stable", "neutral", "unstable", "undecided"]
 
 _ORDER: tuple[Stability, ...] = ("stable", "neutral", "undecided", "unstable")
-_NEAR = 1e-3  # how far a state may be from its equilibrium: what people round off
+_NEAR = 1e-3  # largest distance between a given state and its equilibrium: allows for rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class Equilibrium:
         From the poles of the linear system, or a minimum of the potential. Neutral: stable except for shifts
         that no force opposes. Undecided: neglected terms decide, or the mass matrix is singular.
     isolated : bool
-        Whether it has no adjacent equilibria. Of a line or surface of equilibria, one is given.
+        Whether it has no adjacent equilibria. A line or surface of equilibria is represented by one of them.
     recorded : bool or None
         Whether the recording reached it in each coordinate, angles modulo 2π. None: unknown.
     """
@@ -69,11 +68,11 @@ class Equilibrium:
 
     @property
     def standing(self) -> str:
-        """Whether it is stable, and whether the recording reached it, as text."""
+        """Stability, and whether the recording reached it, as text."""
         return f"{self.stability}{', beyond the recording' if self.recorded is False else ''}"
 
     def place(self, names: Sequence[str]) -> str:
-        """Where it is, as text."""
+        """Coordinates as text."""
         pairs = zip(names, self.q.tolist(), self.standard_error.tolist(), strict=True)
         return ", ".join(f"{name} = {rounded(q, error, uncertainty=True)}" for name, q, error in pairs)
 
@@ -137,7 +136,7 @@ class Linearisation:
 
 
 class Resting:
-    """How a model behaves about the states in which it can rest."""
+    """Equilibria of a model and small motions about them."""
 
     @cached_property
     def _law(self) -> RestLaw:
@@ -152,18 +151,18 @@ class Resting:
     ) -> tuple[Equilibrium, ...]:
         """States in which the system can rest: r(q) + f = 0, solved from many starts.
 
-        Many starts find all equilibria of a smooth law in few coordinates as a rule; there is no proof. Dry
-        friction is left out: with it the system may rest beside them, too.
+        For a smooth law in few coordinates, many starts usually find all equilibria. This is not guaranteed.
+        Dry friction is left out; with it, the system may also rest next to an equilibrium.
 
         Parameters
         ----------
         within : mapping of str to (float, float), optional
-            Where to look, by coordinates. By default a full turn where the law repeats with it, the range of
-            the recording otherwise.
+            Range of the search, by coordinate. By default a full turn if the law is periodic in the
+            coordinate, otherwise the range of the recording.
         forces : array_like, shape (n_dof,), optional
             Constant forces; none by default.
         inputs : mapping of str to float, optional
-            Where the coordinates are that are `prescribed`, all of them.
+            Positions of all `prescribed` coordinates.
 
         Returns
         -------
@@ -173,7 +172,7 @@ class Resting:
         Raises
         ------
         InputError
-            If a range is lacking or wrong, or the law is `timed`.
+            If a range is missing or wrong, or the law is `timed`.
 
         Examples
         --------
@@ -191,11 +190,11 @@ class Resting:
 
     @cached_property
     def small_motions(self) -> tuple[tuple[Equilibrium, Linearisation | None], ...]:
-        """Every equilibrium with the linear system about it, those that are stable first.
+        """Every equilibrium with the linear system about it, stable ones first.
 
-        They are the `equilibria` that are found without arguments, coordinates that are `prescribed` held in
-        the middle of the recording. None where the mass matrix is singular; empty where the law is `timed`,
-        or where it is not known where to look.
+        They are the `equilibria` found without arguments, with `prescribed` coordinates held at the middle of
+        the recording. The linear system is None if the mass matrix is singular. The result is empty if the
+        law is `timed`, or if the range of a coordinate is unknown.
         """
         model = cast("LagrangianModel", self)
         ranges = _ranges(model)
@@ -208,7 +207,7 @@ class Resting:
         inputs = {name: held[name] for name in model.prescribed}
         try:
             found = find_rests(law, {}, push, inputs, ranges)
-        except InputError:  # no recording, and a coordinate that is no angle
+        except InputError:  # no recording, and a coordinate that is not an angle
             return ()
         pairs = [_equilibrium(law, q, push, ranges) for q in found]
         return tuple(sorted(pairs, key=lambda pair: _ORDER.index(pair[0].stability)))
@@ -219,7 +218,7 @@ class Resting:
         Parameters
         ----------
         q : array_like, shape (n_dof,)
-            The equilibrium, to about 0.001; it is solved for. Coordinates that are `prescribed` are held.
+            The equilibrium to within about 0.001; it is refined. `prescribed` coordinates are held.
         forces : array_like, shape (n_dof,), optional
             Constant forces that act there; none by default.
 
@@ -308,7 +307,7 @@ def _about(law: RestLaw, q: np.ndarray, forces: np.ndarray) -> Linearisation:
 
 
 def _open_directions(stiffness: np.ndarray) -> np.ndarray:
-    """Whether each coordinate takes part in a shift that no force opposes."""
+    """Whether a shift that no force opposes moves each coordinate."""
     _, sizes, rows = np.linalg.svd(stiffness)
     null = rows[sizes <= 1e-10 * max(sizes.max(initial=0.0), 1e-300)]
     return np.any(np.abs(null) > 1e-9, axis=0) if len(null) else np.zeros(len(stiffness), dtype=bool)

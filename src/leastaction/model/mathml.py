@@ -27,19 +27,19 @@ _SUPERSCRIPTS = str.maketrans("−0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _APPLY = "<mo>\N{FUNCTION APPLICATION}</mo>"
 _SHORT = 16  # letters of a name
 _LONGER = ' class="longer"'
-_MINUS = '<mo form="prefix">−</mo>'  # of what follows, not between two
+_MINUS = '<mo form="prefix">−</mo>'  # unary
 _THIN = '<mspace width="0.16em"/>'
-# How tightly an expression binds: a looser one gets parentheses inside a tighter one.
+# Precedence of an expression: one of lower precedence gets parentheses.
 _SUM, _PRODUCT, _POWER = 1, 2, 3
 
 
 class Notation:
-    """How the coordinates of one model are written.
+    """Symbols of the coordinates of one model.
 
     Parameters
     ----------
     coordinates : sequence of str
-        ``theta1`` becomes θ₁; names that would look alike are left as they are.
+        ``theta1`` becomes θ₁; names that would look alike are not changed.
     widths : sequence of float
         Widths ε of smoothed absolute values: √(u² + ε²) is written as abs(u), as the user wrote it.
     """
@@ -59,7 +59,7 @@ class Notation:
     def text(self, coordinate: str, derivative: int = 0) -> str:
         """Name of a coordinate, or of its derivative, as plain text for figures.
 
-        Combining dots are of no use there: many fonts put them into the letter.
+        Dots above letters are not used, because many fonts draw them into the letter.
 
         Examples
         --------
@@ -114,9 +114,9 @@ class Notation:
 
     def _symbol(self, coordinate: str, derivative: int, power: str = "") -> str:
         head, subscript = self._parts[coordinate]
-        # Single letters are made italic by the style sheet: MathML itself takes them from another font where
-        # there is no mathematical one. A full stop above a strut is the one dot that no browser puts into
-        # the letter, and an exponent belongs beside the letter, not above the dot.
+        # The style sheet makes single letters italic, because without a mathematical font MathML takes them
+        # from another font. A full stop above a strut is the only dot that every browser draws above the
+        # letter. An exponent is set beside the letter, not above the dot.
         tag = 'mi class="q" mathvariant="normal"' if len(head) == 1 else "mi"
         base = f"<{tag}>{escape(head)}</mi>"
         if derivative:
@@ -133,7 +133,7 @@ class Notation:
         try:
             return self._at(level, ast.parse(text, mode="eval").body)
         except (SyntaxError, ValueError, RecursionError, MemoryError):
-            return f"<mtext>{escape(text)}</mtext>"  # better plain than not at all
+            return f"<mtext>{escape(text)}</mtext>"  # fallback: plain text
 
     def _at(self, level: int, node: ast.expr) -> str:
         """MathML of a node, in parentheses if it binds less tightly than `level`."""
@@ -224,7 +224,7 @@ def _shape(node: ast.Set) -> str:
 
 
 class Number(NamedTuple):
-    """A number and its error as text; empty where there is none.
+    """A number and its error as text; empty if there is none.
 
     `power` is the power of ten of the number, and of the error too unless that is `apart`: an error far above
     the number is written out by itself.
@@ -280,7 +280,7 @@ def _times_ten(power: str) -> str:
 
 
 def _math(body: str) -> Markup:
-    # Mathematics cannot be wrapped: what is long is written smaller.
+    # Mathematics cannot be wrapped, so long expressions are set smaller.
     length = len(re.sub(r"<[^>]*>|&#?\w+;", "", body))
     size = _LONGER if length > 44 else ' class="long"' if length > 28 else ""
     return Markup(f"<math{size}><mrow>{body}</mrow></math>")
@@ -304,7 +304,7 @@ def _fenced(left: str, body: str, right: str) -> str:
 
 
 def _unsigned(node: ast.expr) -> ast.expr | None:
-    """A product without the minus in front, which Python takes for its first factor's; None without one."""
+    """A product without its leading minus, which Python parses with the first factor; None without one."""
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         return node.operand
     if isinstance(node, ast.BinOp) and isinstance(node.op, (ast.Mult, ast.Div)):
@@ -314,7 +314,7 @@ def _unsigned(node: ast.expr) -> ast.expr | None:
 
 
 def _value(node: ast.expr) -> float | None:
-    """A number, or a quotient of two; None for all else."""
+    """A number, or a quotient of two numbers; otherwise None."""
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
         return float(node.value)
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):

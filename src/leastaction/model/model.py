@@ -1,4 +1,4 @@
-"""LagrangianModel: what a discovery returns, what a file holds, and what one computes with."""
+"""LagrangianModel: the result of a discovery, for computation, plots and files."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             object.__setattr__(self, name, value)
 
     def __getstate__(self) -> dict[str, Any]:
-        # compiled functions cannot be pickled: made again when needed
+        # compiled functions cannot be pickled; they are compiled again when needed
         kept = {*self.__dataclass_fields__, "_expressions", "symmetries", "simple_constants"}
         return {k: v for k, v in self.__dict__.items() if k in kept}
 
@@ -119,7 +119,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @cached_property
     def lagrangian(self) -> sp.Expr:
-        """L with all digits, to compute with, over real SymPy symbols; `formula` rounds it for people."""
+        """L with all digits, over real SymPy symbols; `formula` rounds it for reading."""
         return weighted_sum(self.terms, self.expressions)
 
     @cached_property
@@ -129,7 +129,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @property
     def prescribed(self) -> tuple[str, ...]:
-        """Coordinates that unknown forces moved (`provenance`): their entries of forces are accelerations."""
+        """Coordinates moved by unknown forces (`provenance`): their entries of forces are accelerations."""
         return checks.prescribed_in(self.coordinates, self.provenance)
 
     @property
@@ -145,7 +145,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
 
     @cached_property
     def symmetries(self) -> tuple[Symmetry, ...]:
-        """Changes of variables that leave L as it is, in form or within errors, and what they conserve."""
+        """Changes of variables that leave L unchanged, in form or within errors, and conserved quantities."""
         return find_symmetries(self)
 
     @cached_property
@@ -164,9 +164,9 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Returns
         -------
         tuple of sympy.Eq
-            One per coordinate that is not `prescribed`. Up to three coordinates they are solved: the left
-            sides are the symbols ``<coordinate>_dot_dot``. Beyond, the i-th one reads Σ_j M_ij q̈_j = r_i,
-            since the solution would fill pages.
+            One per coordinate that is not `prescribed`. Up to three coordinates, they are solved: the left
+            sides are the symbols ``<coordinate>_dot_dot``. For more coordinates the solution would fill
+            pages, and the i-th equation reads Σ_j M_ij q̈_j = r_i.
         """
         return self.mechanics.equations(forces)
 
@@ -196,7 +196,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Raises
         ------
         InputError
-            If the last axis does not hold one number per coordinate, or times are lacking.
+            If the last axis does not hold one number per coordinate, or times are missing.
         """
         return self.mechanics.acceleration(*self._states(t, q=q, qdot=qdot, forces=forces))
 
@@ -256,7 +256,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         t : array_like, shape (n_times,)
             Times in seconds, strictly increasing.
         forces : array_like, shape (n_times, n_dof), or callable, optional
-            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; of `prescribed` coordinates, q̈.
+            Generalised forces at `t`, or ``forces(time) -> (n_dof,)``; for `prescribed` coordinates, q̈.
         inputs : mapping of str to array_like, shape (n_times,), optional
             Positions of `prescribed` coordinates at `t`, without noise. They start there and need no force.
         start_std : array_like, shape (2, n_dof) or broadcastable to it, optional
@@ -264,13 +264,13 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             deviation of q, from 128 motions with errors of start, coefficients and equations (white noise as
             in the fit).
         **limits
-            ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.simulate`.
+            ``events``, ``max_steps``, ``rtol``, ``atol``: see `leastaction.simulation.integrate.Limits`.
 
         Returns
         -------
         SimulationResult
             With ``status="stopped"`` and a reason if the integration cannot reach the end, for example
-            because the mass matrix becomes singular. A numerical failure raises nothing.
+            because the mass matrix becomes singular. A numerical failure raises no exception.
 
         Raises
         ------
@@ -325,8 +325,8 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             Length of the simulations in seconds. By default 1 s, at least 20 sampling intervals, at most half
             of the shortest trial.
         window : float, optional
-            Length of the data from which the initial state is found. By default half of the horizon, less
-            if the shortest trial has no room for it, at least 8 sampling intervals.
+            Length of the data from which the initial state is found. By default half of the horizon, or less
+            in a short trial, but at least 8 sampling intervals.
         tolerance : float
             A forecast is valid until the error of a coordinate exceeds `tolerance` of its standard deviation
             plus three times the noise.

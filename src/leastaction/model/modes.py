@@ -1,4 +1,4 @@
-"""Poles and modes of M δ̈ + C δ̇ + K δ = 0, and how they change with M, C and K."""
+"""Poles and modes of M δ̈ + C δ̇ + K δ = 0, and their derivatives with respect to M, C and K."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Matrices = tuple[np.ndarray, np.ndarray, np.ndarray]
 """M, C and K."""
 
 ZERO = 1e-7
-"""Share of the largest pole: a double pole at zero comes out at the root of the rounding error."""
+"""Share of the largest pole: a double pole at zero is computed as the root of the rounding error."""
 
-_IN_STEP = 1e-3  # imaginary part of a shape: less is out of step by less than a tenth of a degree
-_ROUNDING = 1e-12  # of the largest eigenvalue: changes within a standard error that are none
-_SAME = 1e-6  # relative: sizes that only rounding tells apart
+_IN_STEP = 1e-3  # imaginary part of a shape: less is a phase below a tenth of a degree
+_ROUNDING = 1e-12  # of the largest eigenvalue: smaller changes within a standard error are rounding
+_SAME = 1e-6  # relative: smaller differences of sizes are rounding
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Estimate:
     Attributes
     ----------
     value, standard_error : float
-        NaN where the error is not available.
+        The error is NaN if it is not available.
     lower, upper : float
         95 % interval, value ± 1.96 standard errors.
 
@@ -70,7 +70,7 @@ class Mode:
     Attributes
     ----------
     pole : complex
-        In 1/s; of a pair, the one above the real axis.
+        In 1/s; for a pair, the pole above the real axis.
     natural_frequency : Estimate
         Magnitude of the pole in rad/s; for a real pole, its rate in 1/s.
     frequency : Estimate
@@ -113,7 +113,7 @@ class Mode:
         return f"{self.frequency} Hz{ratio}"
 
     def deviations(self, names: Sequence[str]) -> list[str]:
-        """The shape as text, with the phase of coordinates that are out of step.
+        """The shape as text, with the phase of coordinates that do not move in phase.
 
         Examples
         --------
@@ -151,7 +151,7 @@ def find_modes(here: Matrices, changes: list[list[np.ndarray]] | None) -> tuple[
         inverse = np.linalg.inv(mass)
         slopes = [inverse @ (k - m @ inverse @ stiffness) for m, _, k in changes or ()]
         moves = _perturbed(squares, right, mass @ right, slopes)
-        upper = np.sqrt(np.abs(squares)) * np.where(squares > 0.0, 1j, 1.0)  # i ω, or what grows of a pair
+        upper = np.sqrt(np.abs(squares)) * np.where(squares > 0.0, 1j, 1.0)  # i ω, or the growing pole
         moves = [(_divided(-move, 2.0 * upper), shape) for move, shape in moves]
         falling = np.flatnonzero(squares < 0.0).tolist()
         sides = [(i, 1.0) for i in range(len(upper))] + [(i, -1.0) for i in falling]
@@ -204,10 +204,10 @@ def _divided(above: np.ndarray, below: np.ndarray) -> np.ndarray:
 def _perturbed(
     values: np.ndarray, right: np.ndarray, left: np.ndarray, slopes: Sequence[np.ndarray]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Changes of eigenvalues and right eigenvectors (up to their length) with the matrix, to first degree.
+    """First-order changes of eigenvalues and right eigenvectors (up to their length) with the matrix.
 
-    NaN for vectors of equal eigenvalues, for these values where the change would part them, and where left
-    and right vectors are orthogonal.
+    NaN for vectors of equal eigenvalues, for equal eigenvalues that the change separates, and if left and
+    right vectors are orthogonal.
     """
     sizes = np.linalg.norm(left, axis=0) * np.linalg.norm(right, axis=0)
     overlap = np.einsum("ki,ki->i", left.conj(), right)

@@ -1,4 +1,4 @@
-"""Writing for people: numbers rounded to their errors, and LaTeX of coordinates and terms."""
+"""Numbers rounded to their errors, and LaTeX of coordinates and terms."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _GREEK = frozenset(f"{_SMALL} {_CAPITAL}".split())
 def rounded(
     value: float, standard_error: float = math.nan, digits: int | None = None, uncertainty: bool = False
 ) -> str:
-    """Write a number with the digits that it deserves.
+    """Write a number with its significant digits.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def rounded(
     last = _exponent(standard_error) - 1 if digits is None else size - digits + 1
     last = max(last, size - 14)
     if digits is None and not uncertainty and abs(value) <= 0.5 * 10.0**last:
-        # A row of zeros would hide the number that the model computes with.
+        # A row of zeros would hide the value in use.
         decimals = -last if -6 < last < 0 else 0
         return rounded(value, digits=2) if value else f"{0.0:.{decimals}f}"
     if known_error:
@@ -75,7 +75,7 @@ def rounded(
         size = max(size, _exponent(standard_error))
     error = f"({round(standard_error / 10.0**last)})" if uncertainty and known_error else ""
     if last > 0 or size < -4:
-        # Here a decimal number would show digits that are not known, or a row of zeros.
+        # A decimal number would show digits that are not significant, or a row of zeros.
         size = max(size, last)
         if last > 0 and size < 6:
             scale = 10**last
@@ -111,7 +111,7 @@ def plain_sum(
 
 
 def interval_text(term: ModelTerm) -> str:
-    """Ends of the 95 % interval to the second digit of the error; empty where there is none.
+    """Ends of the 95 % interval to the second digit of the error; empty if there is none.
 
     Examples
     --------
@@ -195,7 +195,7 @@ _FIRST = "!"  # SymPy sorts factors by name: before all letters
 
 
 def _in_order(expr: Any) -> Any:
-    """An expression whose shape parameters come first in products, as SymPy writes them: a x, not x a."""
+    """An expression with shape parameters first in products: a x, not x a."""
     if is_constant(expr) or not any(is_constant(symbol) for symbol in expr.free_symbols):
         return expr  # nothing to change
     parts = [_in_order(part) for part in expr.args]

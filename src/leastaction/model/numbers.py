@@ -10,7 +10,7 @@ import sympy as sp
 from leastaction.identifiers import names_in_terms
 from leastaction.library import make_term, shape_symbol
 from leastaction.mechanics.equations import Mechanics
-from leastaction.simulation.law import Openness
+from leastaction.simulation.law import Openness, Spectrum
 
 if TYPE_CHECKING:
     from leastaction.model.model import LagrangianModel
@@ -25,7 +25,7 @@ def values_of(model: LagrangianModel) -> np.ndarray:
 
 
 def covariance_of(model: LagrangianModel) -> np.ndarray:
-    """Of coefficients and shape parameters, zero where known; without one, errors count as independent."""
+    """Covariance of coefficients and shape parameters, zero for known ones; by default diagonal."""
     both = (*model.terms, *model.dissipation)
     errors = np.array([*(t.standard_error for t in both), *(s.standard_error for s in model.shapes)])
     out = np.diag(np.nan_to_num(errors) ** 2)
@@ -37,7 +37,7 @@ def covariance_of(model: LagrangianModel) -> np.ndarray:
 
 
 def principal(covariance: np.ndarray) -> np.ndarray:
-    """Columns d with Σ d dᵀ the covariance."""
+    """Columns d such that Σ d dᵀ is the covariance."""
     sizes = np.sqrt(np.diag(covariance))
     scale = np.where(sizes > 0.0, sizes, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
@@ -46,7 +46,7 @@ def principal(covariance: np.ndarray) -> np.ndarray:
 
 
 def openness_of(model: LagrangianModel) -> Openness | None:
-    """What standard errors and physics weights leave open; None where the model has none of them."""
+    """Uncertainty from standard errors and physics weights; None if the model has none of them."""
     both = (*model.terms, *model.dissipation)
     weights = np.array(model.fit.physics_weight)
     free = [i for i, name in enumerate(model.coordinates) if name not in model.prescribed]
@@ -57,7 +57,9 @@ def openness_of(model: LagrangianModel) -> Openness | None:
     density = np.zeros(model.n_dof)
     density[free] = 1.0 / weights[free]
     law = _parametric(model)
-    return Openness(law.acceleration, values_of(model), principal(covariance_of(model)), density)
+    rows = np.array(model.fit.error_spectrum)
+    spectrum = Spectrum(rows[:, 0], rows[:, 1:]) if rows.size else Spectrum.white(density)
+    return Openness(law.acceleration, values_of(model), principal(covariance_of(model)), spectrum)
 
 
 def _parametric(model: LagrangianModel) -> Mechanics:

@@ -1,4 +1,4 @@
-"""A law at rest: its equations as functions of coordinates and numbers, and where it can rest."""
+"""A law at rest: its equations as functions of coordinates and coefficients, and its equilibria."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _STEP = 0.01  # standard errors: derivatives along the principal directions of t
 
 
 class RestLaw:
-    """A law at rest, M, C, K and r, as functions of coordinates and of the numbers in it.
+    """M, C, K and r at rest, as functions of coordinates, coefficients and shape parameters.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class RestLaw:
     Raises
     ------
     InputError
-        If the law holds the time.
+        If the law depends on time.
     """
 
     def __init__(self, model: LagrangianModel) -> None:
@@ -102,7 +102,7 @@ class RestLaw:
         return mass[at], slopes[(..., rows[:, None], rows + n)], slopes[at]
 
     def settled(self, q: np.ndarray, forces: np.ndarray, numbers: np.ndarray | None = None) -> np.ndarray:
-        """The equilibrium next to a state, by Newton's method; NaN where it does not come to an end."""
+        """The equilibrium near a state, by Newton's method; NaN if it does not converge."""
         q = q.copy()
         for _ in range(30):
             missing = self.right(q, numbers) + forces[self.free]
@@ -118,7 +118,7 @@ class RestLaw:
     def changes(self, q: np.ndarray, forces: np.ndarray) -> list[list[np.ndarray]] | None:
         """Derivatives of M, C, K and of an equilibrium along each principal direction of the covariance.
 
-        None where there are no standard errors.
+        None without standard errors.
         """
         if self.directions is None:
             return None
@@ -134,13 +134,13 @@ class RestLaw:
 
 
 def _widths(values: Mapping[str, Any]) -> Sequence[float]:
-    """The rates below which |q̇| was rounded off, if these are the figures that say so."""
+    """The rates below which |q̇| was smoothed, if these figures contain them."""
     widths = values.get("widths")
     return widths if is_list(widths) else ()
 
 
 def _smoothed(expr: sp.Expr, rates: Sequence[sp.Symbol], widths: Sequence[float]) -> dict[Any, sp.Expr]:
-    """√(u² + w²) → |u|, where the discovery has rounded |u| off."""
+    """√(u² + w²) → |u|, if the discovery has smoothed |u|."""
     out: dict[Any, sp.Expr] = {}
     for power in expr.atoms(sp.Pow):
         if power.exp != sp.Rational(1, 2) or not power.free_symbols & set(rates):
@@ -175,7 +175,7 @@ def _vanishes(expr: sp.Expr) -> bool:
 
 
 def checked_forces(law: RestLaw, forces: ArrayLike | None) -> np.ndarray:
-    """Constant forces, shape (n_dof,); a coordinate that is held has none."""
+    """Constant forces, shape (n_dof,); none on a held coordinate."""
     out = checked_start(law.names, np.zeros(len(law.names)) if forces is None else forces, "forces")
     for i, name in enumerate(law.names):
         if i not in law.free and out[i] != 0.0:
@@ -185,12 +185,12 @@ def checked_forces(law: RestLaw, forces: ArrayLike | None) -> np.ndarray:
     return out
 
 
-_STARTS, _MOST_WORK = 256, 2**14  # of n coordinates n² numbers to each start
+_STARTS, _MOST_WORK = 256, 2**14  # starts, and numbers in all; n coordinates need n² numbers a start
 _SAMPLES = 64  # states at which equations are compared
-_STEPS, _LEAP = 100, 0.02  # of a width: the longest step
-_CELL = 1e-4  # of a width: nearer places are tried once
-_CELLS = 1000  # of a single coordinate, in which a change of sign is looked for
-_EVERY = 0.7  # a shift that is no share of 2π
+_STEPS, _LEAP = 100, 0.02  # steps, and longest step as a share of the width
+_CELL = 1e-4  # of a width: closer starts count as one
+_CELLS = 1000  # of a single coordinate, searched for a change of sign
+_EVERY = 0.7  # a shift that is not a fraction of 2π
 
 
 def find_rests(
@@ -200,7 +200,7 @@ def find_rests(
     inputs: Mapping[str, float],
     ranges: np.ndarray | None,
 ) -> list[np.ndarray]:
-    """States in a box in which a system can rest; of each line or surface of them one.
+    """Equilibria in a box; one for each line or surface of equilibria.
 
     From many starts r(q) + f = 0 is solved by Levenberg and Marquardt's method (MINPACK).
     """
@@ -230,7 +230,7 @@ def find_rests(
 
 
 def periodic(law: RestLaw) -> np.ndarray:
-    """(n_dof,) whether the equations at rest repeat with a full turn of a coordinate that is free."""
+    """(n_dof,) whether the equations at rest are periodic in a free coordinate, with period 2π."""
     n = len(law.names)
     points = np.random.default_rng(0).uniform(0.2, 1.4, (5, n))
     values = law.right(points)
@@ -240,7 +240,7 @@ def periodic(law: RestLaw) -> np.ndarray:
 
 
 def _held(law: RestLaw, inputs: Mapping[str, float]) -> dict[int, float]:
-    """Places of the prescribed coordinates, by their numbers."""
+    """Index of each prescribed coordinate → its position."""
     names = [name for i, name in enumerate(law.names) if i not in law.free]
     strangers = [name for name in inputs if name not in names]
     if strangers or len(names) > len(inputs):
@@ -252,10 +252,10 @@ def _held(law: RestLaw, inputs: Mapping[str, float]) -> dict[int, float]:
 def _box(
     law: RestLaw, within: Mapping[str, Any], turning: np.ndarray, ranges: np.ndarray | None
 ) -> np.ndarray:
-    """(n_dof, 2) between what each coordinate is looked for."""
+    """(n_dof, 2) range of the search for each coordinate."""
     for name, ends in within.items():
         if name not in law.names:
-            raise InputError(f"within: {quoted(name)} is no coordinate; expected {', '.join(law.names)}")
+            raise InputError(f"within: {quoted(name)} is not a coordinate; expected {', '.join(law.names)}")
         good = is_list(ends) and len(ends) == 2
         if not good or not as_float(ends[0], "within") < as_float(ends[1], "within"):
             raise InputError(f"within: {name} is {quoted(ends)}; expected two rising numbers")
@@ -270,8 +270,8 @@ def _box(
             out[i] = ranges[i]
         else:
             raise InputError(
-                f"it is not known where {name} may be, since the model has no recording (a file keeps none); "
-                f"give within={{{name!r}: (low, high)}}"
+                f"the range of {name} is unknown, because a model from a file has no recording; give "
+                f"within={{{name!r}: (low, high)}}"
             )
     return out
 
@@ -284,7 +284,7 @@ def _drawn(box: np.ndarray, centre: np.ndarray, free: Sequence[int], number: int
 
 
 def _ignored(law: RestLaw, i: int, points: np.ndarray, shift: float, size: np.ndarray) -> bool:
-    """Whether the equations at rest do not hold a coordinate."""
+    """Whether the equations at rest do not depend on a coordinate."""
     moved = points.copy()
     moved[:, i] += shift
     return bool(np.all(np.abs(law.right(moved) - law.right(points)) <= 1e-12 * size))
@@ -293,7 +293,7 @@ def _ignored(law: RestLaw, i: int, points: np.ndarray, shift: float, size: np.nd
 def _starts(
     law: RestLaw, box: np.ndarray, centre: np.ndarray, unknown: Sequence[int], forces: np.ndarray
 ) -> np.ndarray:
-    """The middle, where points at random lead, and of one coordinate where the force changes its sign."""
+    """Starts: the middle, random points, and, for a single coordinate, changes of sign of the force."""
     if not unknown:
         return centre[None]
     number = min(_STARTS * 4 ** (len(unknown) - 1), _MOST_WORK // len(unknown) ** 2)
@@ -313,9 +313,10 @@ def _starts(
 def _walked(
     law: RestLaw, points: np.ndarray, unknown: Sequence[int], forces: np.ndarray, longest: np.ndarray
 ) -> np.ndarray:
-    """Where Newton's method leads in short steps; of three points one goes down, and one up in potential.
+    """Ends of Newton's method in short steps; of three points, one descends and one ascends the potential.
 
-    Newton's method alone finds a narrow well only from within: outside it leads to the saddles around.
+    Newton's method alone finds a narrow well only from within; from outside it leads to the saddles around
+    it.
     """
     points, way = points.copy(), np.arange(len(points)) % 3
     inner = np.array([law.free.index(i) for i in unknown])
@@ -338,7 +339,7 @@ def _walked(
 def _solved(
     law: RestLaw, start: np.ndarray, unknown: Sequence[int], forces: np.ndarray, size: np.ndarray
 ) -> np.ndarray | None:
-    """The equilibrium that is found from a start."""
+    """The equilibrium reached from a start."""
 
     def placed(x: np.ndarray) -> np.ndarray:
         state = start.copy()
@@ -366,7 +367,7 @@ def _solved(
 
 
 def _shape_of_line(law: RestLaw, state: np.ndarray) -> np.ndarray | None:
-    """Eigenvalues of K where some vanish, so that equilibria may lie side by side."""
+    """Eigenvalues of K if some vanish, so that equilibria may form a line."""
     stiffness = law.matrices(state)[2]
     sizes = np.linalg.svd(stiffness, compute_uv=False)
     if sizes.size and sizes.min() > 1e-7 * sizes.max():
@@ -382,7 +383,7 @@ def _alike(
     turning: np.ndarray,
     width: np.ndarray,
 ) -> bool:
-    """Whether two equilibria are one, or of one line."""
+    """Whether two equilibria are the same, or lie on one line."""
     if shape is not None and other_shape is not None:
         return bool(np.abs(shape - other_shape).max() <= 1e-5 * max(np.abs(shape).max(), 1e-300))
     apart = np.abs(state - other)

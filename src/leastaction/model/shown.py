@@ -1,4 +1,4 @@
-"""A model as notebooks show it, and the plot of its coefficients."""
+"""Display of a model in notebooks, and the plot of its coefficients."""
 
 from __future__ import annotations
 
@@ -29,26 +29,27 @@ _EQUALS = Markup('<math><mrow><mi class="q" mathvariant="normal">{}</mi><mo>=</m
 
 
 class ShownModel(Shown):
-    """How a model shows itself in notebooks and plots, and what its numbers mean."""
+    """Display of a model in notebooks and plots, and gravity from its coefficients."""
 
     def gravity(self, lengths: Mapping[str, float] | None = None) -> tuple[GravityRatio, ...]:
-        """Gravity over length of links, and gravity where lengths are given: a check of the time base.
+        """Gravity over length of links, and gravity if lengths are given: a check of the time base.
 
         Parameters
         ----------
         lengths : mapping of str to float, optional
-            Metres of links by coordinate, from joint to joint; of a simple pendulum for a single one.
+            Lengths of links in metres by coordinate, from joint to joint; for a single pendulum, the length
+            of the equivalent simple pendulum.
 
         Returns
         -------
         tuple of GravityRatio
-            With ``value`` (1/s²), ``standard_error``, ``gravity`` (m/s²) and ``clock``, by which factor the
-            times seem to be off; empty where no pendulum hangs on another.
+            With ``value`` (1/s²), ``standard_error``, ``gravity`` (m/s²) and ``clock``, the factor by which
+            times appear to be wrong; empty if the law contains no ratio g/l.
 
         Raises
         ------
         InputError
-            For a length that is no positive number, or that the model says nothing about.
+            If a length is not positive, or the model has no ratio for it.
 
         Examples
         --------
@@ -61,7 +62,7 @@ class ShownModel(Shown):
         return gravity_ratios(cast("LagrangianModel", self), lengths)
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
-        """Plot how well each coefficient is known: its 95 % interval about it, in per cent of it.
+        """Plot the 95 % interval of each coefficient, in per cent of the coefficient.
 
         Beyond ±100 % an interval includes zero. Coefficients that were given have hollow squares. The motion
         through the data is drawn by ``model.diagnostics.plot()``, the trade-off between size and misfit by
@@ -126,13 +127,13 @@ class ShownModel(Shown):
 
 
 def _statements(model: LagrangianModel) -> str:
-    """What is said of structure, equations and forecast, behind the status."""
+    """The statements on structure, equations and forecast that follow the status."""
     said = [f"{name}: {text}" for name, text in model.fit.statements.items()]
     return f" ({'; '.join(said)})" if said else ""
 
 
 def _reach(term: ModelTerm) -> tuple[float, float]:
-    """How far the 95 % interval goes down and up in per cent of the coefficient; 0 where there is none."""
+    """Distances to the ends of the 95 % interval in per cent of the coefficient; 0 if there is none."""
     ends = (term.coefficient - term.lower, term.upper - term.coefficient)
     if not term.coefficient or not all(math.isfinite(end) and end > 0 for end in ends):
         return 0.0, 0.0

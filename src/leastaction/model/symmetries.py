@@ -1,13 +1,13 @@
-r"""Symmetries of a law, and what is conserved with each (Noether 1918).
+r"""Symmetries of a law, and the conserved quantity of each (Noether 1918).
 
-A change of the coordinates, δq = ξ(q), that leaves L as it is up to dF/dt conserves
+A change of the coordinates, δq = ξ(q), that leaves L unchanged up to dF/dt conserves
 
 .. math:: Σ_i ξ_i ∂L/∂q̇_i − F
 
-where neither friction nor a force acts along ξ. What a symmetry asks of the coefficients is linear, A λ = 0
-(`leastaction.library.invariance`); (A λ)ᵀ (A Σ Aᵀ)⁻¹ A λ, with their covariance Σ, is tested against χ² at
-the false-alarm rate of `leastaction.selection.significance`. Each symmetry is one test: a correction for the
-number of those that are tried would make it easier to claim one. Shape parameters are held at their numbers.
+if neither friction nor a force acts along ξ. The conditions of a symmetry on the coefficients are linear,
+A λ = 0 (`leastaction.library.invariance`). The statistic (A λ)ᵀ (A Σ Aᵀ)⁻¹ A λ, with the covariance Σ, is
+tested against χ² at the false-alarm rate of `leastaction.selection.significance`. There is no correction for
+the number of symmetries, which would make it easier to claim one. Shape parameters are fixed.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ __all__ = ["Symmetry", "find_symmetries"]
 
 Kind = Literal["cyclic", "translation", "rotation", "exchange", "time reversal", "time translation"]
 
-_EXACT = 1e-9  # relative: coefficients that are given as equal
-_DIGITS = 5  # of coefficients of a conserved quantity, as people read it
+_EXACT = 1e-9  # relative: difference of coefficients that are given as equal
+_DIGITS = 5  # of coefficients of a conserved quantity, for display
 _NUMBER = re.compile(r"(?<![\w.])\d+(?:\.\d+(?:e[-+]?\d+)?|e[-+]?\d+)")
 _FRACTION = re.compile(r"(?<![\w.])(\d+)(\*[\w*]+)?/(\d{4,})(?![\w.])")  # a long one, such as 12345*x/15625
-_MOST_TRIALS, _MOST_TIMES = 60, 2000  # whose motion is looked at
+_MOST_TRIALS, _MOST_TIMES = 60, 2000  # for which the drift is computed
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Symmetry:
     Attributes
     ----------
     kind : str
-        "cyclic" (L does not depend on a coordinate, but for a total derivative), "translation" (of several
+        "cyclic" (L does not depend on a coordinate, up to a total derivative), "translation" (of several
         coordinates together), "rotation", "exchange", "time reversal" or "time translation".
     coordinates : tuple of str
         Coordinates that it changes: planes (x, y), (z, w), … of a rotation, or all for a change of time.
@@ -62,11 +62,11 @@ class Symmetry:
         For any coefficients; because the given coefficients satisfy its conditions; or because the estimated
         ones satisfy them within their errors.
     conditions : int
-        Number of combinations of coefficients that must vanish and have an error.
+        Number of combinations of coefficients that must vanish and have a standard error.
     chi2 : float
         Test statistic of these combinations, with `conditions` degrees of freedom.
     precision : float
-        Relative standard error of the least certain of them: a smaller violation is undetectable.
+        Relative standard error of the least precise of them: a smaller violation is undetectable.
     quantity : str
         Expression of the conserved quantity; empty if there is none (exchange, time reversal) or it could not
         be expressed. `written` is the same with rounded numbers.
@@ -122,8 +122,8 @@ class Symmetry:
 def find_symmetries(model: LagrangianModel) -> tuple[Symmetry, ...]:
     """The symmetries of a model: of its coordinates, of bodies, of the time.
 
-    Translations and rotations that follow from others are left out, and so are exchanges that do.  None are
-    looked for where the law holds the time.
+    Translations, rotations and exchanges that follow from others are left out.  A law that depends on time is
+    not searched.
     """
     if model.timed:
         return ()
@@ -132,7 +132,7 @@ def find_symmetries(model: LagrangianModel) -> tuple[Symmetry, ...]:
 
 @dataclass(frozen=True)
 class _Verdict:
-    """How the coefficients meet the conditions."""
+    """Test of the coefficients against the conditions of a symmetry."""
 
     holds: Literal["in form", "in numbers", "within errors"]
     conditions: int = 0
@@ -141,7 +141,7 @@ class _Verdict:
 
 
 class _Search:
-    """One look for all symmetries of a model."""
+    """The search for all symmetries of a model."""
 
     def __init__(self, model: LagrangianModel) -> None:
         self.model = model
@@ -200,8 +200,8 @@ class _Search:
     def _exchanges(
         self, groups: Sequence[Sequence[str]], planes: Sequence[set[frozenset[str]]]
     ) -> Iterator[Symmetry]:
-        """Exchanges; none whose coordinates turn into each other, or that others add up to."""
-        equal = {name: name for name in self.model.coordinates}  # name → one that stands for all like it
+        """Exchanges that do not follow from rotations or from other exchanges."""
+        equal = {name: name for name in self.model.coordinates}  # name → representative of its class
         friction = Invariance(self.friction, self.model.coordinates) if self.friction else None
         for change in exchanges(self.model.coordinates, groups):
             pairs = _pairs(change.names)
@@ -237,14 +237,14 @@ class _Search:
         return [part + int(b) for part, b in zip(turned, change.direction, strict=True)]
 
     def _momentum(self, change: Change) -> sp.Expr | None:
-        """Σ ξ_i ∂L/∂q̇_i − F; None where F cannot be written."""
+        """Σ ξ_i ∂L/∂q̇_i − F; None if F cannot be expressed."""
         field, law = self._field(change), self.model.lagrangian
         momentum = sp.Add(*(x * sp.diff(law, v) for x, v in zip(field, self.v, strict=True)))
         gained = self._potential_of(field)
         return None if gained is None else sp.expand(momentum - gained)
 
     def _potential_of(self, field: list[sp.Expr]) -> sp.Expr | None:
-        """F with dF/dt the change of L: from its addends a_i(q) q̇_i, where the a_i are polynomials."""
+        """F such that dF/dt is the change of L, from its addends a_i(q) q̇_i with polynomials a_i."""
         still = dict.fromkeys(self.v, sp.Integer(0))
         momenta = [sp.diff(self.model.lagrangian, v).subs(still) for v in self.v]  # linear in the velocities
         out: sp.Expr = sp.Integer(0)
@@ -317,7 +317,7 @@ def _symmetry(
 
 
 def _written(quantity: sp.Expr, symbols: dict[sp.Symbol, str]) -> tuple[str, str]:
-    """A sum as text with all digits of its coefficients, and as LaTeX with some."""
+    """A sum as text with all digits of its coefficients, and as LaTeX with rounded ones."""
     text = latex = ""
     for part in quantity.as_ordered_terms():
         number, factor = part.as_coeff_Mul()
@@ -334,9 +334,9 @@ def _written(quantity: sp.Expr, symbols: dict[sp.Symbol, str]) -> tuple[str, str
 
 
 def _judge(rows: np.ndarray, coefficients: np.ndarray, covariance: np.ndarray) -> _Verdict | None:
-    """Whether A λ = 0 within the errors; None where it is not, or where nobody could tell.
+    """The test of A λ = 0 within the errors; None if it fails, or if the errors are too large to decide.
 
-    The errors of some combinations may vanish, where coefficients are given: these must vanish, too.
+    Combinations of given coefficients have no errors and must vanish exactly.
     """
     if not len(rows):
         return _Verdict("in form")
@@ -351,14 +351,14 @@ def _judge(rows: np.ndarray, coefficients: np.ndarray, covariance: np.ndarray) -
     if not values.size:
         return _Verdict("in numbers")
     chi2, precision = float(np.sum((values / errors) ** 2)), float(np.max(errors / sizes))
-    # a combination whose addends could all be zero says nothing
+    # a combination whose addends could all be zero has no power
     if chi2 > chi_square_cutoff(values.size) or precision > 1.0 / normal_cutoff():
         return None
     return _Verdict("within errors", values.size, chi2, precision)
 
 
 def _pushed(model: LagrangianModel) -> set[int]:
-    """Coordinates on which forces are known to act in the recording."""
+    """Coordinates on which known forces act in the recording."""
     if model.diagnostics is None:
         return set()
     pushed = {model.coordinates.index(name) for name in model.diagnostics.force_offset}
@@ -369,7 +369,7 @@ def _pushed(model: LagrangianModel) -> set[int]:
 
 
 def _drift(model: LagrangianModel, quantity: sp.Expr) -> float:
-    """Departure of a quantity from its mean along the fitted curves, relative to its addends; NaN without."""
+    """Deviation of a quantity from its mean along the fitted curves, relative to its addends; NaN without."""
     diagnostics = model.diagnostics
     if diagnostics is None:
         return math.nan

@@ -1,4 +1,4 @@
-"""What a model is made of: a term with its coefficient, and the summary of the fit."""
+"""Parts of a model: terms with coefficients, shape parameters, and the summary of the fit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import numpy as np
 import sympy as sp
@@ -22,7 +22,7 @@ __all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", 
 Z95 = 1.959963984540054
 """Half width of a central 95 % interval of a normal distribution, in standard errors."""
 INTERVAL_RISE = Z95**2
-"""By how much −2 log likelihood rises to the ends of a 95 % interval."""
+"""Increase of −2 log likelihood at the ends of a 95 % interval."""
 
 
 def as_float(value: object, label: str, *, missing: bool = False, least: float = -math.inf) -> float:
@@ -58,8 +58,8 @@ class ModelTerm:
     known : bool
         Whether the user gave the coefficient.
     template : str
-        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"``; ``expression`` has numbers
-        in their place. Empty if it has none.
+        The expression with its shape parameters in braces, e.g. ``"exp(-{a}*x)"``; ``expression`` has their
+        values instead. Empty without shape parameters.
 
     Raises
     ------
@@ -136,10 +136,10 @@ class ShapeParameter:
     Parameters
     ----------
     name : str
-        As in the braces of the templates.
+        The name in the braces of the templates.
     value : float
     standard_error : float
-        NaN where it is not available.
+        NaN if not available.
     profile : sequence of (float, float)
         Profile likelihood: increasing values, and the increase of −2 log likelihood from `value` with
         everything else refitted. Empty if not computed.
@@ -190,7 +190,7 @@ class ShapeParameter:
         return self._end([(x, rise) for x, rise in self.profile if x >= self.value], 1.0)
 
     def _end(self, side: list[tuple[float, float]], sign: float) -> float:
-        """Where the root of a profile, which is nearly straight, crosses that of its bound."""
+        """Value at which the square root of the profile, which is nearly linear, reaches its bound."""
         for (x, low), (y, high) in pairwise(side):
             if low < INTERVAL_RISE <= high:
                 a, b = math.sqrt(low), math.sqrt(high)
@@ -198,7 +198,7 @@ class ShapeParameter:
         return self.value + sign * Z95 * self.standard_error
 
     def as_term(self) -> ModelTerm:
-        """Name and number as a row of a table of terms.
+        """Name and value as a row of a table of terms.
 
         Examples
         --------
@@ -224,7 +224,7 @@ class _Row(ModelTerm):
 
 
 def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
-    """Pairs of numbers, the first of each in rising order."""
+    """Pairs of numbers, sorted by the first."""
     refused = InputError(f"{where}the profile is {quoted(given)}; expected pairs of numbers")
     if not isinstance(given, Iterable):
         raise refused
@@ -236,7 +236,7 @@ def _profile(given: object, where: str) -> tuple[tuple[float, float], ...]:
         place = as_float(place, f"{where}a number of the profile")
         numbers.append((place, as_float(rise, f"{where}a rise of the profile", least=0.0)))
     if any(b <= a for (a, _), (b, _) in pairwise(numbers)):
-        raise InputError(f"{where}the numbers of the profile do not rise; sort them")
+        raise InputError(f"{where}the values of the profile do not increase; sort them")
     return tuple(numbers)
 
 
@@ -247,7 +247,7 @@ class FitSummary(Shown):
     Parameters
     ----------
     status : {"ok", "usable", "doubtful"}
-        ``"usable"``: the equations hold only to some per cent, but simulations follow the data; see the
+        ``"usable"``: the equations hold only to a few per cent, but simulations follow the data; see the
         finding ``forecasts``. ``"doubtful"``: for example, the library does not explain the data, the data do
         not distinguish the terms, the mass matrix is not positive definite, or the solver did not converge. A
         warning states the reason.
@@ -260,6 +260,10 @@ class FitSummary(Shown):
     findings : sequence of Finding
         Results of all checks: codes and figures for programs, sentences for people. `warnings` and `notes`
         derive from them.
+    error_spectrum : sequence of sequences of float, optional
+        Spectral density of the equation error over bands of frequencies, for the bands of forecasts: rows of
+        a frequency in Hz, the first zero, and of each coordinate's density from there to the next row.
+        Empty: the error counts as white.
 
     Examples
     --------
@@ -274,6 +278,7 @@ class FitSummary(Shown):
     chi2_per_sample: float
     physics_weight: tuple[float, ...]
     findings: tuple[Finding, ...]
+    error_spectrum: tuple[tuple[float, ...], ...]
 
     def __init__(
         self,
@@ -282,6 +287,7 @@ class FitSummary(Shown):
         physics_weight: Iterable[float] = (),
         warnings: Iterable[str] | None = None,
         findings: Iterable[Finding] = (),
+        error_spectrum: Iterable[Iterable[float]] = (),
     ) -> None:
         if status not in get_args(Status):
             raise InputError(f"fit: the status is {quoted(status)}; expected 'ok', 'usable' or 'doubtful'")
@@ -289,7 +295,7 @@ class FitSummary(Shown):
         found = _findings(findings)
         if warnings is not None:
             if found:
-                raise InputError("fit: warnings are read off the findings; give one of the two")
+                raise InputError("fit: warnings follow from the findings; give one of the two")
             found = _of_texts(warnings)
         values = {
             "status": status,
@@ -298,18 +304,19 @@ class FitSummary(Shown):
                 as_float(w, "fit: a physics weight", missing=True, least=0.0) for w in weights
             ),
             "findings": found,
+            "error_spectrum": _spectrum(error_spectrum),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings as sentences: what is wrong, and what would help."""
+        """Warnings as sentences: the problem and a remedy."""
         return self.sentences("warning")
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes as sentences: what was done on the user's behalf, and what else is worth knowing."""
+        """Notes as sentences: changes made to data and library, and further information."""
         return self.sentences("note")
 
     @property
@@ -323,7 +330,7 @@ class FitSummary(Shown):
     def sentences(self, severity: Severity, audience: Audience = "python") -> tuple[str, ...]:
         """Return the findings of a severity as text, with remedies for Python, command line or app.
 
-        What `statements` says of forecasts is not repeated.
+        Findings on forecasts that `statements` covers are not repeated.
 
         Examples
         --------
@@ -340,6 +347,17 @@ class FitSummary(Shown):
             lines.append(f"chi2 per sample: {self.chi2_per_sample:.3g}, 1 is expected")
         notes = [*(f"warning: {text}" for text in self.warnings), *self.notes]
         return Card(f"fit: {self.status}", lines, notes=notes)
+
+
+def _spectrum(value: Iterable[Iterable[object]]) -> tuple[tuple[float, ...], ...]:
+    label, expected = "fit: error_spectrum", "rows of a frequency and a density for each coordinate"
+    rows = [_items(row, label, expected) for row in _items(value, label, expected)]
+    numbers = tuple(tuple(as_float(x, label, least=0.0) for x in row) for row in rows)
+    begins = [row[0] for row in numbers if row]
+    rising = all(a < b for a, b in pairwise(begins)) and begins[:1] in ([], [0.0])
+    if not rising or len({len(row) for row in numbers}) > 1 or len(begins) < len(numbers):
+        raise InputError(f"{label} is not a table; expected {expected}, the frequencies rising from zero")
+    return numbers
 
 
 def _findings(value: Iterable[object]) -> tuple[Finding, ...]:
@@ -360,7 +378,7 @@ def _of_texts(value: Iterable[object]) -> tuple[Finding, ...]:
     return tuple(Finding.of_text(text) for text in texts)
 
 
-def _items(value: Iterable[object], label: str, expected: str) -> list[object]:
+def _items(value: Iterable[Any], label: str, expected: str) -> list[Any]:
     if isinstance(value, (str, bytes)):
         raise InputError(f"{label} is {quoted(value)}; expected a sequence of {expected}")
     try:

@@ -1,4 +1,4 @@
-"""A model as people read it: summary line, formula, table, LaTeX."""
+"""Text of a model: summary line, formula, table, LaTeX."""
 
 from __future__ import annotations
 
@@ -52,15 +52,16 @@ _HEADER = ("term", "kind", "coefficient", "std. error", "95 % interval", "z")
 
 
 class Written:
-    """How a model shows itself."""
+    """Text, tables and formulas of a model."""
 
     @property
     def _whole(self) -> LagrangianModel:
         return cast("LagrangianModel", self)
 
     def table(self) -> pd.DataFrame:
-        """Coefficients with their errors; then shape parameters, under their names in braces, and differences
-        between groups of trials, such as ``x_dot**2 in payload``.
+        """Coefficients with standard errors, shape parameters, and differences between groups of trials.
+
+        Shape parameters have their names in braces, and differences read ``x_dot**2 in payload``.
 
         Returns
         -------
@@ -72,18 +73,18 @@ class Written:
         Raises
         ------
         InputError
-            Which is also an ImportError, if pandas is not installed (extra ``pandas``).
+            If pandas is not installed (extra ``pandas``); it is also an ImportError.
         """
         return frame(self._whole)
 
     def to_frame(self) -> pd.DataFrame:
-        """Return `table`, under the name that trajectories, simulations and forecasts have for it."""
+        """Return `table`; trajectories, simulations and forecasts have a method of the same name."""
         return frame(self._whole, "to_frame()")
 
     def formula(self, digits: int | None = None, uncertainty: bool = False) -> str:
         """L, and psi if there is friction, as plain text with rounded numbers.
 
-        `lagrangian` is for computing and holds all digits.
+        `lagrangian` has all digits, for computation.
 
         Parameters
         ----------
@@ -91,12 +92,12 @@ class Written:
             Significant digits of the coefficients. By default each ends at the second digit of its
             standard error, and has six digits if it has none.
         uncertainty : bool
-            Write the error behind the number, as in 0.5577(12).
+            Append the error to the number, as in 0.5577(12).
 
         Returns
         -------
         str
-            One line for each.
+            One line for L and one for psi.
 
         Raises
         ------
@@ -112,7 +113,7 @@ class Written:
         return formula(self._whole, digits, uncertainty)
 
     def format_rows(self) -> list[tuple[str, ...]]:
-        """Rows of text for a table, the first one the header; numbers are rounded to their errors."""
+        """Rows of text for a table, starting with the header; numbers are rounded to their errors."""
         return rows(self._whole)
 
     def format_table(self) -> str:
@@ -128,7 +129,7 @@ class Written:
             Significant digits of the coefficients. By default each ends at the second digit of its
             standard error, and has six digits if it has none.
         uncertainty : bool
-            Write the error behind the number, as in 0.5577(12).
+            Append the error to the number, as in 0.5577(12).
 
         Examples
         --------
@@ -216,7 +217,7 @@ def latex(model: LagrangianModel, digits: int | None, uncertainty: bool) -> str:
     for name, terms, expressions in groups:
         shown = [_written(model, t, e) for t, e in zip(terms, expressions, strict=True)]
         pieces = latex_sum(terms, shown, symbols, digits, uncertainty) if terms else []
-        # Four terms a line: more would run out of the page.
+        # Four terms a line fit on a page.
         parts = [" ".join(pieces[i : i + 4]) for i in range(0, len(pieces), 4)]
         lines += [f"{name} &= {part}" if i == 0 else rf"&\quad {part}" for i, part in enumerate(parts)]
     for shape in model.shapes:
@@ -245,7 +246,7 @@ _LONGEST = 80  # characters of an energy in a line of text
 
 
 def reach(symmetry: Symmetry) -> str:
-    """How far a symmetry holds.
+    """The sense in which a symmetry holds.
 
     Examples
     --------
@@ -259,7 +260,7 @@ def reach(symmetry: Symmetry) -> str:
 
 
 def outcome(symmetry: Symmetry) -> str:
-    """What becomes of the conserved quantity, or of the symmetry.
+    """Whether the quantity is conserved, or the symmetry broken.
 
     Examples
     --------
@@ -272,9 +273,9 @@ def outcome(symmetry: Symmetry) -> str:
     if name is None:
         return f"broken by {obstacles}" if obstacles else ""
     if obstacles:
-        return f"not conserved: it would be without {obstacles}"
+        return f"not conserved because of {obstacles}"
     if math.isnan(symmetry.drift):
-        return "conserved where no force acts along it"
+        return "conserved if no force acts along it"
     return f"conserved to {_small_share(symmetry.drift)} along the recording"
 
 
@@ -283,7 +284,7 @@ def _small_share(share: float) -> str:
 
 
 def shown_quantity(symmetry: Symmetry) -> str:
-    """What is conserved, with rounded numbers; empty for a long energy, which only repeats L."""
+    """The conserved quantity with rounded numbers; empty for a long energy, which only repeats L."""
     long = symmetry.kind == "time translation" and len(symmetry.written) > _LONGEST
     return "" if long else symmetry.written
 
@@ -297,7 +298,7 @@ def symmetry_lines(model: LagrangianModel) -> list[str]:
     >>> from leastaction.model.term import ModelTerm
     >>> free = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5)])
     >>> symmetry_lines(free)[0]
-    'cyclic coordinate x, in form: momentum x_dot, conserved where no force acts along it'
+    'cyclic coordinate x, in form: momentum x_dot, conserved if no force acts along it'
     """
     lines: list[str] = []
     for symmetry in model.symmetries:
@@ -330,7 +331,7 @@ def resting_lines(model: LagrangianModel) -> list[str]:
 
 
 def simple_lines(model: LagrangianModel) -> list[str]:
-    """One line for each simple number that the model offers, and one for all of them.
+    """One line for each proposed simple number, and one for all of them together.
 
     Examples
     --------
@@ -345,16 +346,16 @@ def simple_lines(model: LagrangianModel) -> list[str]:
 
 
 def agreement(found: SimpleConstants) -> str:
-    """Whether all offered numbers may be true at once.
+    """Whether all proposed numbers are compatible with the estimates.
 
     Examples
     --------
     >>> from leastaction.model.constants import SimpleConstants
     >>> agreement(SimpleConstants((), 1.25, 3, True))
-    'chi2 1.2 for 3 of them, which fits'
+    'chi2 1.2 for 3 of them: compatible'
     """
-    fits = "which fits" if found.compatible else "which does not fit: not all of them are true"
-    return f"chi2 {found.chi2:.2g} for {found.freedom} of them, {fits}"
+    fits = "compatible" if found.compatible else "incompatible, so not all of them are true"
+    return f"chi2 {found.chi2:.2g} for {found.freedom} of them: {fits}"
 
 
 def frame(model: LagrangianModel, use: str = "table()") -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""The report: one HTML file that shows what was found, how well it holds, and how to find it again."""
+"""The report: one HTML file with the law, its checks, and the command that reproduces it."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ def write_report(
     validation: ForecastResult | None = None,
     command: str | None = None,
 ) -> Path:
-    """Write a report on a discovered model: one HTML file without scripts, which loads nothing.
+    """Write a report on a discovered model: one HTML file without scripts or external content.
 
     It shows L = Σ λ_k φ_k and ψ = Σ c_k ψ_k with their errors, data against the fitted curve and its
     derivatives, the residuals, the selection path, the energy along the motion, forecasts, the data and
-    the noise, the candidates that were dropped, and how to reproduce it all.
+    the noise, the candidates that were dropped, and the command that reproduces the result.
 
     Parameters
     ----------
     model : LagrangianModel
-        As `discover` returns it, with its diagnostics.
+        Result of `discover`, with its diagnostics.
     path : path
         File to write, all or nothing.
     validation : ForecastResult, optional
         Forecasts of held-out trials, from `LagrangianModel.validate`.
     command : str, optional
-        What reproduces the model, for example the command line.
+        Command that reproduces the model, for example the command line.
 
     Returns
     -------
@@ -64,17 +64,17 @@ def write_report(
     ...     page.read_text(encoding="utf-8")[:15]
     '<!DOCTYPE html>'
     """
-    # The model and the templates take a moment: not for a command that only wants its help text.
+    # Imported here, because the import is slow and --help does not need it.
     from leastaction.model.model import LagrangianModel
     from leastaction.report.page import render
     from leastaction.simulation.forecast import ForecastResult
 
     if not isinstance(model, LagrangianModel):
-        raise InputError(f"model is {quoted(model)}; expected a LagrangianModel, as discover() returns it")
+        raise InputError(f"model is {quoted(model)}; expected a LagrangianModel from discover()")
     if model.diagnostics is None:
         raise InputError(
-            "the model has no diagnostics: a model file keeps the result, but not the fitted curve and the "
-            "selection path. Run discover() again on the data and write the report from its result"
+            "the model has no diagnostics: a model file contains neither the fitted curve nor the selection "
+            "path; run discover() again on the data and write the report from its result"
         )
     if validation is not None and not isinstance(validation, ForecastResult):
         raise InputError(
@@ -83,7 +83,7 @@ def write_report(
     if validation is not None and validation.coordinates != model.coordinates:
         raise InputError(
             f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "
-            f"{', '.join(model.coordinates)}; call validate of this model"
+            f"{', '.join(model.coordinates)}; use the result of validate() of this model"
         )
     if command is not None and not isinstance(command, str):
         raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")

@@ -1,6 +1,6 @@
-"""One small plot: what is drawn, the limits, the ticks and the labels; written as an inline ``<svg>``.
+"""One small plot with limits, ticks and labels, as an inline ``<svg>``.
 
-It draws what the report needs and no more: a plotting library would be a quarter of the installation.
+It covers only the figures of the report. A plotting library would be a quarter of the installation.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from leastaction.report.ticks import Linear, Scale, Ticks
 __all__ = ["HALF", "THIRD", "Axes", "Frame", "shortened", "thin_line"]
 
 HALF, THIRD = (520.0, 220.0), (340.0, 210.0)
-"""Width and height in pixels of a panel of which two, or three, stand beside each other."""
+"""Width and height in pixels of a panel, for two or three in a row."""
 
 _UPRIGHT = Linear(room=45.0, share=0.06, steps=(1.0, 2.0, 2.5, 5.0))
-"""The scale of y unless another is given."""
+"""The default scale of y."""
 
-# Room for text that the style sheet enlarges where panels shrink: narrow screens and paper.
+# Space for text that the style sheet enlarges on narrow screens and paper.
 _TOP, _RIGHT, _BOTTOM, _LEFT = 28.0, 12.0, 42.0, 44.0
-_UNDER = 18.0  # of the bottom: the label of the horizontal axis
+_UNDER = 18.0  # part of the bottom for the label of the horizontal axis
 _DIGIT, _LETTER = 9.8, 10.5
-_SPARSE = 16.0  # px from sample to sample, from which on dots do not hide the line below them
+_SPARSE = 16.0  # px between samples: from this distance on, dots do not hide the line below them
 _WIDER = {"−": 1.35, ".": 0.5}  # in digits
 _LINE_POINTS = 900
-_BEHIND, _GRID, _FILL, _DOTS, _LINES, _ABOVE = range(6)  # what is drawn later covers what was earlier
+_BEHIND, _GRID, _FILL, _DOTS, _LINES, _ABOVE = range(6)  # in the sequence of drawing
 
 Ends = tuple[float | None, float | None]
 
@@ -68,7 +68,7 @@ class Frame:
 
 
 class Axes:
-    """A plot to draw into; its limits follow from what is drawn, unless `limit` sets them.
+    """A plot; its limits follow from its content, unless `limit` sets them.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class Axes:
     ) -> None:
         """Draw a line; NaN interrupts it."""
         self._know(x, y)
-        # A dash with round caps would close its gaps.
+        # Round caps would close the gaps between dashes.
         style = stroke(colour, width, dashes=dashes, cap="" if dashes else cap)
         self._add(_LINES, lambda frame: path(line_path(frame.x(x), frame.y(y)), style))
 
@@ -114,7 +114,7 @@ class Axes:
         opacity: float = 1.0,
         above: bool = False,
     ) -> None:
-        """Scatter dots of this diameter; `above` puts them upon the lines, with a rim that sets them off."""
+        """Draw dots of this diameter; `above` draws them over the lines, with a rim."""
         self._know(x, y)
         styles = [stroke(colour, size, cap="round", opacity=opacity)]
         if above:
@@ -127,7 +127,7 @@ class Axes:
         self._add(_ABOVE if above else _DOTS, draw)
 
     def samples(self, x: np.ndarray, y: np.ndarray, size: float) -> None:
-        """Draw every sample: dots above the lines where they are few, else strokes of this width below.
+        """Draw every sample: few samples as dots above the lines, many as strokes of this width below.
 
         Samples that share a pixel become one stroke from the lowest to the highest.
         """
@@ -161,12 +161,12 @@ class Axes:
         self._add(_BEHIND, draw)
 
     def strip(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: Colour) -> None:
-        """Shade what lies between two lines, as far as both are known; the limits do not follow it."""
+        """Shade the area between two lines where both are known, without effect on the limits."""
         there = np.isfinite(low) & np.isfinite(high)
         ends = np.concatenate([x[there], x[there][::-1]]), np.concatenate([low[there], high[there][::-1]])
 
         def draw(frame: Frame) -> str:
-            far = 4.0 * self.height  # a line that leaves the plot need not go on for ever
+            far = 4.0 * self.height  # clips lines that leave the plot
             y = np.clip(frame.y(ends[1]), -far, far)
             return path(line_path(frame.x(ends[0]), y, close=True), f"fill:var(--{colour});opacity:.22")
 
@@ -193,18 +193,18 @@ class Axes:
         self._add(_BEHIND, draw)
 
     def limit(self, *, x: Ends = (None, None), y: Ends = (None, None), y_from: float | None = None) -> None:
-        """Set ends of the axes, None: as the data ask; `y_from` is shown, and all that is above it."""
+        """Set ends of the axes (None: from the data); `y_from` is included, and all values above it."""
         for k, ends in enumerate((x, y)):
             low, high = (old if new is None else new for old, new in zip(self._given[k], ends, strict=True))
             self._given[k] = (low, high)
         self._floor = self._floor if y_from is None else y_from
 
     def label(self, x: str, y: str, x_unit: str = "", y_unit: str = "") -> None:
-        """Name the quantities: y above the upright axis, x below the other; long ones lose their middle."""
+        """Label the axes: y above the vertical axis, x below the horizontal one; long ones are cut."""
         self._labels = (x, y, x_unit, y_unit)
 
     def frame(self) -> Frame:
-        """Where the plot is, from what has been drawn so far."""
+        """The rectangle of the plot, from its present content."""
         return self._layout()[0]
 
     def svg(self, name: str, title: str, description: str) -> Markup:
@@ -213,9 +213,9 @@ class Axes:
         Parameters
         ----------
         name : str
-            Unlike that of every other figure of the page: prefix of its identifiers.
+            Unique on the page: prefix of the identifiers.
         title, description : str
-            What the figure shows and what is seen in it, for those who cannot see it.
+            Title and content of the figure, for screen readers.
         """
         frame, x_ticks, y_ticks = self._layout()
         drawn = [*self._parts, (_GRID, lambda frame: _grid(frame, y_ticks))]
@@ -250,7 +250,7 @@ class Axes:
         return "".join(parts)
 
     def _layout(self) -> tuple[Frame, Ticks, Ticks]:
-        """Limits first, then the upright ticks, whose texts say where the plot begins, then the others."""
+        """Limits, then the vertical ticks, whose texts determine the left margin, then the others."""
         x_scale, y_scale = self._scales
         x_ends, y_ends = self._ends(0), self._ends(1)
         y_ticks = y_scale.ticks(*y_ends, max(3, int(self.height / y_scale.room)))
@@ -266,7 +266,7 @@ class Axes:
         return frame, x_ticks, y_ticks
 
     def _ends(self, k: int) -> tuple[float, float]:
-        """Both ends of an axis, as places on its scale."""
+        """Both ends of an axis, as positions on its scale."""
         scale, span = self._scales[k], self._spans[k]
         low, high = (min(span), max(span)) if span else (0.0, 0.0)
         margin = scale.margin(low, high)
@@ -277,13 +277,13 @@ class Axes:
         low, high = (old if new is None else new for old, new in zip((low, high), given, strict=True))
         size = max(abs(low), abs(high))
         if not high - low > max(1e-12 * size, 1e-290):
-            # No extent to show: some room about the value.
+            # A range of zero: add a margin around the value.
             room = 0.05 * size if size > 1e-280 else 0.05
             low, high = low - room, high + room
         return low, high
 
     def _know(self, x: np.ndarray, y: np.ndarray) -> None:
-        """Let the limits include data; of points only those of which both coordinates are known."""
+        """Extend the limits to include points with two finite coordinates."""
         x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         if x.size == y.size:
             there = np.isfinite(x) & np.isfinite(y)
@@ -298,7 +298,7 @@ class Axes:
 
 
 def _widest(ticks: Ticks) -> float:
-    """Pixels that the longest of the texts takes where the style sheet enlarges them most."""
+    """Width in pixels of the longest text at the largest size in the style sheet."""
     return _DIGIT * max((sum(_WIDER.get(c, 1.0) for c in words) for words in ticks.texts), default=0.0)
 
 
@@ -312,7 +312,7 @@ def _across(frame: Frame, y: float) -> str:
 
 
 def shortened(words: str, limit: int) -> str:
-    """Leave out the middle of a long text.
+    """Shorten a long text in the middle.
 
     Examples
     --------
@@ -326,7 +326,7 @@ def shortened(words: str, limit: int) -> str:
 
 
 def thin_line(t: np.ndarray, y: np.ndarray, n_points: int = _LINE_POINTS) -> tuple[np.ndarray, np.ndarray]:
-    """Keep the lowest and highest point of each of `n_points` / 2 stretches: no peak is lost."""
+    """Keep the lowest and highest point of each of `n_points` / 2 stretches, so that no peak is lost."""
     if t.size <= n_points:
         return t, y
     edges = np.linspace(0, t.size, n_points // 2 + 1).astype(int)

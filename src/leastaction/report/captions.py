@@ -1,4 +1,4 @@
-"""Titles of the report: what is seen in each figure, as a sentence; and words that the app shows, too."""
+"""Captions of the report, which state the content of each figure; some are shared with the app."""
 
 from __future__ import annotations
 
@@ -53,25 +53,25 @@ SIMPLE_HEAD = (
     ("simple number", "n"),
     ("by chance", "n"),
 )
-SYMMETRY_TITLE = "What leaves L as it is, and what is conserved with it"
+SYMMETRY_TITLE = "Symmetries and conserved quantities"
 SYMMETRY_HEAD = (("symmetry", ""), ("holds", ""), ("quantity", ""), ("along the recording", ""))
-MOTION_TITLE = "Where the system can rest, and how it moves about there"
+MOTION_TITLE = "Equilibria and small motions"
 MOTION_HEAD = (("equilibrium", ""), ("it is", ""), ("small motions", ""), ("shape", ""))
 NO_MOTIONS = (
-    "None within the recorded range and a full turn of angles. Not looked for where the law holds the time."
+    "None within the recorded range and a full turn of angles. Not computed if the law depends on time."
 )
-NO_SYMMETRIES = "None are looked for where the law holds the time."
+NO_SYMMETRIES = "Not computed if the law depends on time."
 
 _PI = re.compile(r"(?<![\d.])3\.14159(?!\d)")  # to the digits of an equilibrium
 _AS_NOISE = 0.15  # |rms / σ − 1|
 _LAG_ONE = 0.1
 _SLOW = 0.05
 _EVEN = 1.2  # ratio of the two halves of an interval
-_TAIL = 0.01  # beyond 3 σ, where normal noise leaves 0.0027
+_TAIL = 0.01  # share beyond 3 σ; 0.0027 for normal noise
 
 
 def forecast_title(result: ForecastResult) -> str:
-    """How far off the free runs are."""
+    """Error of the free runs."""
     over = plain(result.horizon)
     if result.n_diverged:
         starts = plural(result.n_starts, "forecast", "forecasts")
@@ -85,16 +85,16 @@ def forecast_title(result: ForecastResult) -> str:
     if not math.isfinite(ratio):
         return text
     if ratio < 1.5:
-        return f"{text}: as an exact model would be"
+        return f"{text}: as for an exact model"
     if np.isfinite(result.coverage).any():
         inside = percent(float(np.nanmin(result.coverage)))
         return f"{text}; {inside} of the samples are in the 95 % band"
     times = f"{ratio:.0f}" if 10 <= ratio < 1e4 else plain(ratio, 2)
-    return f"{text}: {times} times as far as an exact model would be"
+    return f"{text}: {times} times the error of an exact model"
 
 
 def curve_title(series: Series, i: int, name: str) -> str:
-    """How well curve and samples agree."""
+    """Agreement of curve and samples."""
     if i not in series.measured:
         largest = plain(1.96 * float(np.max(series.estimate(i).standard_error)), 2)
         return f"{name}: not measured, but estimated from the equations (95 % band: at most ± {largest})"
@@ -102,13 +102,13 @@ def curve_title(series: Series, i: int, name: str) -> str:
     if math.isnan(ratio):
         return f"{name}: samples and fitted curve"
     if abs(ratio - 1.0) <= _AS_NOISE:
-        return f"{name}: the curve is as far from the samples as their noise explains ({ratio:.2f} σ rms)"
-    where = "closer to" if ratio < 1.0 else "farther from"
-    return f"{name}: the curve is {where} the samples than their noise explains ({ratio:.2f} σ rms)"
+        return f"{name}: the distance between curve and samples agrees with the noise ({ratio:.2f} σ rms)"
+    size = "smaller" if ratio < 1.0 else "larger"
+    return f"{name}: the distance between curve and samples is {size} than the noise ({ratio:.2f} σ rms)"
 
 
 def zoom_title(series: Series, name: str) -> str:
-    """Which stretch is drawn."""
+    """The stretch that is drawn."""
     start, stop = series.zoom
     return f"{name} from {plain(start, 4)} to {plain(stop, 4)} s, with its velocity and acceleration"
 
@@ -119,7 +119,7 @@ def _ratio(series: Series, i: int) -> float:
 
 
 def residual_title(series: Series, i: int, name: str) -> str:
-    """Whether the residuals look like white, normal noise."""
+    """Whether the residuals resemble white, normal noise."""
     residuals, lags = series.all_residuals(i), series.correlation(i)
     sigma = max(float(series.model.noise_std[i]), 1e-300)
     findings = []
@@ -131,20 +131,20 @@ def residual_title(series: Series, i: int, name: str) -> str:
         findings.append(f"correlated at a lag of {lag} samples ({signed(float(lags[lag - 1]), 2)})")
     beyond = float(np.mean(np.abs(residuals) > 3 * sigma))
     if beyond > _TAIL:
-        findings.append(f"{percent(beyond)} of them lie beyond 3 σ, where normal noise leaves 0.27 %")
+        findings.append(f"{percent(beyond)} of them lie beyond 3 σ (0.27 % for normal noise)")
     if not findings:
-        return f"{name}: what is left looks like white, normal noise"
-    return f"{name}: what is left is not plain noise: {'; '.join(findings)}"
+        return f"{name}: the residuals resemble white, normal noise"
+    return f"{name}: the residuals are not white, normal noise: {'; '.join(findings)}"
 
 
 def profile_title(shapes: Sequence[ShapeParameter]) -> str:
-    """Whether the intervals of shape parameters reach as far to one side as to the other."""
+    """Whether the intervals of shape parameters are symmetric."""
     reach = {s.name: (s.upper - s.value) / (s.value - s.lower) for s in shapes}
     skewed = [name for name, ratio in reach.items() if not 1.0 / _EVEN < ratio < _EVEN]
     if not skewed:
-        return "The likelihood falls evenly to both sides of every shape parameter"
+        return "The likelihood is symmetric about every shape parameter"
     texts = [
-        f"of {name} reaches {max(reach[name], 1.0 / reach[name]):.1f} times as far "
+        f"of {name} extends {max(reach[name], 1.0 / reach[name]):.1f} times as far "
         f"{'up as down' if reach[name] > 1.0 else 'down as up'}"
         for name in skewed
     ]
@@ -152,11 +152,11 @@ def profile_title(shapes: Sequence[ShapeParameter]) -> str:
 
 
 def simple_note(found: SimpleConstants) -> str:
-    """How to read the table of simple numbers, and whether all of them may be true at once."""
+    """Explanation of the table of simple numbers, and the test of all of them together."""
     text = (
-        "An offer: the coefficients above are as estimated. In brackets the standard error of the last "
-        "digits. By chance: how many numbers of the short list of simple ones an interval of this width "
-        "holds on average."
+        "These are proposals; the coefficients above are estimates. In brackets: the standard error of the "
+        "last digits. By chance: the expected number of entries of the short list of simple numbers in an "
+        "interval of this width."
     )
     return (
         f"{text} All together: {agreement(found).replace('chi2', 'χ²')}." if len(found.offers) > 1 else text
@@ -164,51 +164,51 @@ def simple_note(found: SimpleConstants) -> str:
 
 
 def symmetry_note(symmetries: Sequence[Symmetry]) -> str:
-    """How to read the table of symmetries: of its words, those that are in it."""
+    """Explanation of the words that occur in the table of symmetries."""
     parts = (
         (
             any(s.holds == "in form" for s in symmetries),
-            "In form: whatever the coefficients are.",
+            "In form: for any coefficients.",
         ),
         (
             any(s.holds == "within errors" for s in symmetries),
-            "Within the error bars: the coefficients that the symmetry relates fit together (χ² at a "
-            "false-alarm rate of 0.001), and could differ by the relative standard error in brackets.",
+            "Within the error bars: the coefficients satisfy the symmetry (χ² at a false-alarm rate of "
+            "0.001); in brackets, the relative standard error of this test.",
         ),
         (
             any(s.kind not in CONSERVED for s in symmetries),
-            "Nothing is conserved with a reversal of time or an exchange.",
+            "A reversal of time or an exchange has no conserved quantity.",
         ),
         (
             any(s.kind in CONSERVED and math.isfinite(s.drift) and not s.obstacles for s in symmetries),
-            "“Conserved to”: the rms departure from the mean of a trial along the fitted curve, relative to "
-            "the sizes of the addends; the worst trial.",
+            "“Conserved to”: the rms deviation from the mean of a trial along the fitted curve, relative to "
+            "the sizes of the addends, in the worst trial.",
         ),
     )
     return " ".join(text for present, text in parts if present)
 
 
 def motion_note(left_out: Sequence[str]) -> str:
-    """How to read the table of small motions."""
+    """Explanation of the table of small motions."""
     text = (
-        "In brackets the standard error of the last digits, from that of the coefficients. Frequencies, "
+        "In brackets: the standard error of the last digits, from that of the coefficients. Frequencies, "
         "damping ratios and shapes do not depend on the scale of L. A shape lists deviations relative to the "
-        "largest, each in the unit of its coordinate; an angle says by how much a coordinate leads."
+        "largest, each in the unit of its coordinate; an angle is the phase by which a coordinate leads."
     )
     if left_out:
-        text += f" Left out, since it has no derivative at rest: dry friction, {listed(left_out)}."
+        text += f" Dry friction is left out, because it has no derivative at rest: {listed(left_out)}."
     return text
 
 
 def symmetry_summary(symmetries: Sequence[Symmetry]) -> str:
-    """How many symmetries there are, and what stays constant."""
+    """Number of symmetries, and conserved quantities."""
     text = plural(len(symmetries), "symmetry", "symmetries")
     constant = [CONSERVED[s.kind] for s in symmetries if s.kind in CONSERVED and not s.obstacles]
     return f"{text}; conserved: {', '.join(dict.fromkeys(constant)) or 'nothing'}"
 
 
 def motion_summary(motions: Sequence[tuple[Equilibrium, Linearisation | None]], notation: Notation) -> str:
-    """Natural frequencies about the first stable equilibrium; empty where none swings."""
+    """Natural frequencies about the first stable equilibrium; empty without oscillations."""
     for rest, system in motions:
         paces = () if system is None else [m.pace.partition(",")[0] for m in system.modes if m.pole.imag]
         if rest.stability != "unstable" and paces:
@@ -220,7 +220,7 @@ def motion_summary(motions: Sequence[tuple[Equilibrium, Linearisation | None]], 
 
 
 def placed(text: str) -> str:
-    """Where an equilibrium is, for people.
+    """Coordinates of an equilibrium, for display.
 
     Examples
     --------
@@ -231,34 +231,35 @@ def placed(text: str) -> str:
 
 
 def energy_title(energy: dict[str, Any]) -> str:
-    """Where the energy goes."""
+    """Changes of the energy."""
     if energy["driven"] and energy["friction"]:
         text = "Forces and friction change the energy"
     elif energy["driven"]:
         text = "Known forces change the energy"
     elif energy["friction"]:
-        text = f"Friction takes energy, from {energy['start']} to {energy['stop']} on trial {energy['shown']}"
+        ends = f"from {energy['start']} to {energy['stop']}"
+        text = f"Friction lowers the energy {ends} on trial {energy['shown']}"
     else:
-        text = f"Nothing drives or brakes this motion: the energy should stay at {energy['start']}"
+        text = f"No force or friction acts: the energy should stay at {energy['start']}"
     if energy["imbalance"]:
-        text += f"; {energy['imbalance']} of the mean kinetic energy stays unexplained (worst trial)"
+        text += f"; {energy['imbalance']} of the mean kinetic energy is unexplained (worst trial)"
     return text
 
 
 def path_title(path: Sequence[PathPoint]) -> str:
-    """How far the neighbours of the chosen structure are."""
+    """Differences of the neighbouring structures from the chosen one."""
     chosen = next(point for point in path if point.chosen)
     rivals = [p.bic for p in path if not p.chosen and p.n_terms == chosen.n_terms]
     smaller = [p.bic for p in path if p.n_terms == chosen.n_terms - 1]
     larger = [p.bic for p in path if p.n_terms == chosen.n_terms + 1]
-    cases = (("one term less", smaller), ("one more", larger), ("the best rival of this size", rivals))
+    cases = (("one term less", smaller), ("one more", larger), ("best competing structure", rivals))
     parts = [f"{what} {signed(min(values))}" for what, values in cases if values]
     text = f"{plural(chosen.n_terms, 'free term', 'free terms')}"
-    return f"{text}; difference in BIC: {', '.join(parts)}" if parts else f"{text}, without a rival"
+    return f"{text}; difference in BIC: {', '.join(parts)}" if parts else f"{text}, with no alternative"
 
 
 def pareto_title(points: Sequence[PathPoint]) -> str:
-    """What the next shorter and the next longer structure would change."""
+    """Differences of the next shorter and the next longer structure."""
     place = next(k for k, point in enumerate(points) if point.chosen)
     here = points[place].length
     sides = (("shorter", points[max(place - 1, 0) : place]), ("longer", points[place + 1 : place + 2]))

@@ -1,4 +1,4 @@
-"""Figures of the data: overview, samples against the curve, residuals."""
+"""Figures of the data: overview, samples and curve, residuals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _POINTS, _ZOOM_POINTS = 3200, 960  # of all panels of one kind, which bounds the
 
 @dataclass(frozen=True, eq=False)
 class DataFigures:
-    """Draws what the data show; `units` holds "rad" or "units" for each coordinate."""
+    """Draws figures of the data; `units` holds "rad" or "units" for each coordinate."""
 
     series: Series
     notation: Notation
@@ -42,7 +42,7 @@ class DataFigures:
         return axes.svg(f"overview{i}", title, "The estimated curve as a line") + self._band(i)
 
     def _band(self, i: int) -> Markup:
-        """The 95 % band about the estimate, in a panel of its own: beside the motion it is too thin."""
+        """The 95 % band about the estimate, in a separate panel, because it is thin."""
         name, motion = self._name(i), self.series.estimate(i)
         reach = 1.96 * motion.standard_error
         axes = Axes((HALF[0], 130.0))
@@ -95,7 +95,7 @@ class DataFigures:
         axes.line(x, np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi), "fit")
         axes.limit(y=(0.0, None))
         axes.label("residual / σ", f"density, {self._name(i)}")
-        said = f"Beside the normal density; {100 * float(np.mean(np.abs(z) > 3)):.2f} % lie beyond 3 σ"
+        said = f"With the normal density; {100 * float(np.mean(np.abs(z) > 3)):.2f} % lie beyond 3 σ"
         return axes.svg(f"histogram{i}", f"Histogram of the residuals of {self._name(i)} over σ", said)
 
     def correlation(self, i: int) -> Markup:
@@ -115,7 +115,7 @@ class DataFigures:
         return axes.svg(f"correlation{i}", f"Autocorrelation of the residuals of {self._name(i)}", said)
 
     def _share(self, points: int) -> int:
-        """Points of one panel: fewer where there are many coordinates."""
+        """Points of one panel; fewer if there are many coordinates."""
         return points // min(max(len(self.units), 4), 6)
 
     def _range(self, values: np.ndarray, i: int, derivative: int = 0) -> str:

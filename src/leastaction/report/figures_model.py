@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 _MOST_TRIALS = 60
-_OTHER_POINTS = 200  # of a trial that is one line among many
+_OTHER_POINTS = 200  # of a trial in a panel of many trials
 
 
 def path_figure(path: Sequence[PathPoint]) -> Markup:
@@ -59,7 +59,7 @@ def path_figure(path: Sequence[PathPoint]) -> Markup:
 
 
 def pareto_figure(points: Sequence[PathPoint]) -> Markup:
-    """−2 Δ log likelihood against description length, of what no shorter structure explains as well."""
+    """−2 Δ log likelihood against description length, of structures that no shorter one fits equally well."""
     axes = Axes((HALF[0], 320.0), x=Linear(room=45.0), y=Folded())
     bits, cost = np.array([[p.length, p.cost] for p in points]).T
     chosen = np.array([p.chosen for p in points])
@@ -99,7 +99,7 @@ def profile_figure(shape: ShapeParameter) -> Markup:
 
 
 def path_axes(size: tuple[float, float]) -> Axes:
-    """Axes of a selection path: whole numbers of terms, and differences of every size and either sign."""
+    """Axes of a selection path: integer numbers of terms, and differences of any size and sign."""
     return Axes(size, x=Linear(room=45.0, whole=True), y=Folded())
 
 
@@ -122,7 +122,7 @@ def energy_of_trial(energy: Energy, balance: bool) -> Markup:
     floor = float(energy.potential.min())
     total = energy.total - floor
     if balance:
-        # A band below the line of the total: where the balance holds, the line lies in it.
+        # A band below the line of the total; if the balance holds, the line lies in it.
         axes.line(*thin_line(energy.t, energy.expected - floor), "measured", 5.0)
     axes.line(*thin_line(energy.t, energy.kinetic), "forecast", 1.2)
     axes.line(*thin_line(energy.t, energy.potential - floor), "fit", 1.2)
@@ -134,7 +134,7 @@ def energy_of_trial(energy: Energy, balance: bool) -> Markup:
 
 
 def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
-    """Total energy of every trial; the one of the other panel in full colour."""
+    """Total energy of every trial; the trial of the other panel in full colour."""
     axes = Axes((HALF[0], 270.0))
     floor = min(float(e.potential.min()) for e in energies)
     for k, energy in enumerate(energies[:_MOST_TRIALS]):
@@ -149,7 +149,7 @@ def energy_of_trials(energies: Sequence[Energy], shown: int) -> Markup:
 
 
 def forecast_panel(trace: ForecastTrace, i: int, name: str, unit: str, key: str) -> Markup:
-    """Measured samples and the free run of one coordinate, and below them what is between the two."""
+    """Measured samples and the free run of one coordinate, and below them the difference."""
     axes = Axes((HALF[0], HALF[1] - 18.0))
     reach = None if trace.reach is None else trace.reach[:, i]
     draw_forecast(axes, trace.t, trace.measured[:, i], trace.forecast[:, i])
@@ -166,7 +166,7 @@ def forecast_panel(trace: ForecastTrace, i: int, name: str, unit: str, key: str)
 def _errors_of_forecast(
     trace: ForecastTrace, i: int, reach: np.ndarray | None, label: tuple[str, str], key: str
 ) -> Markup:
-    """Measured less forecast, as far as it is near, in the band that should hold 95 % of the samples."""
+    """Measured − forecast while it is small, in the band that should hold 95 % of the samples."""
     axes, error = Axes((HALF[0], 130.0)), trace.measured[:, i] - trace.forecast[:, i]
     there = np.isfinite(error)
     if not there.any():
@@ -179,17 +179,17 @@ def _errors_of_forecast(
     axes.samples(trace.t, error, 2.4)
     axes.limit(x=(trace.t[0], trace.t[-1]), y=(-1.1 * most or -1.0, 1.1 * most or 1.0))
     axes.label("t (s)", "measured − forecast", y_unit=label[1])
-    title = f"{label[0]} of trial {trace.trial} from {trace.origin:.4g} s: measured less forecast"
+    title = f"{label[0]} of trial {trace.trial} from {trace.origin:.4g} s: measured minus forecast"
     return axes.svg(key, title, f"Errors of the forecast as dots, in units of {label[1] or 'the coordinate'}")
 
 
 def draw_forecast(axes: Axes, t: np.ndarray, measured: np.ndarray, run: np.ndarray) -> None:
-    """Draw samples, and over them the free run as far as it is near them."""
+    """Draw samples, and over them the free run while it is near them."""
     axes.samples(t, measured, 4.6)
     there = np.isfinite(run)
     seen = measured[np.isfinite(measured)]
     if seen.size:
-        # A run that leaves the data must not flatten them.
+        # A run that leaves the data must not determine the scale.
         low, high = seen.min(), seen.max()
         reach = max(float(high - low), 1e-12)
         there &= (run > low - 20 * reach) & (run < high + 20 * reach)
@@ -207,13 +207,13 @@ _LOW, _HIGH = 4.0, 236.0
 
 
 def whisker(term: ModelTerm, key: str) -> Markup:
-    """Draw the interval in units of the coefficient, so that every row shares one axis from zero.
+    """Draw the interval in units of the coefficient, so that all rows share one axis from zero.
 
     Parameters
     ----------
     term : ModelTerm
     key : str
-        Unlike that of every other figure of the page.
+        Unique on the page.
 
     Returns
     -------
@@ -239,7 +239,7 @@ def whisker(term: ModelTerm, key: str) -> Markup:
 
 
 def whisker_axis() -> Markup:
-    """Words for the two marks of the axis; the table says the same in its heading."""
+    """Labels of the two marks of the axis; the heading of the table repeats them for screen readers."""
     return Markup(
         f'<svg class="whisker" viewBox="0 0 {_WIDTH} {_HEIGHT}" aria-hidden="true">'
         f'<text class="tick" text-anchor="middle" x="{_ZERO:g}" y="15">0</text>'
@@ -248,7 +248,7 @@ def whisker_axis() -> Markup:
 
 
 def _bar(share: float, y: float) -> str:
-    """Path of the whisker; an arrow head at an end that is out of the picture."""
+    """Path of the whisker, with an arrow head at an end outside of the figure."""
     reach = share * (_FOUND - _ZERO) if math.isfinite(share) else math.inf
     path = ""
     for edge, side in ((_LOW, -1), (_HIGH, 1)):

@@ -1,4 +1,4 @@
-"""What the found law says in other words: its equations of motion, and how its coefficients hang together."""
+"""Equations of motion of the law, and correlations of its coefficients."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ __all__ = ["contributions", "correlations", "equations", "unsmoothed"]
 
 _SMOOTHED = re.compile(r"sqrt\((\w+|\([^()]*\))\*\*2 \+ ([\d.]+(?:/\d+)?)\)")
 
-_MOST_TERMS = 30  # of which equations are written out
+_MOST_TERMS = 30  # of a law whose equations are shown
 _MOST_COLUMNS = 8  # of the table of correlations
 _MOST_PAIRS = 10
-_WEAK = 0.3  # correlations that nobody need know, where only some are listed
+_WEAK = 0.3  # correlations below this are left out if only some are listed
 
 
 def equations(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
     """d/dt ∂L/∂q̇ − ∂L/∂q + ∂ψ/∂q̇ of each coordinate that is not prescribed, addend by addend.
 
-    Each number is the coefficient of a term of L or ψ times a constant, with the error that follows. Empty
-    where the law is too long for a page.
+    Each number is the coefficient of a term of L or ψ times a constant, with its standard error. Empty if the
+    law is too long for a page.
     """
     both = [*((t, True) for t in model.terms), *((t, False) for t in model.dissipation)]
     if len(both) > _MOST_TERMS:
@@ -49,7 +49,7 @@ def equations(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
                 number, rest = part.as_coeff_Mul()
                 try:
                     text = format_expression(rest)
-                except InputError:  # signs and other functions that the grammar lacks
+                except InputError:  # signs and other functions outside the grammar
                     return []
                 size, error = float(number) * term.coefficient, abs(float(number)) * term.standard_error
                 addends.append(notation.addend(text, size, error, "", not addends))
@@ -60,7 +60,7 @@ def equations(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]
 def contributions(
     term: ModelTerm, of_lagrangian: bool, coordinates: tuple[str, ...], i: int
 ) -> Sequence[sp.Expr]:
-    """Addends that a term with the coefficient 1 brings to the i-th equation, accelerations first."""
+    """Addends of a term with the coefficient 1 in the i-th equation, accelerations first."""
     expr = make_term(term.expression, names_in_terms(coordinates)).expr
     q, qdot, qddot = state_symbols(coordinates)
     total = slope = sp.diff(expr, qdot[i])
@@ -93,9 +93,9 @@ def unsmoothed(text: str, widths: Sequence[float]) -> str:
 
 
 def correlations(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
-    """Correlation coefficients of the estimates: a table where it fits, the strongest pairs where not.
+    """Correlation coefficients of the estimates: a table if it fits, otherwise the strongest pairs.
 
-    Empty where there are no two estimates, or no covariance.
+    Empty with fewer than two estimates, or without a covariance.
     """
     free = [t for t in (*model.terms, *model.dissipation) if not t.known]
     names = [t.written for t in free] + [f"{{{shape.name}}}" for shape in model.shapes]

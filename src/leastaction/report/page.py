@@ -1,4 +1,4 @@
-"""Everything that the template shows, and the page made from it."""
+"""Content of the template, and rendering of the page."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MOST_ROWS = 30  # trials listed
 _MOST_ENERGIES = 60
 _TITLES = {
     "ok": "This model holds along the data",
-    "usable": "This model forecasts, and its equations hold to some per cent only",
+    "usable": "This model forecasts, but its equations hold only to a few per cent",
     "doubtful": "Do not rely on these coefficients yet",
 }
 
@@ -121,7 +121,7 @@ def _constants(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
 
 
 def _data(series: Series, notation: Notation, units: tuple[str, ...]) -> dict[str, Any]:
-    """Curves and residuals, and what was measured."""
+    """Curves, residuals, and the measured data."""
     names, trials = series.trajectories.coordinates, tables.trial_rows(series)
     return {
         "data": series.trajectories,
@@ -180,7 +180,7 @@ def _options(model: LagrangianModel) -> Mapping[str, Any]:
 
 
 def _as_given(value: Any, widths: tuple[float, ...]) -> Any:
-    """An option with the candidates that the user wrote."""
+    """An option with the candidates in the user's notation."""
     if isinstance(value, Mapping):
         return {law.unsmoothed(str(key), widths): item for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -218,7 +218,7 @@ def _selection(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
 
 
 def _pareto(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
-    """Length against likelihood, where there are lengths and another structure to compare with."""
+    """Length against likelihood, if there are lengths and another structure to compare."""
     points = model.diagnostics.pareto if model.diagnostics else ()
     if len(points) < 2 or not any(point.chosen for point in points):
         return {"pareto": ()}
@@ -233,15 +233,15 @@ def _energy(series: Series) -> dict[str, Any]:
     model, data = series.model, series.trajectories
     if model.prescribed:
         names = ", ".join(model.prescribed)
-        return {"energy": None, "no_energy": f"No balance: the forces that move {names} are not known."}
+        return {"energy": None, "no_energy": f"No balance: the forces that move {names} are unknown."}
     if model.timed:
-        return {"energy": None, "no_energy": "No balance: the law depends on the time."}
+        return {"energy": None, "no_energy": "No balance: the law depends on time."}
     everything = [Energy.of(series, k) for k in range(min(len(data), _MOST_ENERGIES))]
     if series.trial >= len(everything):
         everything[-1] = Energy.of(series, series.trial)
     shown = everything[min(series.trial, len(everything) - 1)]
     if not all(energy.finite for energy in everything):
-        return {"energy": None, "no_energy": "Not drawn: it is not finite everywhere along the fitted curve."}
+        return {"energy": None, "no_energy": "Not drawn: it is not finite along the whole fitted curve."}
     balance = bool(model.dissipation) or data.driven
     floor = float(shown.potential.min())
     worst = max(e.imbalance for e in everything)
@@ -291,7 +291,7 @@ def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[st
         for k, (title, trace) in enumerate(picked)
     ]
     rows = tables.forecast_trials(result)
-    folds = n_drawn > 1 and len(panels) > 1  # the largest error beside itself, that of the median folded away
+    folds = n_drawn > 1 and len(panels) > 1  # show the largest error, and fold the median
     return {
         "forecast": {
             "result": result,

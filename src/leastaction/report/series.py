@@ -1,4 +1,4 @@
-"""Numbers behind the figures: which stretch to show, how to thin it, residuals and their correlation."""
+"""Data of the figures: the stretch that is shown, residuals and their correlation, and energy."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _LAGS = 40
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Residuals of all trials, and the one trial that the figures show: that with the most samples."""
+    """Residuals of all trials, and the trial in the figures: the one with the most samples."""
 
     model: LagrangianModel
 
     @cached_property
     def trial(self) -> int:
-        """Number of the trial that is shown."""
+        """Index of the trial that is shown."""
         return int(np.argmax([t.n_samples for t in self.trajectories]))
 
     @property
@@ -40,7 +40,7 @@ class Series:
 
     @cached_property
     def residuals(self) -> list[np.ndarray]:
-        """Measured minus fitted, one (n_times, n_dof) array a trial."""
+        """Measured − fitted, one (n_times, n_dof) array for each trial."""
         curves = _diagnostics(self.model).curve()
         return [trial.q - curve for trial, curve in zip(self.trajectories, curves, strict=True)]
 
@@ -55,7 +55,7 @@ class Series:
 
     @cached_property
     def zoom(self) -> tuple[float, float]:
-        """Stretch from the middle of the trial in which one sees samples as well as motion."""
+        """Stretch from the middle of the trial that shows both samples and motion."""
         t = self.shown.t
         step = self.shown.duration / max(self.shown.n_times - 1, 1)
         q_rate, q_turn = (self.curve(t, nu) for nu in (1, 2))
@@ -67,7 +67,7 @@ class Series:
 
     @cached_property
     def measured(self) -> tuple[int, ...]:
-        """Coordinates that a sensor saw."""
+        """Coordinates with a sensor."""
         hidden = _diagnostics(self.model).hidden_motion
         return tuple(i for i, name in enumerate(self.model.coordinates) if name not in hidden)
 
@@ -98,8 +98,8 @@ class Series:
 class Energy:
     """Energy along the fitted curve of one trial, each (n_times,).
 
-    `expected` is the energy that the work of the known forces and of friction leaves: total minus expected is
-    what the model cannot account for.
+    `expected` is the initial energy plus the work of the known forces and of friction. The model does not
+    explain total − expected.
     """
 
     t: np.ndarray
@@ -123,7 +123,7 @@ class Energy:
 
     @classmethod
     def of(cls, series: Series, trial: int, n_times: int = 3000) -> Energy:
-        """Compute it on equal steps, at least as fine as the samples up to `n_times`."""
+        """Energy on equal steps, at least as fine as the samples, up to `n_times`."""
         model, data = series.model.of_trial(trial), series.trajectories[trial]
         n_times = max(min(n_times, 4 * data.n_times), 2)
         t = np.linspace(data.t[0], data.t[-1], n_times)
@@ -142,7 +142,7 @@ def _friction_power(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray) -> 
     if not model.dissipation:
         return np.zeros(len(q))
     names, rates, _ = state_symbols(model.coordinates)
-    # The names of the coordinates stay out of the generated code.
+    # The generated code does not use the names of the coordinates.
     neutral = [sp.Dummy(real=True) for _ in (*names, *rates)]
     psi = model.dissipation_function.xreplace(dict(zip((*names, *rates), neutral, strict=True)))
     power = sp.Add(*(v * sp.diff(psi, v) for v in neutral[len(names) :]))

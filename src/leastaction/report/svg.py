@@ -1,4 +1,4 @@
-"""Paths and texts as short SVG, whose colours are CSS variables: the page knows light, dark and paper."""
+"""Paths and texts as short SVG with CSS variables as colours, for light and dark pages and paper."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ __all__ = [
 
 Colour = Literal["paper", "ink", "muted", "grid", "measured", "fit", "forecast", "shade"]
 COLOURS: tuple[Colour, ...] = get_args(Colour)
-"""Names of the CSS variables that a page with figures must set."""
+"""Names of the CSS variables that a page with figures must define."""
 
-_SEEN = 0.06  # px that a line may be off: less than the last digit that is written
-_FAR = 1e4  # px: what is cut off, nobody need know exactly
+_SEEN = 0.06  # px: tolerance of a line, below the last written digit
+_FAR = 1e4  # px: limit of coordinates outside of the figure
 
 
 def line_path(x: np.ndarray, y: np.ndarray, *, close: bool = False) -> str:
     """The ``d`` of a line through points in pixels.
 
-    NaN interrupts the line, a point between two interruptions becomes a dot, and points are left out where
-    the line stays within `_SEEN` of them.
+    NaN interrupts the line, and a point between two interruptions becomes a dot. Points within `_SEEN` of the
+    line are left out.
 
     Examples
     --------
@@ -50,7 +50,7 @@ def line_path(x: np.ndarray, y: np.ndarray, *, close: bool = False) -> str:
 
 
 def dot_path(x: np.ndarray, y: np.ndarray) -> str:
-    """The ``d`` of many dots: strokes of length zero, whose round caps are a tenth of the markup of circles.
+    """The ``d`` of many dots as strokes of length zero with round caps, a tenth of the markup of circles.
 
     Examples
     --------
@@ -66,7 +66,7 @@ def dot_path(x: np.ndarray, y: np.ndarray) -> str:
 
 
 def sample_path(x: np.ndarray, y: np.ndarray) -> str:
-    """The ``d`` of any number of samples: one upright stroke a pixel, from the lowest to the highest in it.
+    """The ``d`` of any number of samples: one vertical stroke for each pixel, from the lowest to the highest.
 
     No sample is left out, and the markup grows with the width of the plot, not with the data.
 
@@ -97,8 +97,8 @@ def sample_path(x: np.ndarray, y: np.ndarray) -> str:
 def corners(points: np.ndarray) -> list[int]:
     """Indices of the points between which straight lines pass all others within `_SEEN` pixels.
 
-    From each corner one looks ahead through a gap that narrows with every point; the line bends where the
-    next point is outside of the gap or nearer than the last.
+    From each corner, the range of admissible directions narrows with every point. The line bends if the next
+    point is outside of this range or nearer than the last.
     """
     places = points.tolist()
     kept, last = [0], 0
@@ -109,7 +109,7 @@ def corners(points: np.ndarray) -> list[int]:
         dx, dy = x1 - x0, y1 - y0
         distance = hypot(dx, dy)
         if towards is None:
-            # The first point that can be told from the corner gives the direction.
+            # The first point that differs from the corner gives the direction.
             if distance > _SEEN:
                 half = asin(_SEEN / distance)
                 towards, low, high, far = (dx, dy), -half, half, distance
@@ -139,12 +139,12 @@ def stroke(colour: Colour, width: float, *, dashes: str = "", cap: str = "", opa
 
 
 def path(d: str, style: str) -> str:
-    """A ``<path>``; nothing where there is nothing to draw."""
+    """A ``<path>``; empty without content."""
     return f'<path d="{d}" style="{style}"/>' if d else ""
 
 
 def text(words: str, x: float, y: float, kind: str, anchor: str = "start") -> str:
-    """A ``<text>`` of one CSS class: size and colour are left to the style sheet."""
+    """A ``<text>`` of one CSS class, whose size and colour come from the style sheet."""
     where = f' text-anchor="{anchor}"' if anchor != "start" else ""
     return f'<text x="{number(x)}" y="{number(y)}" class="{kind}"{where}>{escape(words)}</text>'
 
@@ -159,13 +159,13 @@ def _tenths(points: np.ndarray) -> list[list[int]]:
 
 
 def _piece(points: list[list[int]]) -> str:
-    """Relative steps: rounded before the differences are taken, so that no error adds up."""
+    """Relative steps between rounded positions, so that errors do not accumulate."""
     out, letter = [f"M{_joined(points[0])}"], ""
     for (x0, y0), (x1, y1) in pairwise(points):
         dx, dy = x1 - x0, y1 - y0
         if dx and dy:
             step = _joined((dx, dy))
-            # The letter holds for the pairs after it.
+            # The letter applies to all following pairs.
             out.append(step if letter == "l" and step.startswith("-") else f"{' ' if letter else 'l'}{step}")
             letter = "l"
         elif dx or dy:
@@ -180,6 +180,6 @@ def _joined(pair: Iterable[int]) -> str:
 
 
 def _short(tenths: int) -> str:
-    """A number of tenths without the zeros that SVG does not ask for."""
+    """A number of tenths without zeros that SVG does not need."""
     sign, whole, part = "-" if tenths < 0 else "", *divmod(abs(tenths), 10)
     return f"{sign}{whole or ''}.{part}" if part else f"{sign}{whole}"

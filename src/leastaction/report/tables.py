@@ -1,4 +1,4 @@
-"""Rows of the report's tables: numbers rounded for people, terms as mathematics."""
+"""Rows of the tables in the report: rounded numbers, and terms as mathematics."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _shape_group(model: LagrangianModel, notation: Notation) -> list[dict[str, A
 
 
 def _differences(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
-    """Rows of what differs in each further group of trials."""
+    """Rows of the differences of each further group of trials."""
     if model.groups is None:
         return []
     first, *others = model.groups.names
@@ -128,7 +128,7 @@ def _offered(offer: Offer, notation: Notation) -> Markup:
 
 
 def symmetry_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
-    """Symmetries of L, and what they conserve."""
+    """Symmetries of L, and their conserved quantities."""
     return [
         {
             "name": _symmetry_name(symmetry, notation),
@@ -158,7 +158,7 @@ def motion_rows(model: LagrangianModel, notation: Notation) -> list[dict[str, An
 
 
 def _quantity(symmetry: Symmetry, notation: Notation) -> Markup:
-    """What is conserved: its name, then sign and mathematics of each addend; lines can break between them."""
+    """The conserved quantity: its name, then each addend with its sign, with line breaks between."""
     addends = (part for pair in _sum(shown_quantity(symmetry), notation) for part in pair)
     return Markup(" ").join(filter(None, (CONSERVED.get(symmetry.kind), *addends)))
 
@@ -200,7 +200,7 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
     for i, name in enumerate(model.coordinates):
         there = np.isfinite(values[:, i]) & (i in series.measured)
         seen = values[there, i]
-        if i not in series.measured:  # where its estimated motion lies
+        if i not in series.measured:  # the range of its estimated motion
             seen = np.concatenate([motion.q for motion in diagnostics.hidden_motion[name]])
         spread, sigma = float(np.std(seen)), float(model.noise_std[i])
         rows.append(
@@ -223,7 +223,7 @@ def coordinate_rows(series: Series, notation: Notation, units: Sequence[str]) ->
 
 
 def residual_rows(series: Series, notation: Notation, units: Sequence[str]) -> list[dict[str, Any]]:
-    """How white and how normal the residuals are."""
+    """Measures of correlation and normality of the residuals."""
     rows = []
     for i, name in enumerate(series.model.coordinates):
         if i not in series.measured:
@@ -254,9 +254,9 @@ def path_rows(
     shown: PathPoint | None = None,
     relevance: float | None = None,
 ) -> list[dict[str, Any]]:
-    """Structures of the path, what differs from the chosen one, and why; sizes far from it are left out.
+    """Structures of the path, differences from the chosen one, and reasons; distant sizes are left out.
 
-    ``shown`` is the one that the model has, where that is not the chosen one.
+    ``shown`` is the structure of the model, if that is not the chosen one.
     """
     chosen = next(point for point in path if point.chosen)
 
@@ -280,7 +280,7 @@ def path_rows(
 
 
 def pareto_rows(points: Sequence[PathPoint], notation: Notation, limit: int = 9) -> list[dict[str, Any]]:
-    """Structures on the curve of length against likelihood; those far from the chosen length are left out."""
+    """Structures on the curve of length against likelihood; distant lengths are left out."""
     chosen = next(point for point in points if point.chosen)
     near = sorted(points, key=lambda p: abs(p.length - chosen.length))[:limit]
     return [
@@ -295,7 +295,7 @@ def pareto_rows(points: Sequence[PathPoint], notation: Notation, limit: int = 9)
 
 
 def trial_rows(series: Series) -> list[dict[str, Any]]:
-    """Length and sampling of the trials; those that are alike share a row."""
+    """Length and sampling of the trials; equal ones share a row."""
     data = series.trajectories
     rows: dict[tuple, list[str]] = {}
     for name, trial in zip(data.names, data, strict=True):

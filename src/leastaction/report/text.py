@@ -1,4 +1,4 @@
-"""Numbers and lists as text for people."""
+"""Numbers and lists as text."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def aligned(values: Sequence[float], digits: int = 3) -> list[str]:
 
 
 def plural(n: int, one: str, many: str) -> str:
-    """Count and noun; thousands apart from five digits on.
+    """Count and noun, with a thousands separator from five digits on.
 
     Examples
     --------
@@ -118,13 +118,13 @@ def plural(n: int, one: str, many: str) -> str:
 
 
 def listed(names: Sequence[str], limit: int = 8) -> str:
-    """Names in a row, the last ones counted."""
+    """Names in a row; names beyond the limit are counted."""
     more = len(names) - limit
     return ", ".join(names) if more <= 1 else f"{', '.join(names[:limit])} and {more} more"
 
 
 def in_powers(level: int) -> str:
-    """The value at a whole place of a folded axis.
+    """The value at an integer position of a folded axis.
 
     Examples
     --------
@@ -136,7 +136,7 @@ def in_powers(level: int) -> str:
 
 
 def with_power(quantity: str, power: int, unit: str) -> str:
-    """A quantity with what its numbers are to be multiplied with.
+    """A quantity with the factor of its numbers and its unit.
 
     Examples
     --------

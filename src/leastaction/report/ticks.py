@@ -1,4 +1,4 @@
-"""Scales of an axis: where a value lies on it, and which ticks are written beside it."""
+"""Scales of an axis: positions of values, and ticks."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from leastaction.report.text import in_powers
 __all__ = ["Folded", "Linear", "Scale", "Ticks", "folded"]
 
 _LINEAR = 10.0  # a folded axis is linear within this and logarithmic beyond
-_SMALLEST = 1e-300  # a step below it could vanish where it is divided
+_SMALLEST = 1e-300  # smaller steps could underflow in a division
 
 
 @dataclass(frozen=True)
 class Ticks:
-    """Ticks from low to high: places on the axis, texts, and the power of ten that the texts leave out."""
+    """Ticks from low to high: positions on the axis, texts, and the power of ten that the texts omit."""
 
     places: Sequence[float]
     texts: Sequence[str]
@@ -28,23 +28,23 @@ class Ticks:
 
 
 class Scale(Protocol):
-    """Maps values to places on an axis; limits and margins are lengths on it."""
+    """Maps values to positions on an axis; limits and margins are lengths on it."""
 
     @property
     def room(self) -> float:
-        """Pixels that one tick should have."""
+        """Space of one tick in pixels."""
         ...
 
     def place(self, values: np.ndarray) -> np.ndarray:
-        """Where values lie; the map rises."""
+        """Positions of values; the map is increasing."""
         ...
 
     def margin(self, low: float, high: float) -> float:
-        """What an axis shows beyond the data at either end."""
+        """Margin of the axis at either end of the data."""
         ...
 
     def ticks(self, low: float, high: float, most: int) -> Ticks:
-        """At most `most` steps between the places `low` and `high`."""
+        """At most `most` steps between the positions `low` and `high`."""
         ...
 
 
@@ -55,11 +55,11 @@ class Linear:
     Parameters
     ----------
     room, share : float
-        Pixels that one tick should have, and part of the range of the data shown beyond either end.
+        Space of one tick in pixels, and margin at either end as a share of the range of the data.
     steps : sequence of float
-        Rising, from 1 to less than 10.
+        Increasing, from 1 to less than 10.
     whole : bool
-        Ticks at whole numbers only.
+        Ticks at integers only.
     """
 
     room: float = 80.0
@@ -74,7 +74,7 @@ class Linear:
         return self.share * (high - low)
 
     def ticks(self, low: float, high: float, most: int) -> Ticks:
-        """The longest round step of at least (high − low) / most; a shorter one if it gave fewer than two.
+        """The smallest round step of at least (high − low) / most; a shorter one if it gives fewer than two.
 
         Examples
         --------
@@ -86,7 +86,7 @@ class Linear:
         least = 1.0 if self.whole else 0.0
         raw = max((high - low) / most, least, _SMALLEST)
         exponent = math.floor(math.log10(raw))
-        # From the text of the number, which is exact where a product of floats need not be.
+        # From the text of the number, which is exact; a product of floats may not be.
         rising = [float(f"{step}e{exponent + k}") for k in (-1, 0, 1) for step in self.steps]
         fitting = next(k for k, step in enumerate(rising) if step >= raw * (1 - 1e-9))
         slack = 1e-9 * (high - low)
@@ -101,7 +101,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Folded:
-    """Logarithmic to both sides and linear within ±10: for differences of every size and either sign."""
+    """Linear within ±10 and logarithmic beyond, for differences of any size and sign."""
 
     room: float = 36.0
 
@@ -112,7 +112,7 @@ class Folded:
         return 0.3
 
     def ticks(self, low: float, high: float, most: int) -> Ticks:
-        """Zero and powers of ten; every second, third, … of many; 1, 2 and 5 times them if there is but one.
+        """Zero and powers of ten; every second, third, … of many; 1, 2 and 5 times them if there is only one.
 
         Examples
         --------
@@ -140,7 +140,7 @@ def folded(values: np.ndarray) -> np.ndarray:
 
 
 def _written(places: Sequence[float]) -> tuple[list[str], int]:
-    """Texts with the decimals that the step asks for, and the power of ten left out where they are long."""
+    """Texts with the decimals that the step requires, and the power of ten that long texts omit."""
     largest = max((abs(v) for v in places), default=0.0)
     power = math.floor(math.log10(largest) + 1e-9) if largest > 0 else 0
     power = 0 if -3 <= power < 5 else power

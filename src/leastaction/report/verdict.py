@@ -1,4 +1,4 @@
-"""The head of the report: status, warnings, reservations, what to do, and the few numbers that decide."""
+"""The head of the report: status, warnings, reservations, remedies, and the key figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding
+from leastaction.findings import STATED, Finding, stated_error
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
@@ -21,11 +21,11 @@ from leastaction.simulation.forecast import ForecastResult
 __all__ = ["in_symbols", "verdict"]
 
 _HELD = 0.9
-"""Share of held-out samples in the 95 % band below which forecasts contradict the model's own errors."""
+"""Share of held-out samples in the 95 % band below which forecasts contradict the standard errors."""
 _FAR = 0.2
 """Forecast error over spread above which a forecast without a band contradicts a fit that is ok."""
 _LETTERS = frozenset("bcdefghijklmnopqrstuvwxyzABCDEFGHJKLMNOPQRSTUVWXYZ")
-"""Names of one letter that are no words; "a" and "I" are."""
+"""Names of one letter, except the words "a" and "I"."""
 _PREPARED = frozenset(
     {
         *(
@@ -41,11 +41,11 @@ _PREPARED = frozenset(
         *("friction-smoothed", "undefined-candidates", "rate-noise", "groups-alike", "text"),
     }
 )
-"""Notes on what was done to the data; all others qualify the result."""
+"""Notes on changes to the data; all other notes qualify the result."""
 
 
 def verdict(model: LagrangianModel, validation: ForecastResult | None, notation: Notation) -> dict[str, Any]:
-    """What the first section shows."""
+    """Content of the first section."""
     findings = model.fit.findings
     notes = [f for f in findings if f.severity == "note"]
     words = _terms_in(model, findings)
@@ -78,10 +78,10 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
 
 
 def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Markup:
-    """A sentence whose coordinates, velocities and terms are written as mathematics.
+    """A sentence with its coordinates, velocities and terms as mathematics.
 
-    What stands in quotes or after an equals sign is code, and stays as it is. So does a name that is a word,
-    such as ``angle``.
+    Text in quotes or after an equals sign is code and is not changed. Neither is a name that is a word, such
+    as ``angle``.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
 
 
 def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
-    """Terms that a sentence may name: those of the law, of its rivals, and those that findings are about."""
+    """Terms that a sentence may name: of the law, of competing structures, and subjects of findings."""
     path = () if model.diagnostics is None else model.diagnostics.path
     texts = {t.written for t in (*model.terms, *model.dissipation)}
     texts |= {text for point in path for text in point.written}
@@ -110,7 +110,7 @@ def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
 
 
 def _alike(findings: Iterable[Finding]) -> Iterator[list[Finding]]:
-    """Neighbours that say the same of several subjects."""
+    """Successive findings with the same statement about several subjects."""
     for _, group in groupby(findings, key=lambda f: (f.code, f.remedy if f.code != "text" else id(f))):
         yield list(group)
 
@@ -121,7 +121,7 @@ def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str])
 
 
 def _against(result: ForecastResult | None) -> list[str]:
-    """What forecasts of held-out trials say against a fit that is ok."""
+    """Contradictions between a fit that is ok and forecasts of held-out trials."""
     if result is None:
         return []
     if result.n_diverged:
@@ -138,7 +138,7 @@ def _against(result: ForecastResult | None) -> list[str]:
 
 
 def _statements(model: LagrangianModel, validation: ForecastResult | None) -> dict[str, str]:
-    """Structure, equations and forecast in words; held-out trials say more than the data themselves."""
+    """Structure, equations and forecast in words; held-out trials take precedence over fitted ones."""
     if validation is None:
         return model.fit.statements
     off = _worst(validation)
@@ -152,14 +152,15 @@ def _worst(result: ForecastResult) -> float:
 
 
 def _free_runs(model: LagrangianModel) -> str:
-    """How far free runs are off, in words; empty where that was not asked."""
+    """Error of free runs, in words; empty if not computed."""
     for finding in model.fit.findings:
         if finding.code == "forecasts":
-            error, horizon = (as_float(finding.values[name], name) for name in ("error", "horizon"))
-            worst, trials = (finding.values.get(name) for name in ("worst", "trials"))
-            several = worst is not None and trials != 1
+            _, *names = stated_error(dict(finding.values))
+            error, worst = (finding.values.get(name) for name in names)
+            horizon = plain(as_float(finding.values["horizon"], "horizon"))
+            several = worst is not None and finding.values.get("trials") != 1
             more = f" ({percent(as_float(worst, 'worst'))} in the worst trial)" if several else ""
-            return f"an error of {percent(error)} of the spread over {plain(horizon)} s{more}"
+            return f"an error of {percent(as_float(error, 'error'))} of the spread over {horizon} s{more}"
     return ""
 
 
@@ -188,7 +189,7 @@ def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any
         value = f"± {percent(share)}" if share < 5 else "open"
         text = weakest.written
         note = text if notation.is_long(text) else notation.term(text)
-        facts.append({"name": "Least sure coefficient", "value": value, "note": note})
+        facts.append({"name": "Least precise coefficient", "value": value, "note": note})
     return facts
 
 

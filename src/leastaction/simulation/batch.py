@@ -1,4 +1,4 @@
-"""Many short motions at once: fit the initial state of each in its window, then let all run free."""
+"""Many short motions at once: fit the initial state of each in its window, then simulate."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _MAX_BATCH = 400
 _MAX_HALVINGS = 4
 # A motion that leaves the range of its data by this factor has diverged.
 _FAR = 1e6
-# Squares of larger numbers are of no use.
+# Larger numbers are cut off before they are squared.
 _HUGE = 1e100
-# Bounds the memory of what is drawn at once.
+# Bounds the memory of the drawn motions.
 _MOST_DRAWN = 2**21
 # Finite differences: step relative to the size of the motion.
 _STEP = 1e-5
@@ -27,10 +27,10 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """One window and the free run after it: number of the trial, begin of the window, samples.
+    """One window and the free run after it: index of the trial, start of the window, samples.
 
-    `t` (n_samples,) counts from the begin; `q` (n_samples, n_dof) may hold NaN; `forces` is a function of
-    the trial's time, or None.
+    `t` (n_samples,) counts from the start of the window; `q` (n_samples, n_dof) may contain NaN; `forces` is
+    a function of the time in the trial, or None.
     """
 
     trial: int
@@ -44,8 +44,8 @@ class Start:
 class StartResult:
     """Motion `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended.
 
-    ``spread``, (n_samples, n_dof), is the standard deviation of the motion by all that the law leaves open;
-    None where this is not known.
+    ``spread``, (n_samples, n_dof), is the standard deviation of the motion from all uncertainties of the law;
+    None if unknown.
     """
 
     q: np.ndarray
@@ -71,17 +71,17 @@ def run_starts(
     law : Law
     starts : sequence of Start
     state : ndarray, shape (n_starts, 2 n_dof)
-        First guess of q, q̇ at the begin of the windows.
+        First guess of q, q̇ at the start of the windows.
     sigma, scale : ndarray, shape (n_dof,)
         Noise, and size of the motion.
     window, horizon : float
-        Seconds.
+        In seconds.
     """
     out: list[StartResult] = []
     for a in range(0, len(starts), _MAX_BATCH):
         chunk = slice(a, a + _MAX_BATCH)
         batch = _Batch(law, starts[chunk], sigma, scale, window, horizon)
-        # A motion that diverges is an answer here: it must not warn, nor disturb the others.
+        # A motion that diverges is a valid result: it must not warn or affect the others.
         with np.errstate(all="ignore"):
             out += batch.run(state[chunk])
     return out
@@ -118,7 +118,7 @@ class _Batch:
         for _ in range(_MAX_HALVINGS):
             self.n_steps *= 2
             far = self._far(coarse[0])
-            # A motion may have diverged only because the steps were too long for it: begin again.
+            # A motion may have diverged only because its steps were too long: start again.
             state = np.where(far[:, None], guess, state)
             state = self._grow(state) if far.any() else self._fit(state, 1.0, rounds=2)
             fine = self._flow(state[None], 1.0 + self.horizon / self.window)
@@ -136,7 +136,7 @@ class _Batch:
         return state
 
     def _results(self, state, q, alive, resolved) -> list[StartResult]:
-        self.n_steps //= 2  # for differences of motions these were enough
+        self.n_steps //= 2  # fewer steps suffice for differences of motions
         covariance, jacobian = self._state_error(state)
         variance = self._variance(state, covariance)
         spread = self._spread(state, covariance, jacobian)
@@ -167,8 +167,8 @@ class _Batch:
     def _flow(self, state: np.ndarray, share: float, drawn: Drawn | None = None) -> np.ndarray:
         """Motions (n_variants, n_starts, n_samples, n_dof) from (n_variants, n_starts, 2 n_dof).
 
-        They are followed over `share` of the window, by RK4 with joint steps, and read off between these by
-        cubic Hermite interpolation.  Each variant obeys the law, or one of those that are `drawn`.
+        They are integrated over `share` of the window by RK4 with common steps. Cubic Hermite interpolation
+        gives the values between them.  Each variant obeys the law, or one of the `drawn` laws.
         """
         n, h = self.n_dof, self.window / self.n_steps
         n_steps = int(np.ceil(self.n_steps * share - 1e-9))
@@ -190,7 +190,7 @@ class _Batch:
         return np.moveaxis(values, 2, 0)
 
     def _forces(self, times: np.ndarray) -> np.ndarray:
-        """Forces (n_times, n_starts, n_dof); the same times come again and again."""
+        """Forces (n_times, n_starts, n_dof), cached because the same times recur."""
         key = (times.size, float(times[-1]))
         if key not in self._force_tables:
             zero = np.zeros((times.size, self.n_dof))
@@ -208,7 +208,7 @@ class _Batch:
         return np.moveaxis(r.reshape(*r.shape[:2], -1), 0, 1)
 
     def _variants(self, state: np.ndarray) -> np.ndarray:
-        """The states, and then the states with one component shifted."""
+        """The states, followed by the states with one component shifted."""
         return np.concatenate([state[None], state[None] + _STEP * np.diag(self.unit)[:, None, :]])
 
     def _linearised(self, state: np.ndarray, share: float):
@@ -258,18 +258,18 @@ class _Batch:
         return np.linalg.inv(normal + ridge[:, :, None] * np.eye(self.unit.size)), jacobian
 
     def _variance(self, state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        """Variance (n_starts, n_samples, n_dof) in σ² that the error of the fitted state causes."""
+        """Variance (n_starts, n_samples, n_dof) in σ² from the error of the fitted state."""
         q = self._flow(self._variants(state), 1.0 + self.horizon / self.window)
         # (n_starts, n_samples, n_dof, 2 n_dof)
         slope = np.moveaxis((q[1:] - q[:1]) / (_STEP * self.sigma), 0, -1)
         return np.einsum("spij,sjk,spik->spi", slope, covariance, slope)
 
     def _spread(self, state: np.ndarray, covariance: np.ndarray, jacobian: np.ndarray) -> np.ndarray | None:
-        """Standard deviation (n_starts, n_samples, n_dof) of the motion by all that the law leaves open.
+        """Standard deviation (n_starts, n_samples, n_dof) of the motion from all uncertainties of the law.
 
-        Motions are drawn: numbers of the law by their covariance, errors of the equations, noise of the
-        samples in the window.  The state of each is fitted as that of the forecast, to first order; then it
-        runs free.  What deviates far does so by all the equations, which bound it.
+        Motions are drawn: coefficients by their covariance, errors of the equations, noise of the samples in
+        the window.  The state of each is fitted as for the forecast, to first order, and simulated with the
+        full equations, which bound large deviations.
         """
         openness = self.law.openness
         if openness is None:

@@ -1,4 +1,4 @@
-"""Forecasts of measured motions: where they start, how far off they are, and how far off they may be."""
+"""Forecasts of measured motions: starts, errors and expected errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["ForecastResult", "ForecastTrace", "forecast", "lengths_of"]
 
 Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
 
-# A coordinate needs this many samples in the window for the initial state to be more than a guess.
+# A coordinate needs this many samples in the window to determine the initial state.
 _LEAST_SAMPLES = 4
 _Z95 = 1.96
 
@@ -85,7 +85,7 @@ def forecast(
     window: float | None = None,
     tolerance: float = 0.4,
 ) -> ForecastResult:
-    """Run the forecasts of `LagrangianModel.validate`, which says what the arguments mean.
+    """Run the forecasts of `LagrangianModel.validate`, which describes the arguments.
 
     Forces on coordinates that are prescribed are the accelerations of their smoothed measurements.
     """
@@ -108,7 +108,7 @@ def forecast(
     if curves and law.prescribed:
         starts = [_moved(start, curves[start.trial], list(law.prescribed)) for start in starts]
     sigma = np.where(noise_std > 0, noise_std, estimated)
-    # Data without noise, or a coordinate at rest, must not divide by zero.
+    # Avoids division by zero for data without noise, or a coordinate at rest.
     tiny = np.finfo(float).tiny
     sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
     results = run_starts(law, starts, state, sigma, np.fmax(std, sigma), window, horizon)
@@ -126,7 +126,7 @@ def _positive(value: Any) -> bool:
 
 
 def lengths_of(data: Trajectories, horizon: float | None, window: float | None) -> tuple[float, float]:
-    """Horizon and window, where they are not given those of `LagrangianModel.validate`."""
+    """Horizon and window; by default those of `LagrangianModel.validate`."""
     steps = np.concatenate([np.diff(trial.t) for trial in data])
     if not steps.size:
         raise InputError("no trial has more than one time; a forecast needs a motion")
@@ -144,7 +144,7 @@ def lengths_of(data: Trajectories, horizon: float | None, window: float | None) 
 
 def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start], list[tuple[str, str]]]:
     starts, skipped = [], []
-    # Rounding of times such as 0.1 + 0.2 must not cost the last start.
+    # Rounding of times such as 0.1 + 0.2 must not remove the last start.
     slack = 1e-9 * (horizon + window)
     for k, trial in enumerate(data):
         count = math.floor((trial.duration - window + slack) / horizon)
@@ -169,7 +169,7 @@ def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start
 
 
 def _smoothed(data: Trajectories, starts: list[Start]) -> tuple[dict[int, Curve], np.ndarray]:
-    """Smoothing splines of the trials that are used, and the noise; none where they cannot be smoothed."""
+    """Smoothing splines of the trials with starts, and the noise; no spline if smoothing fails."""
     used = sorted({start.trial for start in starts})
     trials = [data[k] for k in used]
     spaces = [

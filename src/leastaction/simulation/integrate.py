@@ -1,13 +1,14 @@
 """Forward integration of q̈ = a(q, q̇, f): fixed-step RK4 for many motions at once, DOP853 for one.
 
-Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` where nothing is driven. The time
-comes behind them where the law holds it.
-`simulate` never raises for a numerical failure: it returns what it has, with a status and a reason.
+Both take the same ``acceleration(q, qdot, forces)``; ``forces`` is ``None`` if no force acts. If the law
+depends on time, the time is the last argument.
+`simulate` raises no exception for a numerical failure: it returns the motion so far, a status and a reason.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -61,13 +62,13 @@ def rk4(
     forces : callable, optional
         ``forces(times)`` with ``times`` of shape (m,) -> (m, ..., n_dof), broadcastable to ``q0``.
     clock : ndarray, optional
-        What to add to ``t`` for the time of each motion, broadcastable to (...); then the acceleration takes
-        the time as its last argument.
+        Offset of the time of each motion from ``t``, broadcastable to (...); the acceleration then takes the
+        time as its last argument.
 
     Returns
     -------
     q, qdot : ndarray, shape (n_times, ..., n_dof)
-        NaN or inf from where a motion diverges; nothing is raised.
+        NaN or inf after a motion diverges; no exception is raised.
 
     Examples
     --------
@@ -83,7 +84,7 @@ def rk4(
     q, v = np.broadcast_arrays(np.asarray(q0, dtype=float), np.asarray(qdot0, dtype=float))
     n_steps = (t.size - 1) * substeps
     edges = np.interp(np.arange(2 * n_steps + 1) / (2 * substeps), np.arange(t.size), t)
-    # All forces beforehand: one vectorised call costs less than four small ones in every step.
+    # All forces in advance: one vectorised call costs less than four small ones in every step.
     table = None if forces is None else np.asarray(forces(edges), dtype=float)
     out_q, out_v = np.empty((t.size, *q.shape)), np.empty((t.size, *q.shape))
     out_q[0], out_v[0] = q, v
@@ -101,7 +102,7 @@ def rk4(
 
 
 def _rk4_step(acceleration, q, v, h, at0, at1, at2):
-    """One step; forces, and the time where it matters, are those at its begin, middle and end."""
+    """One step; forces and time are those at its start, middle and end."""
     half = 0.5 * h
     a0 = acceleration(q, v, *at0)
     v1 = v + half * a0
@@ -114,6 +115,36 @@ def _rk4_step(acceleration, q, v, h, at0, at1, at2):
     return q + h * v + (h * h / 6.0) * (a0 + a1 + a2), v + (h / 6.0) * (a0 + 2.0 * (a1 + a2) + a3)
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Where and how precisely a motion is integrated.
+
+    Attributes
+    ----------
+    events : callable, sequence of callables, or mapping from name to callable
+        ``event(time, q, qdot)`` -> float; the motion stops where one crosses zero.
+    max_steps : int
+        Limit on the steps of the integrator and, times 16, on the calls of the acceleration (a step takes
+        12, and 3 more where samples fall into it); it does not depend on the clock.
+    rtol, atol : float
+        Tolerances of the local error.
+
+    Raises
+    ------
+    InputError
+        If `max_steps` is below 1.
+    """
+
+    events: Event | Sequence[Event] | Mapping[str, Event] = ()
+    max_steps: int = 100_000
+    rtol: float = 1e-9
+    atol: float = 1e-9
+
+    def __post_init__(self) -> None:
+        if self.max_steps < 1:
+            raise InputError(f"max_steps={self.max_steps!r}; expected at least 1")
+
+
 def simulate(
     acceleration: Acceleration,
     q0: ArrayLike,
@@ -122,11 +153,8 @@ def simulate(
     forces: ArrayLike | Callable[[float], Any] | None = None,
     *,
     mass_matrix: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
-    events: Event | Sequence[Event] | Mapping[str, Event] = (),
-    max_steps: int = 100_000,
     timed: bool = False,
-    rtol: float = 1e-9,
-    atol: float = 1e-9,
+    **limits: Any,
 ) -> SimulationResult:
     """Integrate one motion by the adaptive Dormand–Prince method of degree 8 (DOP853).
 
@@ -137,21 +165,15 @@ def simulate(
     q0, qdot0 : array_like, shape (n_dof,)
         Start at ``t[0]``.
     t : array_like, shape (n_times,)
-        Times wanted, seconds, strictly increasing.
+        Requested times in seconds, strictly increasing.
     forces : None, array_like of shape (n_times, n_dof), or callable
         Generalised forces: samples at `t`, joined by a cubic spline, or ``forces(time)`` -> (n_dof,).
     mass_matrix : callable, optional
-        ``mass_matrix(q, qdot)`` -> (n_dof, n_dof), watched along the motion: it stops where the matrix
-        becomes singular.
-    events : callable, sequence of callables, or mapping from name to callable
-        ``event(time, q, qdot)`` -> float; the motion stops where one crosses zero.
-    max_steps : int
-        Limit on the steps of the integrator and, times 16, on the calls of the acceleration (a step takes
-        12, and 3 more where samples fall into it); it does not depend on the clock.
+        ``mass_matrix(q, qdot)`` -> (n_dof, n_dof). The motion stops if it becomes singular.
     timed : bool
         Whether ``acceleration`` and ``mass_matrix`` take the time as their last argument.
-    rtol, atol : float
-        Tolerances of the local error.
+    **limits
+        ``events``, ``max_steps``, ``rtol`` and ``atol``: the fields of `Limits`.
 
     Returns
     -------
@@ -161,7 +183,7 @@ def simulate(
     Raises
     ------
     InputError
-        For wrong shapes or times only.
+        Only for wrong shapes or times.
 
     Examples
     --------
@@ -180,20 +202,19 @@ def simulate(
         raise InputError(
             f"q0={q0.tolist()}, qdot0={qdot0.tolist()}; expected lists of finite numbers, one per coordinate"
         )
-    if max_steps < 1:
-        raise InputError(f"max_steps={max_steps!r}; expected at least 1")
+    within = Limits(**limits)
     force = force_function(forces, t, q0.size)
-    watch = _Watch(mass_matrix, _named_events(events), q0.size, timed)
+    watch = _Watch(mass_matrix, _named_events(within.events), q0.size, timed)
 
     def accelerate(time: float, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
         return acceleration(q, qdot, force(time), *((time,) if timed else ()))
 
     with np.errstate(all="ignore"):
-        return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, max_steps, rtol, atol)
+        return _integrate(accelerate, np.concatenate([q0, qdot0]), t, watch, within)
 
 
 def force_function(forces: Any, t: np.ndarray, n_dof: int) -> Callable[[float], np.ndarray | None]:
-    """Forces (n_dof,) at a time, from samples or a function; None where there are none."""
+    """Forces (n_dof,) at a time, from samples or a function; None without forces."""
     if forces is None:
         return lambda time: None
     if callable(forces):
@@ -214,7 +235,7 @@ def _named_events(events: Event | Sequence[Event] | Mapping[str, Event]) -> list
 
 
 class _Watch:
-    """Looks at each accepted step for what must stop the motion."""
+    """Checks each accepted step for events and a singular mass matrix."""
 
     def __init__(self, mass_matrix, events, n_dof: int, timed: bool) -> None:
         self.mass_matrix, self.events, self.n_dof, self.timed = mass_matrix, events, n_dof, timed
@@ -234,7 +255,7 @@ class _Watch:
             return f"singular mass matrix (not finite) at t = {time:.6g}"
         size = np.linalg.svd(matrix, compute_uv=False)
         sign = float(np.linalg.slogdet(matrix)[0])
-        # A change of sign means that a step jumped over the singular place.
+        # A change of sign means that a step passed over a singular state.
         singular = size[-1] <= _SINGULAR * size[0] or (self.sign is not None and sign != self.sign)
         self.sign = sign
         return f"singular mass matrix at t = {time:.6g}" if singular else ""
@@ -255,7 +276,7 @@ class _Watch:
 
     def _root(self, event, dense, low: float, high: float, old: float) -> float:
         def value(time):
-            # Both ends are pinned to the values seen, which the dense output meets only to rounding.
+            # Both ends use the values of the steps, which the dense output matches only to rounding.
             if time in (low, high):
                 return old if time == low else -old
             y = dense(time)
@@ -265,11 +286,11 @@ class _Watch:
 
 
 class _Stop(Exception):
-    """Raised inside the right-hand side to leave the integrator."""
+    """Raised in the right-hand side to stop the integrator."""
 
 
-def _integrate(accelerate, y0, t, watch, max_steps, rtol, atol) -> SimulationResult:
-    n_dof, calls = y0.size // 2, 0
+def _integrate(accelerate, y0, t, watch, limits: Limits) -> SimulationResult:
+    n_dof, calls, max_steps = y0.size // 2, 0, limits.max_steps
 
     def rates(time, y):
         nonlocal calls
@@ -285,7 +306,11 @@ def _integrate(accelerate, y0, t, watch, max_steps, rtol, atol) -> SimulationRes
     kept, reached = [y0[None]], t[0]
     reason = watch.start(t[0], y0)
     try:
-        solver = None if reason or t.size == 1 else DOP853(rates, t[0], y0, t[-1], rtol=rtol, atol=atol)
+        solver = (
+            None
+            if reason or t.size == 1
+            else DOP853(rates, t[0], y0, t[-1], rtol=limits.rtol, atol=limits.atol)
+        )
         if solver is not None and not np.isfinite(solver.f).all():
             reason, solver = f"blow-up: the acceleration is not finite at t = {t[0]:.6g}", None
         steps = 0

@@ -1,9 +1,8 @@
-"""A law to be simulated, what the data leave open of it, and motions drawn from that.
+"""A law for simulation, its uncertainty, and motions drawn from it.
 
-A motion obeys M q̈ = r(q, q̇; c) + f + e.  The numbers c have a covariance, and the equation errors e count as
-white noise whose spectral density is the reciprocal of the physics weight, as in the fit.  Drawn motions show
-what this does to q, however far they go: linear error propagation would grow without bound where the motion
-itself does not.
+A motion obeys M q̈ = r(q, q̇; c) + f + e.  The coefficients c have a covariance, and the equation errors e a
+spectral density.  Drawn motions give the error of q even if it is large, where linear error propagation would
+grow without bound.
 """
 
 from __future__ import annotations
@@ -14,56 +13,110 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import next_fast_len
 from scipy.interpolate import make_interp_spline
 
 from leastaction.errors import InputError
 from leastaction.simulation.integrate import check_times, force_function, rk4
 from leastaction.simulation.results import SimulationResult
 
-__all__ = ["MEMBERS", "Acceleration", "Drawn", "Law", "Openness", "follow", "spread_of", "standard_deviation"]
+__all__ = [
+    "MEMBERS",
+    "Acceleration",
+    "Drawn",
+    "Law",
+    "Openness",
+    "Spectrum",
+    "follow",
+    "spread_of",
+    "standard_deviation",
+]
 
 Acceleration = Callable[..., np.ndarray]
 
-# Motions drawn of each forecast, and of a simulation: they give a standard deviation within 12 % and 6 %.
+# Motions drawn for each forecast, and for a simulation: the standard deviation is exact to 12 % and 6 %.
 MEMBERS, _MEMBERS_OF_ONE = 32, 128
-# Share of them that may be lost before the standard deviation counts as infinite.
+# Largest share of drawn motions that may diverge; above it, the standard deviation is infinite.
 _FEW_LOST = 0.05
-# Of the spline through an input, whose second derivative is smooth.
+# Degree of the spline through an input, whose second derivative is smooth.
 _DEGREE = 5
-# Of the range of a motion: how near the steps must lead to it; and how many steps at most.
+# Tolerance of the steps, relative to the range of the motion; and largest number of steps.
 _NEAR, _MOST_STEPS = 1e-3, 20_000
 
 
 @dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Spectral density of errors of equations, constant between frequencies.
+
+    ``density[k]``, (n_bands, n_dof), holds from the frequency ``begins[k]`` on, (n_bands,) in Hz, to the
+    next, the last without end; it is two-sided: white errors have the variance ``density`` over the time step
+    at which they are drawn.
+    """
+
+    begins: np.ndarray
+    density: np.ndarray
+
+    @classmethod
+    def white(cls, density: np.ndarray) -> Spectrum:
+        """That of a density for all frequencies, (n_dof,)."""
+        return cls(np.zeros(1), density[None])
+
+    def rows(self) -> list[list[float]]:
+        """Rows of a frequency and the densities from there."""
+        return np.column_stack([self.begins, self.density]).tolist()
+
+    def draw(self, shape: tuple[int, int], steps: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Errors at the ends of steps, (n_steps + 1, *shape, n_dof)."""
+        n_dof = self.density.shape[1]
+        if len(self.begins) == 1:
+            about = np.convolve(steps, [0.5, 0.5])  # of the steps to both sides of their ends
+            about[[0, -1]] *= 2.0
+            white = rng.standard_normal((steps.size + 1, *shape, n_dof))
+            return white * np.sqrt(self.density[0] / about[:, None, None, None])
+        # at equal steps over a period that is longer, so that its end knows nothing of its begin
+        total = float(steps.sum())
+        step = max(float(steps.min()), total / _MOST_STEPS)
+        size = next_fast_len(int(np.ceil((total + 1.0 / self.begins[1]) / step)) + 1, real=True)
+        frequencies = np.fft.rfftfreq(size, step)
+        band = np.searchsorted(self.begins, frequencies, side="right") - 1
+        root = np.sqrt(self.density[band] * (0.5 * size / step))
+        parts = rng.standard_normal((2, frequencies.size, *shape, n_dof)) * root[:, None, None, :]
+        parts[0, 0] *= np.sqrt(2.0)  # a real number
+        errors = np.fft.irfft(parts[0] + 1j * parts[1], size, axis=0)
+        at = np.concatenate([[0.0], np.cumsum(steps)]) / step
+        k = np.minimum(at.astype(int), size - 2)
+        share = (at - k)[:, None, None, None]
+        return errors[k] + share * (errors[k + 1] - errors[k])
+
+
+@dataclass(frozen=True, eq=False)
 class Openness:
-    """A law whose numbers and equations hold within errors.
+    """A law with uncertain coefficients and equations.
 
     ``acceleration(q, qdot, forces, t, numbers)`` takes ``numbers`` of shapes that broadcast to (...).
     ``directions``, (n_numbers, n_directions): Σ d dᵀ is the covariance of the ``numbers``, (n_numbers,).
-    ``density``, (n_dof,), is the spectral density of the equation errors.
+    ``spectrum`` is that of the equation errors.
     """
 
     acceleration: Callable[..., np.ndarray]
     numbers: np.ndarray
     directions: np.ndarray
-    density: np.ndarray
+    spectrum: Spectrum
 
     def draw(self, size: int, steps: np.ndarray, n_motions: int, rng: np.random.Generator) -> Drawn:
-        """So many laws, each with errors for all steps, (n_steps,) in seconds, of so many motions."""
+        """``size`` laws, each with errors for all ``steps``, (n_steps,) in seconds, of ``n_motions``."""
         factors = rng.standard_normal((self.directions.shape[1], size))
         numbers = self.numbers[:, None] + self.directions @ factors
-        errors = np.empty((2 * steps.size + 1, size, n_motions, self.density.size))
-        about = np.convolve(steps, [0.5, 0.5])  # of the steps to both sides of their ends
-        about[[0, -1]] *= 2.0
-        errors[::2] = rng.standard_normal((steps.size + 1, *errors.shape[1:]))
-        errors[::2] *= np.sqrt(self.density / about[:, None, None, None])
-        errors[1::2] = 0.5 * (errors[:-1:2] + errors[2::2])
+        ends = self.spectrum.draw((size, n_motions), steps, rng)
+        errors = np.empty((2 * steps.size + 1, *ends.shape[1:]))
+        errors[::2] = ends
+        errors[1::2] = 0.5 * (ends[:-1] + ends[1:])
         return Drawn(self, numbers[..., None], errors)
 
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Laws with drawn numbers, (n_numbers, n_laws, 1), and errors of their equations.
+    """Laws with drawn coefficients, (n_numbers, n_laws, 1), and errors of their equations.
 
     ``errors``, (2 n_steps + 1, n_laws, n_motions, n_dof), are those at the ends and in the middle of steps.
     """
@@ -85,7 +138,7 @@ class Drawn:
 
 
 def standard_deviation(squares: np.ndarray, lost: np.ndarray, drawn: int) -> np.ndarray:
-    """From sums of squares over the motions that were drawn, and the number of those that are not finite."""
+    """Standard deviation from sums of squares over drawn motions, and the number of diverged ones."""
     with np.errstate(all="ignore"):
         spread = np.sqrt(squares / (drawn - lost))
     return np.where(lost > _FEW_LOST * drawn, np.inf, spread)
@@ -93,11 +146,10 @@ def standard_deviation(squares: np.ndarray, lost: np.ndarray, drawn: int) -> np.
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What a forecast runs.
+    """The law of a forecast.
 
-    ``acceleration(q, qdot, forces)`` is vectorised, and NaN where it is not defined; of a law that is
-    ``timed`` it takes the time as its last argument.  The force on a coordinate that is ``prescribed`` is its
-    acceleration.
+    ``acceleration(q, qdot, forces)`` is vectorised, and NaN if undefined; if the law is ``timed``, it takes
+    the time as its last argument.  The force on a ``prescribed`` coordinate is its acceleration.
     """
 
     acceleration: Acceleration
@@ -113,16 +165,16 @@ def spread_of(
     start_std: np.ndarray,
     forces: Callable[[float], np.ndarray | None],
 ) -> np.ndarray:
-    """Standard deviation (n_times, n_dof) of one motion of a law that has an `openness`.
+    """Standard deviation (n_times, n_dof) of one motion of a law with an `openness`.
 
     Parameters
     ----------
     law : Law
     run : SimulationResult
-        The motion without errors; steps are halved until they lead there.
+        The motion without errors; steps are halved until they reproduce it.
     qdot0 : ndarray, shape (n_dof,)
     start_std : ndarray, shape (2, n_dof)
-        Standard deviations of q and q̇ at ``t[0]``, which count as independent.
+        Standard deviations of q and q̇ at ``t[0]``, assumed to be independent.
     forces : callable
         ``forces(time)`` -> (n_dof,), or None.
     """
@@ -161,19 +213,19 @@ def follow(
     t: ArrayLike,
     forces: ArrayLike | Callable[[float], Any] | None,
 ) -> tuple[np.ndarray, np.ndarray, Callable[[float], np.ndarray]]:
-    """Start and forces with which some coordinates move as given, where their force is their acceleration.
+    """Start and forces for which some prescribed coordinates move as given.
 
     Parameters
     ----------
     inputs : mapping of int to array_like, shape (n_times,)
-        Numbers of coordinates, and where they are at `t`; joined by a spline of degree five.
+        Indices of coordinates, and their positions at `t`, interpolated by a spline of degree five.
     q0, qdot0, t, forces
-        See `simulate`; the start of those coordinates has no say.
+        See `simulate`; the start values of those coordinates are ignored.
 
     Raises
     ------
     InputError
-        If there are not as many numbers as times, or not all are finite.
+        If the number of positions differs from that of the times, or not all are finite.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What simulations and forecasts give: motions, and how far they are off."""
+"""Results of simulations and forecasts: motions and errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _MEASURED = {"color": "0.55", "marker": ".", "markersize": 3, "linestyle": "none
 
 @dataclass(frozen=True, eq=False)
 class SimulationResult(Shown):
-    """Motion at the requested times, as far as the integration came.
+    """Motion at the requested times, up to the end of the integration.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class SimulationResult(Shown):
     stop_time : float
         Time that the integration reached; for an event, the time of the event.
     coordinates, angles : tuple of str
-        Names of the coordinates, and which of them are angles, as far as they are known.
+        Names of the coordinates and of the angles among them, if known.
     std : ndarray, shape (n_times, n_dof), optional
         Standard deviation of q, if requested; see `LagrangianModel.simulate`.
     """
@@ -111,7 +111,7 @@ class SimulationResult(Shown):
         Returns
         -------
         pandas.DataFrame
-            Columns ``t``, the coordinates, ``<coordinate>_dot``, and where it is known ``<coordinate>_std``.
+            Columns ``t``, the coordinates, ``<coordinate>_dot``, and ``<coordinate>_std`` if known.
 
         Raises
         ------
@@ -156,7 +156,7 @@ class ForecastResult(Shown):
     ----------
     coordinates : tuple of str
     horizon, window, tolerance : float
-        As used; seconds, seconds, fraction of the standard deviation.
+        Values used; in seconds, in seconds, and as a fraction of the standard deviation.
     noise_std, std : ndarray, shape (n_dof,)
         Noise of the measurement, and standard deviation of the data over all trials.
     traces : tuple of ForecastTrace
@@ -198,7 +198,7 @@ class ForecastResult(Shown):
 
     @cached_property
     def expected_rms(self) -> np.ndarray:
-        """What `rms` would be if the model were exact; starts that diverged are left out."""
+        """Expected `rms` of an exact model; starts that diverged are left out."""
         return _rms([trace.expected_rms for trace in self.traces])
 
     @property
@@ -208,17 +208,17 @@ class ForecastResult(Shown):
 
     @property
     def rms_over_std(self) -> np.ndarray:
-        """`rms` in units of the standard deviation of the data: 1 is no better than the mean."""
+        """`rms` in units of the standard deviation of the data; 1 is the error of the mean as a forecast."""
         return self.rms / self.std
 
     @property
     def valid_time(self) -> float:
-        """Median of the starts, in seconds."""
+        """Median valid time of the starts, in seconds."""
         return float(np.median([trace.valid_time for trace in self.traces]))
 
     @cached_property
     def coverage(self) -> np.ndarray:
-        """Share of samples within 1.96 `std` of the forecast, (n_dof,): 95 % if errors are stated rightly."""
+        """Share of samples within 1.96 `std` of the forecast, (n_dof,); 95 % for correct standard errors."""
         known = [(t, t.reach) for t in self.traces if t.reach is not None]
         parts = [(abs(t.forecast - t.measured) <= reach, t.measured) for t, reach in known]
         if not parts:
@@ -238,7 +238,7 @@ class ForecastResult(Shown):
         return sum(trace.status in ("diverged", "failed") for trace in self.traces)
 
     def by_trial(self) -> dict[str, ForecastResult]:
-        """The same result for each trial on its own."""
+        """The result for each trial."""
         names = dict.fromkeys(trace.trial for trace in self.traces)
         return {
             name: replace(self, traces=tuple(t for t in self.traces if t.trial == name), skipped=())
@@ -246,7 +246,7 @@ class ForecastResult(Shown):
         }
 
     def with_(self, others: Sequence[ForecastResult], data: Trajectories) -> ForecastResult:
-        """These forecasts and those of other laws, in the order of the trials of ``data``."""
+        """These forecasts and those of other laws, in the order of the trials in ``data``."""
         place = {name: k for k, name in enumerate(data.names)}
         every = [self, *others]
         traces = sorted((t for part in every for t in part.traces), key=lambda t: place[t.trial])
@@ -295,7 +295,7 @@ class ForecastResult(Shown):
         }
 
     def format_rows(self) -> list[tuple[str, ...]]:
-        """Rows of text for a table, the first one the header: one row per coordinate."""
+        """Rows of text for a table: the header, then one row per coordinate."""
         rows = [("coordinate", "rms error", "if exact", "/ noise", "/ std")]
         numbers = (self.rms, self.expected_rms, self.rms_over_noise, self.rms_over_std)
         rows += [(c, *(f"{x[i]:.3g}" for x in numbers)) for i, c in enumerate(self.coordinates)]
@@ -311,7 +311,7 @@ class ForecastResult(Shown):
         ax : matplotlib.axes.Axes, or sequence of them, optional
             One for all coordinates, or one for each. By default a new figure.
         trial : str, optional
-            Which; by default the first.
+            Name of the trial; by default the first.
         **kwargs
             Properties of Matplotlib's lines, such as ``linewidth``, for samples and runs.
 
@@ -383,7 +383,7 @@ class ForecastResult(Shown):
 
 
 def _joined(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Parts with a gap after each, so that one line can be all of them."""
+    """Parts joined with gaps, to be drawn as one line."""
     return np.concatenate([piece for part in parts for piece in (part, [np.nan])])
 
 

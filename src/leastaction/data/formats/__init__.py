@@ -1,1 +1,1 @@
-"""What stands behind `leastaction.io`: one module for each kind of file, and one for what they share."""
+"""Readers and writers of `leastaction.io`: one module for each kind of file, and shared ones."""

@@ -1,4 +1,4 @@
-"""NPZ and MAT files, whose named arrays are columns, to a table."""
+"""Conversion of NPZ and MAT files, whose named arrays are columns, to a table."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def read_npz_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
         raise InputError(f"{path} is not an NPZ file; write it with numpy.savez")
     with ExitStack() as stack:
         try:
-            # Opened here: numpy leaves a damaged file open.
+            # Opened here, because NumPy leaves a damaged file open.
             stream = stack.enter_context(path.open("rb"))
             file = stack.enter_context(np.load(stream, allow_pickle=False))
             names = list(file.files)
@@ -115,8 +115,8 @@ def arrays_table(
 ) -> tuple[Layout, Table]:
     """Take the variables of `layout` from named arrays.
 
-    Every coordinate, the time and every force is a variable with n_times values. Where no coordinate is
-    there, but a matrix ``q`` of shape (n_times, n_dof), its columns are the coordinates in order.
+    Every coordinate, the time and every force is a variable with n_times values. If no coordinate is found,
+    the columns of a matrix ``q`` of shape (n_times, n_dof) are the coordinates in order.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def arrays_table(
 
 
 def _dated(layout: Layout, times: Any, source: str) -> tuple[Layout, FloatArray]:
-    """Dates as seconds from the first one, NaN where missing; and the layout that says so."""
+    """Dates as seconds from the first one, NaN if missing; and the layout with this clock."""
     missing = np.isnat(times)
     moments = times.astype("datetime64[ns]").astype(np.int64)
     clock = Clock(int(moments[~missing][0]) if not missing.all() else 0, zoned=False)
@@ -158,7 +158,7 @@ def _dated(layout: Layout, times: Any, source: str) -> tuple[Layout, FloatArray]
 
 def _vector(value: Any, name: str, source: str) -> FloatArray:
     array = real_array(value, f"{source}, variable {quoted(name)}")
-    # MATLAB has no vectors: a column or a row is meant as one.
+    # MATLAB has no vectors: a single column or row counts as one.
     if array.ndim > 2 or (array.ndim == 2 and 1 not in array.shape and array.size):
         raise InputError(
             f"{source}, variable {quoted(name)}: it has shape {array.shape}, but one value for each time "

@@ -1,4 +1,4 @@
-"""Files that are either as they were or complete, never half written."""
+"""Atomic writing: a file is either unchanged or complete."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def read_bytes(path: Path, n_bytes: int = -1) -> bytes:
 def replace_file(path: Path, data: bytes) -> None:
     """Write `data` to a new file beside `path` and move it there in one step.
 
-    Missing directories are made. Where `path` is a link, the file it points to is replaced; what is not a
-    regular file, such as ``/dev/stdout``, is written to directly.
+    Missing directories are created. If `path` is a link, its target is replaced. A path that is not a regular
+    file, such as ``/dev/stdout``, is written directly.
 
     Raises
     ------

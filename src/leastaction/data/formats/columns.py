@@ -1,4 +1,4 @@
-"""The columns of a file, found by the names that a user gives them."""
+"""The columns of a file, by the names that the user gives."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ __all__ = ["TIME_NAMES", "Names"]
 TIME_NAMES = frozenset(
     {"t", "time", "times", "timestamp", "seconds", "sec", "zeit", "time_s", "t_s", "time_sec", "temps"}
 )
-"""What people call the column of the times, in lower case."""
+"""Common names of the column of times, in lower case."""
 
 
 @dataclass(frozen=True)
 class Names:
-    """The columns of a file, by the names under which they can be found.
+    """The columns of a file, by name.
 
     Attributes
     ----------
     source, kind : str
         For messages.
     present : dict
-        Name in the form in which names are compared -> as it stands in the file.
+        Normalised name -> name in the file.
     """
 
     source: str
@@ -48,9 +48,9 @@ class Names:
         return cls(source, kind, present)
 
     def where(self, role: str, name: str, *, time: bool) -> str:
-        """The column of a name: as it is, in another form of Unicode, or without its unit.
+        """The column of a name: the same text, another form of Unicode, or without its unit.
 
-        That of the times, unless it has another name, may also be called ``time``, ``Zeit [s]`` and the like.
+        The column of times may also have a common name, such as ``time`` or ``Zeit [s]``.
         """
         names = list(self.present.values())
         if name in names:
@@ -67,8 +67,8 @@ class Names:
                 return meant[0]
         if meant:
             raise InputError(
-                f"{self.source} has no {self.kind} {quoted(name)} ({role}), but {listed(meant)}; give the "
-                "name of one in full"
+                f"{self.source} has no {self.kind} {quoted(name)} ({role}), but {listed(meant)}; give one of "
+                "these names in full"
             )
         there = (
             f"its {self.kind}s are {listed(names)}{close_match(name, names)}"
@@ -77,7 +77,7 @@ class Names:
         )
         cure = ""
         if time and names:
-            cure = "; name the one of the times (time=...)"
+            cure = "; give the name of the column of times (time=...)"
         elif role == f"coordinate {name}" and names:
             cure = f"; give its column: coordinates={{{name!r}: {names[-1]!r}}}"
         raise InputError(f"{self.source} has no {self.kind} {quoted(name)} ({role}); {there}{cure}")

@@ -1,8 +1,7 @@
-"""CSV text to a table, and trajectories to text: NumPy's reader for speed, and a slow exact reader that finds
-the cell at fault.
+"""Reading and writing of CSV text: NumPy's reader for speed, and an exact reader that locates errors.
 
-The slow reader decides what is right. The fast one is used only where it is sure to give the same, and
-whatever it refuses is read again slowly, so that the message names line, column and text.
+The exact reader is the reference. The fast one is used only if it gives the same result. Text that it refuses
+is read again by the exact reader, so that the message names line, column and text.
 """
 
 from __future__ import annotations
@@ -42,19 +41,19 @@ def read_csv_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     Raises
     ------
     InputError
-        If the file cannot be read, is no table with a header, lacks a column, or a cell is no number.
+        If the file cannot be read, is not a table with a header, lacks a column, or a cell is not a number.
     """
     text, found = opened(*text_of(path), str(path), layout)
     return found, _table_of(text, found)
 
 
 def csv_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
-    """The same in pieces of some megabytes, one after the other; only one of them is in memory.
+    """The same in pieces of some megabytes; only one of them is in memory.
 
     Raises
     ------
     InputError
-        As `read_csv_table`; for what is wrong in a piece, when it is reached.
+        As `read_csv_table`; errors in a piece are raised when it is reached.
     """
     encoding, pieces = text_pieces(path)
     text, found = opened(next(pieces, ""), encoding, str(path), layout)
@@ -76,7 +75,7 @@ def _table_of(text: Text, layout: Layout) -> Table:
 
 
 def _read_fast(text: Text, layout: Layout) -> Table | None:
-    """Read with NumPy; None where a cell is not a number or the rows may be taken apart differently."""
+    """Read with NumPy; None if a cell is not a number or the exact reader may split rows differently."""
     if '"' in text.body:
         return None
     lines = _regular_lines(text.body.encode("utf-8"), text.delimiter, len(text.header))
@@ -84,7 +83,7 @@ def _read_fast(text: Text, layout: Layout) -> Table | None:
         return None
     body = text.body
     if text.decimal == ",":
-        if "." in body:  # a number in another way of writing, perhaps
+        if "." in body:  # numbers may be in another notation
             return None
         body = body.replace(",", ".")
     names = [name for name in layout.numbers if layout.clock is None or name != layout.time]
@@ -121,12 +120,12 @@ def _plain_missing(body: str) -> bool:
 
 
 def _fill_empty(body: str, delimiter: str) -> str:
-    """Put "nan" into empty cells. What a filled trial column holds does not matter."""
+    """Put "nan" into empty cells. The content of a filled trial column is not used."""
     for before in (delimiter, "\n"):
         for after in (delimiter, "\n"):
             if before != after:  # an empty line is not an empty cell
                 body = body.replace(before + after, f"{before}nan{after}")
-    # Twice: in a run of delimiters every second pair is hidden by the one before.
+    # Twice, because pairs in a run of delimiters overlap.
     body = body.replace(delimiter * 2, f"{delimiter}nan{delimiter}")
     body = body.replace(delimiter * 2, f"{delimiter}nan{delimiter}")
     start = "nan" if body.startswith(delimiter) else ""
@@ -208,13 +207,11 @@ def _refuse_cell(text: Text, line: int, column: str, cell: str, layout: Layout) 
     if column == layout.time and layout.clock is not None:
         zone = "with" if layout.clock.zoned else "without"
         what = "a date"
-        cure = (
-            f"the first time is a date {zone} a time zone: write all in this way, as 2024-05-01T12:00:00.25"
-        )
+        cure = f"the first time is a date {zone} a time zone: write all times so, as 2024-05-01T12:00:00.25"
     elif column == layout.time and re.search(r"\d[T:/]\d|\d[.-]\d+[.-]\d", cell):
         cure = "write times as numbers, or all as dates in the form 2024-05-01T12:00:00.25"
     elif re.fullmatch(r"[+-]?\d{1,3}(?:(?:[.\s']\d{3})+,\d*|(?:[,\s']\d{3})+\.\d*|(?:[\s']\d{3})+)", cell):
-        cure = "leave out the separators of thousands"
+        cure = "remove thousands separators"
     elif text.decimal == "," and re.fullmatch(r"[+-]?\d*\.\d*(?:[eE][+-]?\d+)?", cell):
         cure = "the first fraction has a decimal comma: write all numbers in one way"
     elif re.fullmatch(r"[+-]?\d+,\d*(?:[eE][+-]?\d+)?", cell):

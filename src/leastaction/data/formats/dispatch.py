@@ -1,4 +1,4 @@
-"""From paths to trajectories: the reader for a suffix, checked columns, and several files as one set."""
+"""Reading of paths: the reader for a suffix, checks of columns, and several files as one set."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ __all__ = [
 ]
 
 MIN_SAMPLES = 5
-"""Fewest measured samples of a coordinate in a trial with which anything can be done."""
+"""Fewest measured samples of a coordinate in a trial."""
 
 LONG_STEP = 1.0
-"""Seconds between samples beyond which times without a unit may be milliseconds: logs of mechanical systems
-are faster, and a clock in milliseconds below 1 kHz is not."""
+"""Seconds between samples above which times without a unit may be in milliseconds. Logs of mechanical systems
+are sampled faster; in milliseconds, a rate below 1 kHz exceeds this value."""
 
 TableReader = Callable[[Path, Layout], tuple[Layout, Table]]
 
@@ -59,7 +59,7 @@ _READERS: dict[str, TableReader] = {
 
 def reader_for(path: Path) -> TableReader:
     """Return the reader for the suffix of `path`, or raise InputError."""
-    from leastaction.data.formats.bags import is_bag, read_bag_table  # which has a reader of its own, too
+    from leastaction.data.formats.bags import is_bag, read_bag_table  # circular import
 
     if is_bag(path):
         return read_bag_table
@@ -89,7 +89,7 @@ def peek(path: Path) -> Peek:
         return peek_csv(path)
     if reader is read_excel_table:
         return peek_excel(path)
-    raise InputError(f"{path} is no table of text or Excel; save it as CSV")
+    raise InputError(f"{path} is neither a text table nor an Excel file; save it as CSV")
 
 
 def stem(path: Path) -> str:
@@ -101,12 +101,12 @@ def stem(path: Path) -> str:
 def combined_trajectories(
     path: StrPath | Iterable[StrPath], layout: Layout, reader: TableReader | None = None
 ) -> Trajectories:
-    """Read one file, or several as trials of one system, with names that differ.
+    """Read one file, or several as trials of one system, with different names.
 
     Parameters
     ----------
     reader : callable, optional
-        Of all files; by default the one for the suffix of each.
+        Reader of all files; by default the one for the suffix of each.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def combined_trajectories(
         return to_trajectories(*read(paths[0], layout), name=stem(paths[0]))
     items: list[Trajectory] = []
     taken: set[str] = set()
-    # Unwrapped together at the end: the set then counts the wraps of all files.
+    # Unwrapped together at the end, so that the set counts the wraps of all files.
     wrapped = replace(layout, angles=())
     for file in paths:
         found, table = (reader or reader_for(file))(file, wrapped)
@@ -130,7 +130,7 @@ def combined_trajectories(
 
 
 def group_names(path: StrPath | Iterable[StrPath], layout: Layout, column: str) -> tuple[str, ...]:
-    """The text of one more column for each trial, in the sequence of `combined_trajectories`.
+    """The text of a further column for each trial, in the sequence of `combined_trajectories`.
 
     Raises
     ------
@@ -157,9 +157,9 @@ def group_names(path: StrPath | Iterable[StrPath], layout: Layout, column: str) 
 
 
 def trial_name(file: Path, table: Table, item: Trajectory, taken: set[str]) -> str:
-    """Name a trial of one file of several, and add the name to those taken.
+    """Name a trial of one of several files, and add the name to ``taken``.
 
-    Where the name of the file is taken, a number follows it.
+    If the name of the file is taken, a number is appended.
     """
     name = stem(file) + (f"/{item.name}" if table.trials is not None else "")
     number, free = 2, name
@@ -211,7 +211,7 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
     Returns
     -------
     Trajectories
-        In the order of the table, unwrapped where `layout` has angles.
+        In the order of the table; the angles of `layout` are unwrapped.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def to_trajectories(layout: Layout, table: Table, name: str = "") -> Trajectorie
     numbers = table.numbers | {
         column: unit.convert(table.numbers[column]) for column, unit in layout.conversions.items()
     }
-    _check_values(layout, replace(table, numbers=numbers))  # what overflows is infinite
+    _check_values(layout, replace(table, numbers=numbers))  # overflow gives infinity
     trajectories: list[Trajectory] = []
     for label, rows in _trial_rows(layout, table, name):
         _check_times(layout, table, label, rows)
@@ -286,7 +286,7 @@ def _trial_rows(layout: Layout, table: Table, name: str) -> list[tuple[str, slic
             raise InputError(f"{place}: the name of the trial is missing; fill it in on every row")
         if label in first:
             raise InputError(
-                f"{place}: trial {quoted(label)} goes on after another trial (it began at "
+                f"{place}: trial {quoted(label)} continues after another trial (it started at "
                 f"{table.place(first[label])}); keep the rows of a trial together"
             )
         first[label] = start
@@ -301,7 +301,7 @@ def _check_times(layout: Layout, table: Table, label: str, rows: slice) -> None:
     index, kind = fault
     trial = f" in trial {quoted(label)}" if table.trials is not None else ""
     if kind == "repeated":
-        what = f"time {float(t[index])!r} repeats the one before it{trial}"
+        what = f"time {float(t[index])!r} repeats the previous one{trial}"
         cure = "keep one row for each time"
         if layout.clock is not None:
             cure += ", and write fractions of a second if the samples are closer than that"
@@ -309,13 +309,13 @@ def _check_times(layout: Layout, table: Table, label: str, rows: slice) -> None:
         what = f"time {float(t[index])!r} goes backwards, from {float(t[index - 1])!r}{trial}"
         cure = "sort the rows by time"
     if table.trials is None:
-        cure += ", or give the column that tells the trials apart (trial=...)"
+        cure += ", or give the column that names the trials (trial=...)"
     place = f"{table.source}, {table.place(rows.start + index)}, column {quoted(layout.time)}"
     raise InputError(f"{place}: {what}; {cure}")
 
 
 def _perhaps_not_seconds(layout: Layout, t: FloatArray) -> tuple[Finding, ...]:
-    """A note where nobody says the unit of the times, and samples are a second or more apart."""
+    """A note if the times have no unit, and samples are a second or more apart."""
     step = float(np.median(np.diff(t))) if t.size >= 20 else 0.0  # as many as a discovery needs
     told = layout.time in (*layout.asked, *layout.conversions) or layout.clock or layout.as_written
     if told or step < LONG_STEP or parted(layout.time, time=True)[1]:

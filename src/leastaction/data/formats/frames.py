@@ -36,22 +36,22 @@ __all__ = [
 def frame_table(
     frame: Any, layout: Layout, source: str = "data frame", before: int = 0
 ) -> tuple[Layout, Table]:
-    """Take the columns of `layout` from a data frame, which may follow ``before`` rows of others.
+    """Take the columns of `layout` from a data frame, whose rows are numbered from ``before``.
 
     Raises
     ------
     InputError
-        If `frame` is no data frame, lacks a column, or a column does not hold numbers.
+        If `frame` is not a data frame, lacks a column, or a column does not hold numbers.
     """
     import narwhals.stable.v1 as nw
 
     if hasattr(frame, "iloc") and hasattr(frame, "columns"):
-        # pandas allows a name twice, narwhals does not: say so in our own words.
+        # pandas allows a duplicate name, narwhals does not; report it here.
         layout.find(list(frame.columns), source)
     try:
         wrapped = nw.from_native(frame)
         table = wrapped.collect() if isinstance(wrapped, nw.LazyFrame) else wrapped
-    except Exception as error:  # whatever a foreign library makes of a foreign object
+    except Exception as error:  # other libraries may raise anything for unknown objects
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{type(frame).__name__} is not a usable data frame: {reason}") from None
     if not isinstance(table, nw.DataFrame):
@@ -92,12 +92,12 @@ def read_parquet_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
 
 
 def parquet_tables(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
-    """The same by row groups, one after the other; only one of them is in memory.
+    """The same by row groups; only one of them is in memory.
 
     Raises
     ------
     InputError
-        As `read_parquet_table`; for what is wrong in a row group, when it is reached.
+        As `read_parquet_table`; errors in a row group are raised when it is reached.
     """
     import narwhals.stable.v1 as nw
 
@@ -149,8 +149,8 @@ def read_excel_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
     Raises
     ------
     InputError
-        If openpyxl is not installed, the file cannot be read, has no header, lacks a column, or a cell is no
-        number.
+        If openpyxl is not installed, the file cannot be read, has no header, lacks a column, or a cell is not
+        a number.
     """
     sheet = _Sheet.of(path)
     found = layout.find(sheet.header, str(path), row=dict(zip(sheet.header, sheet.units, strict=False)))
@@ -251,7 +251,7 @@ def _plain_cell(cell: Any) -> Any:
 
 
 def _cells_of(path: Path) -> tuple[str, tuple[str, ...], list[tuple[Any, ...]]]:
-    """Name and cells of the first sheet that is shown, and the names of the others."""
+    """Name and cells of the first visible sheet, and the names of the others."""
     try:
         openpyxl: Any = import_module("openpyxl")
     except ImportError:
@@ -265,7 +265,7 @@ def _cells_of(path: Path) -> tuple[str, tuple[str, ...], list[tuple[Any, ...]]]:
         )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of features that have nothing to do with the cells
+            warnings.simplefilter("ignore")  # about features that do not affect the cells
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             try:
                 shown = [sheet for sheet in book.worksheets if sheet.sheet_state == "visible"]
@@ -322,7 +322,7 @@ def _numbers(column: Any, name: str, layout: Layout, place: Callable[[int], str]
 
 
 def _whole(column: Any, missing: NDArray[np.bool_], origin: int) -> FloatArray:
-    """Whole numbers less the origin, NaN where missing; floats could not hold them before."""
+    """Integers minus the origin, NaN if missing; before the subtraction, floats could not hold them."""
     values = np.full(missing.size, np.nan)
     present = np.array(column.drop_nulls().to_list(), dtype=np.int64)
     values[~missing] = present - origin
@@ -346,8 +346,8 @@ def _numbers_from_objects(
                 values[row] = clock.seconds(item.strip() if isinstance(item, str) else item)
             except ValueError:
                 raise InputError(
-                    f"{place(row)}, column {quoted(name)}: {quoted(item)} is not a date as the first one is; "
-                    "write all times in one way"
+                    f"{place(row)}, column {quoted(name)}: {quoted(item)} is not a date like the first one; "
+                    "write all times in the same form"
                 ) from None
             continue
         if isinstance(item, bool) or not isinstance(item, Real):

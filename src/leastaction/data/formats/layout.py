@@ -1,10 +1,10 @@
-"""Which column of a file means what, and in which unit."""
+"""The meaning and unit of each column of a file."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypedDict
 
 from leastaction.data.formats.columns import Names
 from leastaction.data.formats.units import Clock, Unit, known_unit, normal, parted, time_unit_of, unit_in_file
@@ -13,14 +13,30 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding, find
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "Units"]
+__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "UnitOptions", "Units"]
 
 Coordinates = Sequence[str] | Mapping[str, str] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None
 Units = Mapping[str, str] | str
 
+
+class UnitOptions(TypedDict, total=False):
+    """How a reader takes the units of a file: keyword arguments of all readers.
+
+    Attributes
+    ----------
+    time_unit : str or None
+        Unit of the times. It overrides the file.
+    units : {"SI", "as-written"}, or mapping of str to str
+        Whether columns with a unit are converted, or the units of coordinates and columns.
+    """
+
+    time_unit: str | None
+    units: Units
+
+
 BESIDE = {"forces": "force on", "velocities": "velocity of", "accelerations": "acceleration of"}
-"""What there may be for each coordinate, in words."""
+"""Quantities of each coordinate, in words."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +58,15 @@ class Layout:
     velocities, accelerations : dict
         Coordinate -> column of its measured velocity, acceleration; only those that are measured.
     asked : dict
-        Coordinate or column -> its unit, where the user says it. What the file says then does not count.
+        Coordinate or column -> its unit, from the user. It overrides the unit in the file.
     as_written : bool
-        Whether units that stand in the file are left alone.
+        Whether units in the file are ignored.
     conversions : dict
-        Column -> its unit, where numbers are converted; see `find`.
+        Column -> its unit, if numbers are converted; see `find`.
     clock : Clock or None
-        Where the times of the file are dates: what makes seconds of them.
+        Conversion of dates to seconds, if the times of the file are dates.
     findings : tuple of Finding
-        What was done to the data of the file.
+        Changes to the data of the file.
     """
 
     time: str
@@ -96,8 +112,8 @@ class Layout:
         layout._check_uses()
         return layout
 
-    def measured_in(self, time_unit: str | None, units: Units) -> Layout:
-        """Check the arguments of a reader that say units, and return the layout with them.
+    def measured_in(self, time_unit: str | None = None, units: Units = "SI") -> Layout:
+        """Check the `UnitOptions` of a reader, and return the layout with them.
 
         Raises
         ------
@@ -129,16 +145,16 @@ class Layout:
         kind: str = "column",
         row: Mapping[str, str] | None = None,
     ) -> Layout:
-        """Return this layout with the names as they stand in the file, the column ``trial`` included.
+        """Return this layout with the names in the file, including the column ``trial``.
 
-        A column may be named without its unit where only one is meant: ``t`` finds ``t [ms]``.
+        A column may be named without its unit if this is unambiguous: ``t`` finds ``t [ms]``.
 
         Parameters
         ----------
         available : sequence
             Columns of the file.
         source, kind : str
-            For messages: the file, and what it calls its columns.
+            For messages: the file, and its word for columns.
         row : mapping, optional
             Column -> its cell in a row of units.
 
@@ -179,7 +195,7 @@ class Layout:
     def _converting(
         self, asked: Mapping[str, Unit], row: Mapping[str, str], source: str, asked_time: str
     ) -> Layout:
-        """The layout of a file with what its units ask for, and a finding for each."""
+        """The layout of a file with conversions for its units, and a finding for each."""
         conversions: dict[str, Unit] = {}
         findings = [find("units-row", units=tuple(filter(None, row.values())))] if row else []
         for column, (coordinate, quantity) in self._roles().items():
@@ -229,12 +245,12 @@ class Layout:
         return replace(self, clock=clock, conversions=conversions, findings=(note, *others))
 
     def refuse_time_unit(self, what: str, source: str) -> None:
-        """Raise InputError if the user gives a unit of times that are something else than numbers."""
+        """Raise InputError if the user gives a unit for times that are not numbers."""
         if any(unit.kind == "time" for unit in self.asked.values()):
             raise InputError(f"{source}: the times in {quoted(self.time)} are {what}; leave out time_unit")
 
     def _roles(self) -> dict[str, tuple[str, str]]:
-        """Column of numbers -> the coordinate it belongs to, and what it is of that."""
+        """Column of numbers -> its coordinate and quantity."""
         roles = {column: (c, "position") for c, column in self.coordinates.items()}
         for kind, word in BESIDE.items():
             for coordinate, column in getattr(self, kind).items():
@@ -248,7 +264,7 @@ class Layout:
         return tuple(dict.fromkeys([self.time, *self.coordinates.values(), *beside]))
 
     def role(self, column: str) -> str:
-        """What a column of numbers means, in words; samples may be missing."""
+        """Meaning of a column of numbers, in words; samples may be missing."""
         if column == self.time:
             return "time"
         return "force" if column in self.forces.values() else "sample"
@@ -271,7 +287,7 @@ class Layout:
                     )
                 if kind != "forces":
                     seen[column] = role
-            # One force may act on two coordinates, but it cannot be anything else.
+            # One force may act on two coordinates, but must not have another role.
             seen |= {column: f"{word} {c}" for c, column in getattr(self, kind).items()}
 
 
@@ -284,11 +300,11 @@ class Table:
     source : str
         The file, for messages.
     numbers : dict
-        Column -> float64 values, shape (n_rows,); NaN where the file has none.
+        Column -> float64 values, shape (n_rows,); NaN if missing in the file.
     trials : sequence of str, or None
         The trial of each row.
     place : callable
-        Number of a row, from 0 -> where the user finds it, e.g. ``"line 7"``.
+        Index of a row, from 0 -> its place in the file, e.g. ``"line 7"``.
     """
 
     source: str

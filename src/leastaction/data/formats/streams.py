@@ -1,8 +1,8 @@
-"""Files read piece by piece, trial by trial, into a temporary file that stands in for memory.
+"""Files larger than memory, read trial by trial into a temporary file.
 
-Text is slow to read, and a fit goes along a motion some dozens of times. So every trial is read once, checked
-as by the other readers, and put down as plain numbers in a temporary file, which is mapped into memory: the
-operating system fetches what is looked at, and lets go of it when memory is short.
+Text is slow to read, and a fit passes over a motion some dozens of times. Every trial is therefore read once,
+checked as by the other readers, and stored as plain numbers in a temporary file that is mapped into memory.
+The operating system loads the parts in use and releases them if memory is short.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, NamedTuple, Unpack
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.csv import csv_tables
 from leastaction.data.formats.dispatch import listed_paths, stem, to_trajectories, trial_name
 from leastaction.data.formats.frames import parquet_tables
-from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, Units
+from leastaction.data.formats.layout import Coordinates, Forces, Layout, Table, UnitOptions
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import FIELDS, Trajectory
 from leastaction.data.validation import FloatArray
@@ -41,9 +41,7 @@ def stream(
     angles: Iterable[str] = (),
     velocities: Forces = None,
     accelerations: Forces = None,
-    *,
-    time_unit: str | None = None,
-    units: Units = "SI",
+    **unit_options: Unpack[UnitOptions],
 ) -> Trajectories:
     r"""Read recordings larger than memory from CSV or Parquet.
 
@@ -82,17 +80,17 @@ def stream(
     <Trajectories of x: 2 trajectories, 12 samples, 10 s>
     """
     layout = Layout.of(coordinates, time, forces, trial, angles, velocities, accelerations)
-    layout = layout.measured_in(time_unit, units)
+    layout = layout.measured_in(**unit_options)
     return _streamed(path, layout)
 
 
 def _streamed(path: StrPath | Iterable[StrPath], layout: Layout) -> Trajectories:
-    """Read files trial by trial; the samples end up in a temporary file.
+    """Read files trial by trial and store the samples in a temporary file.
 
     Raises
     ------
     InputError, DataError
-        As the readers of whole files; also for a suffix that cannot be read in pieces.
+        As for the readers of whole files; also if the suffix cannot be read in pieces.
     """
     paths = listed_paths(path)
     taken: set[str] = set()
@@ -108,7 +106,7 @@ def _streamed(path: StrPath | Iterable[StrPath], layout: Layout) -> Trajectories
 
 
 def _pieces(path: Path, layout: Layout) -> tuple[Layout, Iterator[Table]]:
-    """The layout with the names of a file, and its rows, some at a time."""
+    """The layout with the names of a file, and its rows in pieces."""
     name = path.name.lower()
     suffix = Path(name.removesuffix(".gz")).suffix
     if suffix in (".csv", ".tsv", ".txt", ".dat"):
@@ -134,8 +132,9 @@ def _trials(pieces: Iterable[Table], column: str | None) -> Iterator[Table]:
                 label, place = _label(part), part.place(0)
                 if label in began:
                     raise InputError(
-                        f"{part.source}, {place}, column {quoted(column)}: trial {quoted(label)} goes on "
-                        f"after another trial (it began at {began[label]}); keep the rows of a trial together"
+                        f"{part.source}, {place}, column {quoted(column)}: trial {quoted(label)} "
+                        f"continues after another trial (it started at {began[label]}); "
+                        "keep the rows of a trial together"
                     )
                 began[label] = place
             waiting.append(part)
@@ -185,7 +184,7 @@ def _joined(tables: list[Table]) -> Table:
 
 
 class _Store:
-    """Trajectories whose arrays are put down in a file."""
+    """Trajectories whose arrays are stored in a file."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file = file
@@ -193,7 +192,7 @@ class _Store:
         self._end = 0
 
     def add(self, part: Trajectories, name: str) -> None:
-        """Put down the arrays of a single trajectory."""
+        """Store the arrays of a single trajectory."""
         places: dict[str, tuple[int, tuple[int, ...]]] = {}
         for field in FIELDS:
             array: FloatArray | None = getattr(part[0], field)
@@ -205,9 +204,9 @@ class _Store:
         self._kept.append(_Kept(name, part.coordinates, wraps, places, part.findings))
 
     def trajectories(self) -> Trajectories:
-        """All of them, with arrays that are mapped."""
+        """All trajectories, with memory-mapped arrays."""
         self._file.flush()
-        # the arrays keep the map, and the map the file, although that is closed and has no name any more
+        # the arrays keep the map alive, and the map keeps the file, which is closed and unlinked
         numbers = np.frombuffer(mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.float64)
         items: list[Trajectory] = []
         for kept in self._kept:
@@ -220,7 +219,7 @@ class _Store:
 
 
 class _Kept(NamedTuple):
-    """A trajectory whose numbers are in the file: where they begin, and their shapes."""
+    """A trajectory stored in the file: offsets and shapes of its arrays."""
 
     name: str
     coordinates: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""A file of text: its encoding, its header, a row of units, and how numbers are written in it."""
+"""A text file: its encoding, header, row of units, and number format."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ENCODINGS = {"utf-16": "UTF-16", "cp1252": "Windows-1252"}
 
 @dataclass(frozen=True)
 class Text:
-    """The data lines of a file and what stands before them.
+    """The data lines of a file, its header and its number format.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class Text:
     delimiter : str
     header : tuple of str
     units : tuple of str
-        Cells of the row below the header, where it holds units.
+        Cells of the row below the header, if it holds units.
     decimal : str
-        What stands before the fraction of a number: "." or ",".
+        Decimal sign: "." or ",".
     spaced : bool
-        Whether runs of spaces part the cells in the file; `body` has tabs in their place.
+        Whether runs of spaces separate the cells in the file; `body` has tabs instead.
     """
 
     source: str
@@ -63,7 +63,7 @@ class Text:
     spaced: bool = False
 
     def further(self, body: str, first_line: int) -> Text:
-        """The same with other lines of the file."""
+        """The same layout with other lines of the file."""
         return replace(self, body=_tabbed(body) if self.spaced else body, first_line=first_line)
 
 
@@ -73,7 +73,7 @@ def text_of(path: Path) -> tuple[str, str]:
     Raises
     ------
     InputError
-        If it cannot be read, or holds no text.
+        If it cannot be read, or is not text.
     """
     data = _content(path)
     encoding = _encoding(data, whole=True)
@@ -92,7 +92,7 @@ def text_of(path: Path) -> tuple[str, str]:
 
 
 def text_pieces(path: Path) -> tuple[str, Iterator[str]]:
-    """The encoding, and runs of whole lines; a line that is in quotes stays whole, too."""
+    """The encoding, and runs of whole lines; a quoted cell with line breaks stays whole."""
     compressed = read_bytes(path, 2) == b"\x1f\x8b"
     with _readable(path), gzip.open(path, "rb") if compressed else path.open("rb") as file:
         start = file.read(_PIECE)
@@ -115,7 +115,7 @@ def _readable(path: Path) -> Generator[None]:
     try:
         yield
     except UnicodeDecodeError:
-        raise InputError(f"{path} does not go on as the kind of text that it began with; {_CURE}") from None
+        raise InputError(f"{path} changes its encoding within the file; {_CURE}") from None
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path} cannot be read to its end ({error}); copy it again") from None
 
@@ -134,7 +134,7 @@ def _content(path: Path) -> bytes:
 
 
 def _encoding(data: bytes, *, whole: bool) -> str:
-    """UTF-16 by its mark, UTF-8 if it is, otherwise what Windows writes in western countries."""
+    """UTF-16 with a byte order mark, UTF-8 if valid, otherwise Windows-1252."""
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return "utf-16"
     try:
@@ -181,9 +181,9 @@ class Peek(NamedTuple):
     Attributes
     ----------
     header, units : tuple of str
-        Names, and what a row below them says of units; empty without one.
+        Names, and units from a row below them; empty without one.
     rows : list of tuple of str
-        Numbers have a decimal point, whatever the file has.
+        Numbers have a decimal point, whatever the decimal sign of the file.
     """
 
     header: tuple[str, ...]
@@ -197,7 +197,7 @@ def peek_csv(path: Path, n_rows: int = 50) -> Peek:
     Raises
     ------
     InputError
-        If the file cannot be read or is no table with a header.
+        If the file cannot be read or is not a table with a header.
     """
     nothing = Layout(time="", coordinates={}, forces={}, trial=None, angles=())
     content, _ = text_of(path)
@@ -215,7 +215,7 @@ def _pointed(cell: str, decimal: str) -> str:
 def _rows(text: Text) -> Iterator[list[str]]:
     """Cells of the rows that are not blank, as far as quotes can be understood."""
     reader = csv.reader(io.StringIO(text.body, newline=""), delimiter=text.delimiter, skipinitialspace=True)
-    with suppress(csv.Error):  # the reader proper says what is wrong, and where
+    with suppress(csv.Error):  # the reader of the table reports the error
         for row in reader:
             cells = [cell.strip() for cell in row]
             if any(cells):
@@ -235,7 +235,7 @@ def _with_decimal(text: Text, places: Sequence[int]) -> Text:
 
 
 def _split_header(text: str, source: str, layout: Layout) -> Text:
-    """Find header, units and delimiter: leading lines that are blank or begin with ``#`` do not count."""
+    """Find header, units and delimiter; leading lines that are blank or start with ``#`` are skipped."""
     start, number, comment = 0, 1, ""
     while True:
         end = text.find("\n", start)
@@ -250,7 +250,7 @@ def _split_header(text: str, source: str, layout: Layout) -> Text:
     delimiter, header = _sniff(line, layout)
     if not all(map(_is_number, header[0].split() if len(header) == 1 else header)):
         return _split_units(_parted(Text(source, text[following:], number + 1, delimiter, header)))
-    # numpy.savetxt writes the header as a comment: then the last comment names the columns.
+    # numpy.savetxt writes the header as a comment; the last comment then names the columns.
     delimiter, header = _sniff(comment, layout)
     named = _parted(Text(source, text[start:], number, delimiter, header))
     if len(named.header) != len(_cells(named.body.partition("\n")[0], named.delimiter)):
@@ -262,7 +262,7 @@ def _split_header(text: str, source: str, layout: Layout) -> Text:
 
 
 def _parted(text: Text) -> Text:
-    """The text with tabs between its cells, where these are parted by runs of spaces."""
+    """The text with tabs between its cells, if runs of spaces separate them."""
     names = text.header[0].split() if len(text.header) == 1 else []
     first = text.body.lstrip("\n").partition("\n")[0]
     if len(names) < 2 or '"' in first or len(first.split()) != len(names):
@@ -296,7 +296,7 @@ def _cells(line: str, delimiter: str) -> tuple[str, ...]:
 
 
 def _sniff(line: str, layout: Layout) -> tuple[str, tuple[str, ...]]:
-    """Return the delimiter that gives most of the needed columns, then most columns, and the columns."""
+    """Return the delimiter that gives the most needed columns, then the most columns, and the columns."""
     needed = {layout.time, *layout.coordinates.values()}
     candidates = [(delimiter, _cells(line, delimiter)) for delimiter in _DELIMITERS]
 

@@ -1,8 +1,7 @@
-"""Units and times as people write them: in headers, in a row of units, and as dates.
+"""Units in headers or in a row of units, and times as dates.
 
-Only what is written counts: a unit in brackets, behind a slash, or at the end of a name (``time_ms``), and
-only where it means one thing. ``x_cm`` may be a centre of mass and ``theta_min`` a minimum: they stay as they
-are.
+A unit is recognised in brackets, after a slash, or at the end of a name (``time_ms``), if it is unambiguous.
+``x_cm`` may be a centre of mass and ``theta_min`` a minimum; such names are not changed.
 """
 
 from __future__ import annotations
@@ -36,17 +35,17 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit, and what makes SI of it: values × ``times`` / ``over``.
+    """A unit and its conversion to SI: values × ``times`` / ``over``.
 
     Attributes
     ----------
     text : str
-        As this module writes it, e.g. ``"ms"``.
+        Canonical symbol, e.g. ``"ms"``.
     kind : str
-        What is measured: ``"time"``, ``"angle"``, ``"length"``, ``"force"``, ``"torque"``, or a rate, such as
+        Quantity: ``"time"``, ``"angle"``, ``"length"``, ``"force"``, ``"torque"``, or a rate, such as
         ``"angle/s"``.
     si : str
-        The unit of SI.
+        The SI unit.
     times, over : float
         Two numbers, because 5 ms / 1000 is exactly 0.005 s, which 5 × 0.001 need not be.
     """
@@ -63,7 +62,7 @@ class Unit:
         return self.times == self.over
 
     def convert(self, values: FloatArray) -> FloatArray:
-        """Values in SI; what overflows is infinite, and refused like any other infinite value."""
+        """Values in SI; overflow gives infinity, which is refused like any other infinite value."""
         with np.errstate(over="ignore"):
             return values * self.times / self.over
 
@@ -119,16 +118,16 @@ def _table() -> dict[str, Unit]:
 
 
 def _plainly(text: str) -> str:
-    """A unit without what is written in many ways: spaces, dots, powers."""
+    """A unit in normal form, without spaces, dots and powers."""
     text = unicodedata.normalize("NFKC", text.replace("º", "°")).strip()
     text = re.sub(r"(?<=[^\W\d])\s*[·*.⋅]?\s*s\s*\^?[-−]([12])$", r"/s\1", text).replace("/s1", "/s")
     return re.sub(r"\*\*|[\s·⋅*.^_()-]", "", text)
 
 
 _UNITS = _table()
-_LONGEST = 200  # characters of a name: the search for a unit in it takes the square of them
+_LONGEST = 200  # characters of a name: the time of the search for a unit grows with their square
 _TIMES = ", ".join(_BASE["time"])
-# behind an underscore or a space; not those that are a word of mechanics or a letter as well
+# after an underscore or a space; without units that are also a letter or a word of mechanics
 _ENDINGS = frozenset({"rad", "mrad", "deg", "mm", "Nm", "mNm", "Nmm", "rpm", "deg/s", "rad/s", "mm/s"})
 _TIME_ENDINGS = frozenset({"s", "ms", "us", "ns", "min"})
 
@@ -164,7 +163,7 @@ def time_unit_of(text: object) -> Unit:
     Raises
     ------
     InputError
-        If it is none.
+        If it is not a unit of time.
 
     Examples
     --------
@@ -178,7 +177,7 @@ def time_unit_of(text: object) -> Unit:
 
 
 def normal(name: str) -> str:
-    """A name in the form in which names are compared."""
+    """A name in normal form, for comparison."""
     return unicodedata.normalize("NFKC", name).strip()
 
 
@@ -189,7 +188,7 @@ def parted(column: str, time: bool = False) -> tuple[str, Unit | None]:
     ----------
     column : str
     time : bool
-        Whether it is the column of the times: ``t_s`` is one in seconds, but ``theta_s`` no angle in seconds.
+        Whether it is the column of times: ``t_s`` is a time in seconds, but ``theta_s`` has no unit.
 
     Examples
     --------
@@ -209,7 +208,7 @@ def parted(column: str, time: bool = False) -> tuple[str, Unit | None]:
     if len(text) > _LONGEST:
         return text, None
     name, unit = _parted(text, time)
-    # neither is a coordinate a time, nor is a quotient of units (N/mm, counts/rev) one of them
+    # a coordinate is not a time, and a quotient of units (N/mm, counts/rev) is not a unit
     return (text, None) if unit and (unit.kind == "time") != time and not (time and name) else (name, unit)
 
 
@@ -228,7 +227,7 @@ def _parted(text: str, time: bool) -> tuple[str, Unit | None]:
 
 
 def _without_ending(text: str, time: bool) -> tuple[str, Unit | None]:
-    """The same for a unit at the end of a name."""
+    """As `parted`, for a unit at the end of a name."""
     allowed = _TIME_ENDINGS if time else _ENDINGS
     words = re.split(r"[_ ]+", text)
     for count in (2, 1):
@@ -260,7 +259,7 @@ def unit_in_file(column: str, cell: str, time: bool, source: str, *, strict: boo
     Raises
     ------
     InputError
-        If `strict` and the two differ, or times have a unit that is no time.
+        If `strict` and the two differ, or times have a unit that is not a unit of time.
     """
     by_name, by_row = parted(column, time)[1], unit_of(cell)
     if by_row is not None and not time and by_row.kind == "time":
@@ -269,19 +268,19 @@ def unit_in_file(column: str, cell: str, time: bool, source: str, *, strict: boo
         say = "time_unit" if time else "units"
         raise InputError(
             f"{source}: the column {quoted(column)} is in {by_name.text} by its name, but in {by_row.text} "
-            f"by the row below the header; correct one of them, or say it with {say}"
+            f"by the row below the header; correct one of them, or give the unit with {say}"
         )
     unit = by_row or by_name
     if strict and unit is not None and time and unit.kind != "time":
         raise InputError(
             f"{source}: the column {quoted(column)} is in {unit.text}, which is not a unit of time; give "
-            "another column, or say its unit with time_unit"
+            "another column, or its unit with time_unit"
         )
     return unit
 
 
 def is_units_row(cells: Sequence[str]) -> bool:
-    """Whether a row holds units: at least one is known, and nothing is a number or a date.
+    """Whether a row holds units: at least one is known, and no cell is a number or a date.
 
     Examples
     --------
@@ -311,7 +310,7 @@ def parts_of_date(value: object) -> tuple[int, bool]:
     Raises
     ------
     ValueError
-        If it is no date.
+        If it is not a date.
 
     Examples
     --------
@@ -340,9 +339,9 @@ def _nanoseconds(moment: datetime) -> int:
 
 @dataclass(frozen=True)
 class Clock:
-    """Turns the dates of a file into seconds from its first sample.
+    """Converts the dates of a file to seconds from its first sample.
 
-    Nanoseconds since 1970 are more than a float can hold: they are subtracted as whole numbers.
+    Nanoseconds since 1970 exceed the precision of a float, so they are subtracted as integers.
     """
 
     origin: int
@@ -350,7 +349,7 @@ class Clock:
 
     @classmethod
     def of(cls, first: object) -> Clock | None:
-        """The clock of a file by its first time; None if that is no date."""
+        """The clock of a file by its first time; None if that is not a date."""
         try:
             return cls(*parts_of_date(first))
         except ValueError:
@@ -362,7 +361,7 @@ class Clock:
         Raises
         ------
         ValueError
-            If it is no date, or has a time zone where the first one has none, or the other way round.
+            If it is not a date, or if only one of it and the first date has a time zone.
         """
         moment, zoned = parts_of_date(value)
         if zoned != self.zoned:

@@ -1,0 +1,142 @@
+"""How the error of the equations is distributed over frequencies.
+
+The fit takes the equation errors e_i as white, of density 1/w_i.  What a missing term, late forces or
+friction leave is slow, and what belts and gears add is fast: a forecast integrates the slow part.  With the
+residual r_i along the fitted curve, the density of a band b of frequencies is what one step of
+expectation-maximisation from the white error makes of it,
+
+    S_i(b) = Σ_b |r_i(f)|² / Σ_b (1 − h_i(f)) + (1 − η_i(b)) / w_i,        η_i = (1/w_i) / (1/w_i + N_i),
+
+r_i(f) the Fourier transform of the tapered residual of a trial over the root of its duration.  Free
+coefficients take the share h_i(f) from it, the leverage of their columns.  The share 1 − η_i is hidden by the
+noise of the samples, whose density in the equation is N_i(f) = Σ_j M_ij² (2π f)⁴ σ_j² Δ_j.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.intervals import first_points
+from leastaction.simulation.law import Spectrum
+
+__all__ = ["error_spectrum"]
+
+_LONGEST = 4096  # knot intervals of a transform
+_RATIO = 1.4  # of the ends of a band, at least
+_FEWEST = 8  # numbers that a density comes from: its standard error is half of it
+_LEAST = 0.1  # share of a band that the coefficients leave, at least
+_POINTS = 500  # along the curve, for the mass matrix
+
+
+def error_spectrum(fit: Fit) -> Spectrum:
+    """Spectral density of the equation errors of a fit; zero where a coordinate has no equation.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Spectrum
+        Above the frequencies that the knots can follow it is that of the fit, 1/w; at all frequencies if the
+        residual is not finite.
+    """
+    weights, prescribed = fit.weights.physics, list(fit.problem.prescribed)
+    white = np.divide(1.0, weights, out=np.zeros(weights.size), where=weights > 0.0)
+    white[prescribed] = 0.0
+    trials = list(_transforms(fit))
+    edges = _bands([frequencies for frequencies, *_ in trials])
+    finite = all(np.isfinite(part).all() for trial in trials for part in trial)
+    if not (finite and edges[-1] > 0.0):  # a single interval of knots has no spectrum
+        return Spectrum.white(white)
+    share = _visible(fit, white, edges)
+    left, squares = _powers(trials, weights, edges, share)
+    density = squares / left + (1.0 - share[:-1]) * white
+    density[:, prescribed] = 0.0
+    return Spectrum(edges, np.concatenate([density, white[None]]))
+
+
+def _transforms(fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Frequencies, and the scaled transforms of residual (n_freq, n_dof) and of the free columns.
+
+    Their squares, summed over frequencies of either sign, are the integrals over the time.
+    """
+    physics, index = fit.grid.physics(fit.structure)
+    spline, forces = fit.grid.spline, fit.grid.forces
+    coefficients, begin = fit.coefficients[index], 0
+    for space in spline.spaces:
+        step = float(np.diff(space.breakpoints[:2])[0])
+        pieces = -(-space.n_intervals // _LONGEST)
+        for part in np.array_split(np.arange(begin, begin + space.n_intervals), pieces):
+            chunk = slice(int(part[0]), int(part[-1]) + 1)
+            columns = physics.columns.strong(first_points(spline, fit.control_points, chunk))
+            residual = np.tensordot(coefficients, columns, 1)
+            if forces is not None:
+                residual = residual - forces.values[chunk, 0].T
+            both = np.concatenate([residual[None], columns[: len(fit.structure)]])
+            taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(part.size) + 0.5) / part.size)
+            values = np.fft.rfft(both * taper, axis=-1) * np.sqrt(step / part.size)
+            values[..., 1 : (part.size + 1) // 2] *= np.sqrt(2.0)  # for those of the other sign
+            yield np.fft.rfftfreq(part.size, step), values[0].T, np.moveaxis(values[1:], -1, 0)
+        begin += space.n_intervals
+
+
+def _bands(frequencies: list[np.ndarray]) -> np.ndarray:
+    """Lower ends of the bands, and the highest frequency; each band has some transforms at least."""
+    highest = min(f[-1] for f in frequencies)
+    every, counts = np.unique(np.concatenate(frequencies), return_counts=True)
+    numbers = counts * np.where(every > 0.0, 2, 1)
+    ends, inside = [0.0], 0
+    for middle, more in zip(0.5 * (every[:-1] + every[1:]), numbers, strict=False):
+        inside += int(more)
+        if middle >= highest:
+            break
+        if inside >= _FEWEST and middle >= _RATIO * ends[-1]:
+            ends.append(float(middle))
+            inside = 0
+    if inside < _FEWEST and len(ends) > 1:
+        ends.pop()
+    return np.array([*ends, highest])
+
+
+def _visible(fit: Fit, white: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """(n_bands + 1, n_dof) share of the error in the middle of a band that samples show; none beyond."""
+    data = fit.problem.trajectories
+    physics, index = fit.grid.physics(fit.structure)
+    mass = physics.columns.mass_matrix(fit.points(_POINTS), fit.coefficients[index])
+    interval = fit.grid.spline.duration / np.maximum(fit.grid.observations.counts[: data.n_dof], 1)
+    noise = np.mean(mass**2, axis=0) @ (
+        np.where(np.isnan(fit.position_std), np.inf, fit.position_std) ** 2 * interval
+    )
+    middle = 0.5 * (edges[:-1] + edges[1:])
+    hidden = (2.0 * np.pi * middle[:, None]) ** 4 * noise
+    share = np.where(white > 0.0, white / np.maximum(white + hidden, 1e-300), 0.0)
+    return np.concatenate([share, np.zeros((1, white.size))])
+
+
+def _powers(
+    trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
+    weights: np.ndarray,
+    edges: np.ndarray,
+    share: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Of each band and equation the numbers that coefficients leave, and the squares of the residual."""
+    n_bands = len(edges) - 1
+    bands = [np.minimum(np.searchsorted(edges, f, "right") - 1, n_bands) for f, *_ in trials]
+    weighed = [
+        x * np.sqrt(weights * share[b])[:, None, :] for b, (_, _, x) in zip(bands, trials, strict=True)
+    ]
+    products = [np.einsum("fmi,fni->mn", x.conj(), x).real for x in weighed]
+    normal: np.ndarray = np.sum(products, axis=0)
+    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    counts, left, squares = (np.zeros((n_bands + 1, weights.size)) for _ in range(3))
+    for (f, residual, _), b, x in zip(trials, bands, weighed, strict=True):
+        leverage = np.einsum("fmi,mn,fni->fi", x.conj(), inverse, x).real
+        numbers = np.where(f > 0.0, 2.0, 1.0)[:, None]
+        np.add.at(counts, b, np.broadcast_to(numbers, residual.shape))
+        np.add.at(left, b, numbers - leverage)
+        np.add.at(squares, b, np.abs(residual) ** 2)
+    return np.maximum(left, _LEAST * counts)[:-1], squares[:-1]

@@ -1,0 +1,88 @@
+"""The three statements of a verdict, on structure, equations and forecast, and what they are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from leastaction.findings.finding import Finding
+from leastaction.findings.wording import fill
+
+__all__ = ["STRUCTURES", "failed", "followed", "reach", "stated_error", "statements"]
+
+STRUCTURES = {
+    "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
+    "not among the candidates": (
+        *("missing-term", "time-dependent", "form-imitated", "simpler-form", "wrong-known-coefficient"),
+        *("energy-fed-in", "negative-dissipation", "swapped-forces"),
+    ),
+    "not determined by these data": (
+        *("hardly-determined", "scale-open", "form-open", "motion-in-noise"),
+        *("shape-undetermined", "shape-at-bound", "shape-not-settled"),
+    ),
+    "one of several that explain the data": ("competing-structures", "another-structure"),
+}
+"""What findings imply for the structure, the worst first."""
+_LITTLE = 1e-3  # of the forces: smaller equation errors have no finding
+
+
+def statements(findings: Iterable[Finding]) -> dict[str, str]:
+    """Summarise findings in a statement each on structure, equations and forecast.
+
+    Examples
+    --------
+    >>> statements([])
+    {'structure': 'determined', 'equations': 'hold to 0.1 % of the forces', 'forecast': 'not tested'}
+    """
+    found = tuple(findings)
+    codes = {finding.code for finding in found}
+    structure = next((words for words, some in STRUCTURES.items() if codes & {*some}), "determined")
+    runs = _values(found, "forecasts", "forecasts-fail")
+    if structure == "determined" and "equations-off" in codes and "forecasts" not in codes:
+        structure = "in doubt, since the equations do not hold"
+    left = [
+        fill("{equation_error:.2g%} of the forces (", finding.values) + ", ".join(finding.subject) + ")"
+        for finding in found
+        if "equation_error" in finding.values
+    ]
+    forecast = "not tested"
+    if runs is not None:
+        forecast = "simulations over " + off_by(runs)
+    elif (far := _values(found, "forecast-reach")) is not None:
+        forecast = reach(far) + " (by its intervals, not tested)"
+    equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
+    return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
+
+
+def _values(found: Iterable[Finding], *codes: str) -> dict[str, Any] | None:
+    return next(({**finding.values} for finding in found if finding.code in codes), None)
+
+
+def stated_error(f: dict[str, Any]) -> tuple[str, str, str]:
+    """Return which trials a simulation error is of, and the names of its figures: of all, of the worst."""
+    if f.get("left_out") is None:
+        return "fitted trials", "error", "worst"
+    return "trials left out of the fit", "left_out", "worst_left_out"
+
+
+def off_by(f: dict[str, Any]) -> str:
+    """State how far simulations are off, of trials left out of the fit where that is known."""
+    trials, error, worst = stated_error(f)
+    text = f"{{horizon:.2g}} s of {trials} are off by {{{error}:.2g%}} of the spread"
+    return fill(text + (f", {{{worst}:.2g%}} in the worst trial" if f.get("trials", 0) > 1 else ""), f)
+
+
+def followed(f: dict[str, Any]) -> str:
+    """State how well simulations follow the data."""
+    return "simulations started from states along the data, over " + off_by(f)
+
+
+def failed(f: dict[str, Any]) -> str:
+    """State that coefficients from some trials do not forecast the others."""
+    return "the law forecasts only trials that it was fitted to: simulations over " + off_by(f)
+
+
+def reach(f: dict[str, Any]) -> str:
+    """State how far ahead the model forecasts, according to its intervals."""
+    within = "forecasts are off by less than {share:.0f%} of the spread for "
+    return fill(within + ("{seconds:.2g} s and more" if f["to_the_end"] else "{seconds:.2g} s"), f)
