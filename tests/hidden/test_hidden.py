@@ -23,10 +23,10 @@ from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
 from leastaction.hidden import band
-from leastaction.hidden.band import curve_errors
+from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
-from leastaction.hidden.gauge import canonical, open_changes, reflections
+from leastaction.hidden.gauge import canonical, open_changes, reflections, simplest_zero
 from leastaction.hidden.shooting import Shooter, law_of
 from leastaction.hidden.windows import cut_windows
 from leastaction.selection.search import run_search
@@ -44,14 +44,14 @@ def without(data: Trajectories, hidden: int) -> Trajectories:
     return arranged(data, names)
 
 
-def set_up(system=PENDULUM, known=None, hidden: int = HIDDEN, noise: float = NOISE, **ranges):
+def set_up(system=PENDULUM, known=None, hidden: int = HIDDEN, noise: float = NOISE, more=(), **ranges):
     """Truth, and the problem without one coordinate; the form of the law is given."""
     truth = systems.simulate_truth(
         system, **({"trials": 2, "duration": 6.0, "rate": 50.0, "seed": 3} | ranges)
     )
     sigma = systems.noise_std(system, truth, noise)
     data = systems.measure(system, truth, sigma, seed=1)
-    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    library = la.Library([*system.lagrangian, *more], system.coordinates, angles=system.angles)
     known = system.known if known is None else known
     request = Request(library, known, hidden=[system.coordinates[hidden]])
     return truth, build_problem(without(data, hidden), request)
@@ -281,7 +281,53 @@ def test_a_sensor_makes_the_band_narrower(pendulum) -> None:
     assert np.median(seen) < np.median(hidden)
 
 
+def test_standard_errors_with_a_sensor_are_those_of_a_fit_with_it(pendulum) -> None:
+    truth, setup, fit = pendulum
+    expected = errors_with_sensor(fit, HIDDEN)
+    sigma = np.nanmax(fit.position_std) / truth[0].q[:, 0].std() * truth[0].q[:, 1].std()
+    data = systems.measure(PENDULUM, truth, np.array([NOISE, sigma]), seed=1)
+    request = Request(setup.library, PENDULUM.known)
+    problem = build_problem(data, request).problem
+    grid, structure = Grid.lay(problem, 25.0), Structure(problem.free)
+    curve = grid.smooth()
+    true = true_coefficients(problem)
+    seen = grid.fit(structure, grid.start(structure, curve.control_points, true, curve.noise_std))
+    assert seen.converged
+    assert np.all(expected < fit.standard_errors)
+    assert np.allclose(expected, seen.standard_errors, rtol=0.35)
+
+
 # ---------------------------------------------------------------- what is open
+@pytest.mark.parametrize("shift", [0.6, 2.8])
+def test_the_zero_of_a_hidden_angle_is_that_of_fewest_terms(shift) -> None:
+    """A law written about another zero has both sines; about its own it has none."""
+    system = PENDULUM
+    more = ["sin(theta2)", "theta1_dot*theta2_dot*sin(theta1-theta2)", "theta2_dot**2*cos(theta1-theta2)"]
+    truth, setup = set_up(more=more)
+    problem, law = setup.problem, system.lagrangian
+    coupling = next(text for text in law if "theta1_dot*theta2_dot" in text)
+    turned = law | {
+        "cos(theta2)": law["cos(theta2)"] * np.cos(shift),
+        "sin(theta2)": -law["cos(theta2)"] * np.sin(shift),
+        coupling: law[coupling] * np.cos(shift),
+        more[1]: law[coupling] * np.sin(shift),
+        more[2]: 0.0,
+    }
+    grid = Grid.lay(problem, 25.0)
+    curve = smooth(grid.spline, [t.t for t in truth], [t.q - [0.0, shift] for t in truth])
+    members = [k for k in problem.free if turned[problem.terms[k].text] != 0.0]
+    values = np.array([turned[term.text] for term in problem.terms])
+    fit = grid.fit(
+        Structure(members), grid.start(Structure(members), curve.control_points, values, np.ones(2))
+    )
+    found = simplest_zero(replace(fit, coefficients=values), HIDDEN)
+    assert found is not None
+    assert found.shift == pytest.approx(-shift, abs=0.01)
+    exact = np.array([law.get(term.text, 0.0) for term in problem.terms])
+    assert np.allclose(found.coefficients, exact, rtol=0.01)
+    assert set(found.members) == {k for k in problem.free if exact[k] != 0.0}
+
+
 def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None:
     _, setup, fit = pendulum
     (change,) = reflections(setup.problem, list(fit.structure))
@@ -382,10 +428,12 @@ def test_the_structure_of_a_measured_pendulum_is_found_without_its_second_encode
         "theta2_dot**2",
         "theta1_dot*theta2_dot",
         "theta1_dot*theta2_dot*cos(theta1-theta2)",
+        "theta1_dot*theta2_dot*sin(theta1-theta2)",
         "theta2_dot**2*cos(theta1-theta2)",
         "cos(theta1)",
         "cos(theta2)",
         "sin(theta1)",
+        "sin(theta2)",
         "cos(theta1-theta2)",
     ]
     library = la.Library(terms, ["theta1", "theta2"], angles=["theta1", "theta2"])
