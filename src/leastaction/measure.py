@@ -218,5 +218,11 @@ def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tu
             for k, (x, y) in enumerate(pairs)
         ]
     )
-    parts = (found.constraints, found.coordinates, found.angles, found.functions, found.constant)
-    return Linkage(*map(tuple, parts), found.loops)
+    return Linkage(
+        tuple(found.constraints),
+        tuple(found.coordinates),
+        tuple(found.angles),
+        tuple(found.functions),
+        tuple(found.constant),
+        found.loops,
+    )

@@ -28,6 +28,7 @@ from leastaction.hidden.chain import chain
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simplest_zero
 from leastaction.hidden.shooting import Shooter, law_of
+from leastaction.hidden.start import completed
 from leastaction.hidden.windows import cut_windows
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
@@ -226,6 +227,23 @@ def smooth_of(problem):
     return set_up(noise=0.0)[1].scales.smooth
 
 
+@pytest.mark.thorough
+def test_a_law_gives_the_motion_of_a_sensor_that_one_trial_lacks() -> None:
+    truth = systems.simulate_truth(PENDULUM, trials=2, duration=2.5, rate=40.0, seed=3)
+    data = systems.measure(PENDULUM, truth, np.zeros(2), seed=1)
+    items = [data[0], data[1].changed(q=np.where(np.arange(2) == HIDDEN, np.nan, data[1].q))]
+    library = la.Library(list(PENDULUM.lagrangian), PENDULUM.coordinates, angles=PENDULUM.angles)
+    setup = build_problem(items, Request(library, PENDULUM.known))
+    assert len(setup.searched.trajectories) == 1
+    problem, period = setup.problem, setup.scales.period
+    found = completed(problem, Structure(problem.free), period, true_coefficients(problem))
+    assert np.array_equal(found[0].q, data[0].q)
+    error = found[1].q[:, HIDDEN] - truth[1].q[:, HIDDEN]
+    error -= 2.0 * np.pi * np.round(np.median(error) / (2.0 * np.pi))
+    assert np.median(np.abs(error)) < 0.02
+    assert np.abs(error).max() < 0.2
+
+
 # ---------------------------------------------------------------- joint fit
 def test_the_joint_fit_recovers_law_and_motion(pendulum) -> None:
     truth, setup, fit = pendulum
@@ -395,16 +413,19 @@ def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
 
 
 @pytest.mark.thorough
-def test_a_sensor_in_some_recordings_only_is_used_where_it_is() -> None:
-    data = systems.generate(PENDULUM, noise=0.01, trials=3, duration=10.0, seed=1)
-    items = [*data[:2], data[2].changed(q=np.where(np.arange(2) == 1, np.nan, data[2].q))]
-    library = la.Library(list(PENDULUM.lagrangian), PENDULUM.coordinates, angles=PENDULUM.angles)
-    model = la.discover(items, library, known=PENDULUM.known)
+@pytest.mark.parametrize(
+    ("name", "missing"), [("chaotic_pendulum", 1), ("spherical_pendulum", 0), ("spherical_pendulum", 1)]
+)
+def test_a_sensor_in_some_recordings_only_is_used_where_it_is(name, missing) -> None:
+    system = systems.get(name)
+    data = systems.generate(system, noise=0.01, trials=3, duration=10.0, seed=1)
+    items = [*data[:2], data[2].changed(q=np.where(np.arange(2) == missing, np.nan, data[2].q))]
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    model = la.discover(items, library, known=system.known)
     assert model.fit.status == "ok", model.fit.warnings
     for term in model.terms:
         if not term.known:
-            exact = PENDULUM.lagrangian[term.expression]
-            assert abs(term.coefficient - exact) < 4.0 * term.standard_error
+            assert abs(term.coefficient - system.lagrangian[term.expression]) < 4.0 * term.standard_error
 
 
 @pytest.mark.thorough

@@ -16,14 +16,17 @@ Three other causes leave such residuals, too:
   motion that the known forces cause is therefore compared with the residual (instrumental variables;
   Söderström & Stoica 2002, Circuits Syst. Signal Process. 21:1). That part is estimated in other stretches of
   the recording than those in which it is used.
-* Chance. The stretches have to agree.
+  Vibration also shifts the coefficients of the law, so that the part of the states that is caused is removed.
+* Chance. The gain has to exceed all gains in what is left after any shift in time. A shift keeps the spectra
+  and nothing else.
 
-A machine that nothing drives is not tested: nothing distinguishes a mass from vibration there.
+A machine that nothing drives is not tested: nothing distinguishes a mass from vibration there. Forces that
+repeat themselves make shifts look like the truth, so that nothing is said.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, count, pairwise
 
@@ -35,18 +38,20 @@ from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.mechanics import Points
 from leastaction.selection.search_state import Search
-from leastaction.selection.significance import normal_cutoff
 
 __all__ = ["hidden_freedom"]
 
 _MOST_POINTS = 8000  # along the motion, each with all columns
-_PIECES = 8  # stretches that have to agree, at least
+_PIECES = 8  # stretches, at least: what is caused in one is estimated in the others
+_AWAY = 0.05  # of the data: shifts beyond this keep chance alone
+_DRY = 0.1  # of the root mean square velocity: width of the step of dry friction
 _FREQUENCIES, _DAMPINGS = 32, (0.02, 0.1, 0.3, 0.6)  # tried first
 _CLOSER = np.linspace(-0.3, 0.3, 25)  # of log ω: about the best of these
 _CLOSER_DAMPINGS = (0.01, 0.03, 0.07, 0.15, 0.25, 0.4, 0.6)  # with these dampings
 _BANK = 14  # frequencies of the filters that the known forces are passed through
 _BANK_DAMPINGS = (0.1, 0.6)  # and their dampings
 _FULL_DEGREE, _OWN_DEGREE = 2, 3  # of polynomials in all states, in those of one coordinate
+_CAUSED = 0.05  # share of a state, caused by known forces, below which it counts as nothing
 _RIDGE, _NULL = 1e-3, 1e-6  # relative: of filtered forces; rounding
 
 
@@ -108,23 +113,19 @@ def hidden_freedom(search: Search) -> list[Finding]:
     if not len(motion.inputs):
         return []
     scan = _Scan(motion, _residue_of_states(fit, motion))
-    frequencies = _frequencies(fit, motion)
-    drives = list(_drives(fit, motion))
-    sums = np.stack([scan.sums(drive, frequencies, _DAMPINGS) for drive in drives])
-    best = np.unravel_index(int(np.argmax(_gain(sums.sum(axis=-2)))), sums.shape[:3])
-    drive, middle = drives[best[0]], frequencies[best[1]]
-    closer = middle * np.exp(_CLOSER)
-    finer = scan.sums(drive, closer, _CLOSER_DAMPINGS)
-    at = np.unravel_index(int(np.argmax(_gain(finer.sum(axis=-2)))), finer.shape[:2])
-    explained = float(_gain(finer[at].sum(axis=0))) / scan.whole
-    z = _agreement(finer[at])
-    if explained < DIAGNOSIS.freedom_share or z < normal_cutoff(len(drives)):
+    frequencies, drives = _frequencies(fit, motion), list(_drives(fit, motion))
+    columns = [scan.columns(drive, *_paired(frequencies, _DAMPINGS)) for drive in drives]
+    gains = np.array([_gains(scan.residual, own)[:, 0] for own in columns])
+    which, at = np.unravel_index(int(np.argmax(gains)), gains.shape)
+    share, over_chance = float(gains.max()) / scan.whole, scan.over_chance(columns, columns[which][at])
+    if share < DIAGNOSIS.freedom_share or over_chance < DIAGNOSIS.freedom_chance:
         return []
-    hertz = float(closer[at[0]]) / (2.0 * np.pi)
+    drive = drives[which]
+    hertz, error = scan.frequency(drive, frequencies[at // len(_DAMPINGS)])
     name = fit.problem.coordinates[motion.equations[drive.equation]]
     new, terms = _proposed(fit, name, drive)
-    figures = {"frequency": hertz, "error": hertz * _jackknife(finer, closer), "share": explained}
-    return [find("hidden-freedom", name, hidden=new, terms=terms, standard_errors=z, **figures)]
+    figures = {"frequency": hertz, "error": error, "share": share, "over_chance": over_chance}
+    return [find("hidden-freedom", name, hidden=new, terms=terms, **figures)]
 
 
 def _proposed(fit: Fit, name: str, drive: _Drive) -> tuple[str, list[str]]:
@@ -188,6 +189,11 @@ def _frequencies(fit: Fit, motion: _Motion) -> np.ndarray:
     return _spaced(slowest, max(fastest, 3.0 * slowest), _FREQUENCIES)
 
 
+def _paired(frequencies: np.ndarray, dampings: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Every frequency with every damping."""
+    return np.repeat(frequencies, len(dampings)), np.tile(dampings, len(frequencies))
+
+
 def _spaced(slowest: float, fastest: float, number: int) -> FloatArray:
     return slowest * (fastest / slowest) ** (np.arange(number) / (number - 1))
 
@@ -205,18 +211,21 @@ def _drives(fit: Fit, motion: _Motion) -> Iterator[_Drive]:
 def _residue_of_states(fit: Fit, motion: _Motion) -> np.ndarray:
     """(n_columns, n_equations · n_points) orthonormal: what no mass is needed for.
 
-    Terms of the law, the rates of known forces, and polynomials in the state in every equation.
+    Terms of the law, and in every equation the rate of its known force, dry friction, and polynomials in the
+    state.
     """
     n = len(motion.equations)
     features: list[list[np.ndarray]] = []
+    rubbing: list[np.ndarray] = []
     for i, name in enumerate(fit.problem.coordinates):
         q, v = motion.q[:, i], motion.qdot[:, i]
         place = [np.sin(q), np.cos(q)] if name in fit.problem.candidates.turning else [_scaled(q)]
         features.append([*place, _scaled(v)])
+        rubbing.append(v / np.hypot(v, _DRY * np.sqrt(np.mean(v**2))))
     together = [column for own in features for column in own]
     columns = [*motion.terms]
     for row, i in enumerate(motion.equations):
-        own = [motion.force_rates[:, i]]
+        own = [motion.force_rates[:, i], *rubbing]
         own += list(_monomials(together, _FULL_DEGREE)) + list(_monomials(features[i], _OWN_DEGREE))
         columns += [np.outer(np.arange(n) == row, column) for column in own]
     return _orthonormal(np.array(columns).reshape(len(columns), -1))
@@ -232,13 +241,14 @@ def _monomials(factors: list[np.ndarray], degree: int) -> Iterator[np.ndarray]:
             yield np.prod(chosen, axis=0) if chosen else np.ones_like(factors[0])
 
 
-def _orthonormal(rows: np.ndarray) -> np.ndarray:
-    """Orthonormal rows of the same span."""
+def _orthonormal(rows: np.ndarray, least: float | None = None) -> np.ndarray:
+    """Orthonormal rows of the same span, less those of a mean square below ``least``."""
     size = np.linalg.norm(rows, axis=1)
-    rows = rows[np.isfinite(size) & (size > 0.0)]
-    rows = rows / np.linalg.norm(rows, axis=1)[:, None]
+    if least is None:
+        rows = rows[np.isfinite(size) & (size > 0.0)]
+        rows = rows / np.linalg.norm(rows, axis=1)[:, None]
     values, vectors = np.linalg.eigh(rows @ rows.T)
-    kept = values > _NULL * values[-1]
+    kept = values > (_NULL * values[-1] if least is None else least)
     return (vectors[:, kept] / np.sqrt(values[kept])).T @ rows
 
 
@@ -256,22 +266,55 @@ class _Scan:
         grams = [self.bank[:, own] @ self.bank[:, own].T for own in self.pieces]
         ridge = _RIDGE * np.eye(len(self.bank))
         self.others = [np.linalg.inv(sum(grams) - gram + ridge) for gram in grams]
+        shape = (len(states), *motion.residual.shape)
+        self.caused_states = _orthonormal(self.caused(states.reshape(shape)).reshape(states.shape), _CAUSED)
 
-    def sums(self, drive: _Drive, frequencies: np.ndarray, dampings: tuple[float, ...]) -> np.ndarray:
-        """(n_frequencies, n_dampings, n_pieces, 2) Σ r ĉ and Σ ĉ² of unit masses, in every stretch."""
+    def columns(self, drive: _Drive, omega: np.ndarray, zeta: np.ndarray) -> np.ndarray:
+        """(n_poles, n_equations, n_points) what unit masses leave, as far as the known forces cause it."""
         motion = self.motion
-        poles = np.repeat(frequencies, len(dampings)), np.tile(dampings, len(frequencies))
-        columns = _unit_forces(motion, drive, *poles)
-        whole = np.zeros((len(columns), *motion.residual.shape))
-        whole[:, drive.equation] = columns * motion.root[drive.equation]
-        free = self._free(whole.reshape(len(columns), -1)).reshape(whole.shape)
-        parts = [free[..., own] @ self.bank[:, own].T for own in self.pieces]
-        total, out = sum(parts), np.empty((len(columns), len(parts), 2))
-        for p, (own, inverse) in enumerate(zip(self.pieces, self.others, strict=True)):
-            caused = (total - parts[p]) @ inverse @ self.bank[:, own]
-            out[:, p, 0] = np.einsum("cip,ip->c", caused, self.residual[:, own])
-            out[:, p, 1] = np.einsum("cip,cip->c", caused, caused)
-        return out.reshape(len(frequencies), len(dampings), len(parts), 2)
+        pushed = _unit_forces(motion, drive, omega, zeta)
+        whole = np.zeros((len(pushed), *motion.residual.shape))
+        whole[:, drive.equation] = pushed * motion.root[drive.equation]
+        free = self._free(whole.reshape(len(whole), -1)).reshape(whole.shape)
+        caused = self.caused(free).reshape(len(whole), -1)
+        return (caused - (caused @ self.caused_states.T) @ self.caused_states).reshape(whole.shape)
+
+    def over_chance(self, columns: Sequence[np.ndarray], best: np.ndarray) -> float:
+        """The gain of one column over the largest gain of all in what it leaves, shifted by any time."""
+        product, square = np.sum(best * self.residual), np.sum(best**2)
+        left = self.residual - product / square * best
+        least = max(1, round(_AWAY * left.shape[-1]))
+        chance = max(float(_gains(left, own)[:, least:-least].max()) for own in columns)
+        return float(product**2 / square) / max(chance, 1e-300)
+
+    def frequency(self, drive: _Drive, about: float) -> tuple[float, float]:
+        """The frequency that explains most, near another one, and its jackknife error over the stretches."""
+        frequencies = about * np.exp(_CLOSER)
+        columns = self.columns(drive, *_paired(frequencies, _CLOSER_DAMPINGS))
+        shape = (len(self.pieces), _CLOSER.size, len(_CLOSER_DAMPINGS))
+        products, squares = (
+            np.array([np.sum((columns * x)[..., own], axis=(1, 2)) for own in self.pieces]).reshape(shape)
+            for x in (self.residual, columns)
+        )
+
+        def best(products: np.ndarray, squares: np.ndarray) -> float:
+            gain = np.maximum(products, 0.0) ** 2 / np.maximum(squares, 1e-300)
+            return float(frequencies[int(np.argmax(gain.max(axis=1)))])
+
+        total = products.sum(axis=0), squares.sum(axis=0)
+        left = [np.log(best(total[0] - a, total[1] - b)) for a, b in zip(products, squares, strict=True)]
+        width = _CLOSER[1] - _CLOSER[0]  # no finer than the frequencies that are tried
+        spread = float(np.sqrt((len(left) - 1) * np.var(left) + width**2 / 12.0))
+        hertz = best(*total) / (2.0 * np.pi)
+        return hertz, hertz * spread
+
+    def caused(self, rows: np.ndarray) -> np.ndarray:
+        """The part of (n_rows, n_equations, n_points) that known forces cause, by other stretches."""
+        parts = [rows[..., own] @ self.bank[:, own].T for own in self.pieces]
+        total, out = sum(parts), np.empty_like(rows)
+        for part, own, inverse in zip(parts, self.pieces, self.others, strict=True):
+            out[..., own] = (total - part) @ inverse @ self.bank[:, own]
+        return out
 
     def _free(self, rows: np.ndarray) -> np.ndarray:
         return rows - (rows @ self.states.T) @ self.states
@@ -282,7 +325,7 @@ class _Scan:
         span = np.array([s.stop - s.start for s in motion.trials]).min() / len(self.pieces)
         step = motion.t[1] - motion.t[0]
         frequencies = _spaced(np.pi / (span * step), np.pi / (3.0 * step), _BANK)
-        poles = _poles(np.repeat(frequencies, len(_BANK_DAMPINGS)), np.tile(_BANK_DAMPINGS, _BANK))
+        poles = _poles(*_paired(frequencies, _BANK_DAMPINGS))
         states = [_filtered(motion, values, poles) for values in motion.inputs]
         return _orthonormal(np.vstack([motion.inputs, *map(np.real, states), *map(np.imag, states)]))
 
@@ -319,23 +362,12 @@ def _filtered(motion: _Motion, push: np.ndarray, poles: np.ndarray) -> np.ndarra
     return np.concatenate(parts).T
 
 
-def _gain(sums: np.ndarray) -> np.ndarray:
-    """By how much a mass, which is positive, lowers the sum of squares."""
-    return np.maximum(sums[..., 0], 0.0) ** 2 / np.maximum(sums[..., 1], 1e-300)
+def _gains(residual: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """(n_columns, n_points) by how much each column lowers the sum of squares, for every shift in time.
 
-
-def _agreement(sums: np.ndarray) -> float:
-    """The mass that all stretches give together, over its standard error from their scatter."""
-    products, squares = sums.T
-    scatter = products - products.sum() / squares.sum() * squares
-    count = len(products)
-    return float(products.sum() / np.sqrt(np.sum(scatter**2) * count / (count - 1)))
-
-
-def _jackknife(sums: np.ndarray, frequencies: np.ndarray) -> float:
-    """Relative standard error of the frequency, from leaving out each stretch in turn."""
-    total, count = sums.sum(axis=-2), sums.shape[-2]
-    left = [_gain(total - sums[..., p, :]).max(axis=1) for p in range(count)]
-    peaks = np.array([np.log(frequencies[int(np.argmax(gains))]) for gains in left])
-    width = np.log(frequencies[1] / frequencies[0])  # no finer than the frequencies that are tried
-    return float(np.sqrt((count - 1) * np.var(peaks) + width**2 / 12.0))
+    A mass is positive: where it would have to be negative, so is the gain.
+    """
+    spectra = np.conj(np.fft.rfft(columns)) * np.fft.rfft(residual)
+    products = np.fft.irfft(spectra.sum(axis=1), columns.shape[-1])
+    squares = np.maximum(np.sum(columns**2, axis=(1, 2)), 1e-300)
+    return np.abs(products) * products / squares[:, None]

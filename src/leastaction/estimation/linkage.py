@@ -272,8 +272,8 @@ def _side(body: Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...
     if len(circles) < 2:
         return 0.0
     first, second = (c.centre + (bodies[c.anchor].track if c.anchor else np.zeros(2)) for c in circles[:2])
-    (ax, ay), (dx, dy) = (body.track - first).T, (second - first + np.zeros_like(body.track)).T
-    side = dx * ay - dy * ax
+    away, line = body.track - first, second - first + np.zeros_like(body.track)
+    side: np.ndarray = line[:, 0] * away[:, 1] - line[:, 1] * away[:, 0]
     left = float(np.mean(side[np.isfinite(side)] > 0.0))
     return 1.0 if left > _ONE_SIDE else -1.0 if left < 1.0 - _ONE_SIDE else 0.0
 

@@ -10,7 +10,8 @@ A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combi
 Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
 
 Where the zero of q_h is open, the law can be written about any: q_h = q_h' + c has coefficients λ'(c). The
-zero at which most of them vanish gives the law of fewest terms.
+zero at which most of them vanish gives the law of fewest terms. Half way to the half turn, sines take the
+place of cosines; of two laws with as many terms we choose the one with more terms that a mirror leaves.
 """
 
 from __future__ import annotations
@@ -226,10 +227,19 @@ def simplest_zero(fit: Fit, coordinate: int) -> Rewritten | None:
             laws.append(Rewritten(shift, coefficients, tuple(problem.free[kept].tolist())))
     laws = [law for law in laws if len(law.members) < len(fit.structure)]
 
-    def length(law: Rewritten) -> tuple[int, int]:
-        return len(law.members), len(canonical(problem, law.members, law.coefficients))
+    mirrored = [_is_mirrored(term, problem.coordinates) for term in problem.terms]
+
+    def length(law: Rewritten) -> tuple[int, int, int]:
+        signs = len(canonical(problem, law.members, law.coefficients))
+        return len(law.members), sum(not mirrored[k] for k in law.members), signs
 
     return min(laws, key=length, default=None)
+
+
+def _is_mirrored(term: Term, names: Sequence[str]) -> bool:
+    """Whether a term stays as it is where all coordinates change their signs, as a cosine does."""
+    swap = {s: -s for n in names for s in (sp.Symbol(n, real=True), sp.Symbol(f"{n}_dot", real=True))}
+    return sp.expand(term.expr.xreplace(swap) - term.expr) == 0
 
 
 def _about_zeros(fit: Fit, coordinate: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
