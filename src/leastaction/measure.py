@@ -5,12 +5,21 @@ They are expressions like any other: print them, change them, or write your own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
+import numpy as np
+
+from leastaction.curve.knots import lay_knots
+from leastaction.data.coerce import arranged
+from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
-from leastaction.identifiers import check_coordinate_names
+from leastaction.estimation.linkage import Assembly, Body, Constraint
+from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["camera", "imu"]
+__all__ = ["Linkage", "camera", "imu", "linkage"]
+
+_FLOOR = 1e-6  # of the spread of a column: least noise
 
 
 def camera(angles: Sequence[str], markers: Sequence[tuple[str, str]]) -> list[str]:
@@ -102,3 +111,118 @@ def imu(
     if not out:
         raise InputError("imu has no column; name that of tangential, radial or gyroscope")
     return out
+
+
+@dataclass(frozen=True)
+class Linkage:
+    """Constraints between tracked points, and coordinates that fulfil them.
+
+    Attributes
+    ----------
+    constraints : tuple of Constraint
+        With ``kind``, ``body``, ``anchors``, ``radii``, and ``deviation`` (from the constraint, over noise).
+    coordinates, angles : tuple of str
+        Coordinates that remain, and those of them that are angles from the vertical.
+    measure : tuple of str
+        Measurement functions, with start values of the calibration numbers.
+    constant : tuple of str
+        Columns to leave out, because they do not move.
+    loops : int
+        Points with a constraint that these coordinates do not fulfil.
+    """
+
+    constraints: tuple[Constraint, ...]
+    coordinates: tuple[str, ...]
+    angles: tuple[str, ...]
+    measure: tuple[str, ...]
+    constant: tuple[str, ...]
+    loops: int
+
+    def __str__(self) -> str:
+        lines = [_said(constraint) for constraint in self.constraints]
+        if self.loops:
+            lines.append(f"{self.loops} more than the coordinates fulfil: the loop has no unique solution")
+        lines.append(f"coordinates: {', '.join(self.coordinates) or 'none'}")
+        lines += [f'--measure "{text}"' for text in self.measure]
+        return "\n".join(lines + ([f"leave out: {', '.join(self.constant)}"] if self.constant else []))
+
+
+def _said(constraint: Constraint) -> str:
+    body = "(" + ", ".join(constraint.body) + ")"
+    about = [f"({', '.join(a)})" if a else "a fixed point" for a in constraint.anchors]
+    tied = " and ".join(f"{r:.4g} from {a}" for r, a in zip(constraint.radii, about, strict=True))
+    said = {"fixed": "does not move", "slides": "moves along a straight line", "turns": f"stays {tied}"}
+    said |= {"turns with": f"stays {tied} and turns with another point", "closes": f"stays {tied}"}
+    return f"{body} {said[constraint.kind]} (deviation {constraint.deviation:.2g} times the noise)"
+
+
+def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tuple[str, str]]) -> Linkage:
+    """Find what ties tracked points in a plane, and propose coordinates with their measurement functions.
+
+    Tested are: points at rest, points on a straight line, constant distances from a fixed point, from another
+    point, or from a place beside another point that only translates, and links that turn together. Deviations
+    may be up to three times those that noise explains. Where two rods tie a point, it is placed where their
+    circles meet, as in a four-bar linkage.
+
+    Parameters
+    ----------
+    trajectories : Trajectory, Trajectories or iterable of Trajectory
+        With the tracks as columns.
+    bodies : iterable of (str, str)
+        Columns of each point: horizontal, vertical.
+
+    Returns
+    -------
+    Linkage
+
+    Raises
+    ------
+    InputError
+        If a body is not given by two columns of the data, or a column occurs twice.
+
+    Notes
+    -----
+    Both columns must have the same unit, and the camera must stand still. Small motions cannot tell a circle
+    from a line. A column with a measurement function is no coordinate; those of free points remain.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from leastaction import Trajectory
+    >>> t = np.linspace(0.0, 6.0, 300)
+    >>> angle, noise = np.cos(4.0 * t), 1e-3 * np.random.default_rng(0).standard_normal((300, 2))
+    >>> track = 0.5 * np.column_stack([np.sin(angle), np.cos(angle)]) + noise
+    >>> found = linkage(Trajectory(t, track, coordinates=["x", "y"]), [("x", "y")])
+    >>> found.coordinates, round(found.constraints[0].radii[0], 2)
+    (('theta',), 0.5)
+    """
+    data = Trajectories.coerce(trajectories)
+    pairs = [tuple(check_coordinate_names(list(body))) for body in bodies]
+    names = [name for pair in pairs for name in pair]
+    for pair in pairs:
+        if len(pair) != 2:
+            raise InputError(f"a body has the columns {quoted(pair)}; give two, horizontal and vertical")
+    for name in names:
+        if name not in data.coordinates or names.count(name) > 1:
+            how = "is not a column of the data" if name not in data.coordinates else "occurs twice"
+            raise InputError(f"bodies name {quoted(name)}, which {how}; give each point two columns")
+    if not names:
+        raise InputError("bodies is empty; give the two columns of each point")
+    tracks = arranged(data.without_rates(), names)
+    tracks = Trajectories([run.changed(forces=None) for run in tracks])
+    values = np.concatenate([run.q for run in tracks])
+    noise = np.maximum(lay_knots(tracks, 5).smooth.noise_std, _FLOOR * np.nanstd(values, axis=0))
+    found = Assembly(
+        [
+            Body((x, y), values[:, 2 * k : 2 * k + 2], noise[2 * k : 2 * k + 2] ** 2)
+            for k, (x, y) in enumerate(pairs)
+        ]
+    )
+    return Linkage(
+        tuple(found.constraints),
+        tuple(found.coordinates),
+        tuple(found.angles),
+        tuple(found.functions),
+        tuple(found.constant),
+        found.loops,
+    )

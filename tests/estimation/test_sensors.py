@@ -13,6 +13,7 @@ from leastaction import systems
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.linkage import _circle
 from leastaction.estimation.protocols import linearise
 from leastaction.estimation.sensors import SensorFunctions
 from leastaction.estimation.structure import Structure
@@ -270,3 +271,104 @@ def test_a_filmed_double_pendulum_gives_lengths_and_tilt(seed) -> None:
             exact = pendulum.lagrangian[term.expression]
             assert abs(term.coefficient - exact) < 4.0 * term.standard_error
     assert np.all(np.abs(deviations(model, truth)) < 4.0)
+
+
+# ---------------------------------------------------------------- linkages
+TIMES = np.linspace(0.0, 8.0, 800)
+SWING, OTHER, SLIDE = 0.8 * np.sin(3.0 * TIMES), 1.1 * np.sin(4.1 * TIMES + 0.4), 0.3 * np.cos(2.2 * TIMES)
+
+
+def end_of(angle, length: float):
+    """From the pivot to the end of a link, as a complex number: right, and down."""
+    return length * (np.sin(angle) + 1j * np.cos(angle))
+
+
+def rocker(crank):
+    """The far joint of a four-bar linkage about pivots 0 and 0.9, by its two rods of 0.8 and 0.7."""
+    away = 0.9 - crank
+    middle = crank + away * (0.5 + (0.8**2 - 0.7**2) / (2.0 * abs(away) ** 2))
+    return middle + 1j * away / abs(away) * np.sqrt(0.8**2 - abs(middle - crank) ** 2)
+
+
+CRANK = end_of(2.0 * TIMES - 8.0, 0.3)
+LINKAGES = {
+    "double pendulum": (
+        [0.3 + end_of(SWING, 0.5), 0.3 + end_of(SWING, 0.5) + end_of(OTHER, 0.4)],
+        {"theta": SWING, "theta2": OTHER},
+        ["turns", "turns"],
+    ),
+    "marks on one link": (
+        [end_of(SWING, 0.5), end_of(SWING + 0.2, 0.8), end_of(SWING, 0.3)],
+        {"theta": SWING},
+        ["turns", "turns with", "turns with"],
+    ),
+    "cart, mark beside the pivot": (
+        [SLIDE + 0.2j, SLIDE + 0.1 + 0.3j + end_of(OTHER, 0.4)],
+        {"x0": SLIDE, "theta": OTHER},
+        ["slides", "turns"],
+    ),
+    "inclined slider": (
+        [SLIDE * (1.0 + 0.5j) + 0.2j, SLIDE * (1.0 + 0.5j) + 0.2j + end_of(OTHER, 0.4)],
+        {"x0": SLIDE, "theta": OTHER},
+        ["slides", "turns"],
+    ),
+    "four-bar linkage": (
+        [CRANK, rocker(CRANK)],
+        {"theta": 2.0 * TIMES - 8.0},
+        ["turns", "closes"],
+    ),
+    "rod that flies": (
+        [SLIDE + 1j * SWING, SLIDE + 1j * SWING + end_of(OTHER, 0.4)],
+        {"x0": SLIDE, "y0": SWING, "theta": OTHER},
+        ["turns"],
+    ),
+    "support": ([0.1 + 0.0j * SWING, 0.1 + end_of(SWING, 0.5)], {"theta": SWING}, ["fixed", "turns"]),
+}
+
+
+@pytest.mark.parametrize("name", LINKAGES)
+def test_a_linkage_is_found_and_its_functions_give_the_tracks(name) -> None:
+    points, motion, kinds = LINKAGES[name]
+    noise, rng = 1e-3, np.random.default_rng(2)
+    exact = np.column_stack([part for p in points for part in (p.real, p.imag)])
+    names = [f"{axis}{k}" for k in range(len(points)) for axis in "xy"]
+    run = la.Trajectory(TIMES, exact + noise * rng.standard_normal(exact.shape), coordinates=names)
+    found = la.measure.linkage(run, [(f"x{k}", f"y{k}") for k in range(len(points))])
+    assert [constraint.kind for constraint in found.constraints] == kinds
+    assert all(0.7 < constraint.deviation < 1.5 for constraint in found.constraints)
+    assert set(found.coordinates) == set(motion)
+    assert found.loops == 0
+    functions = SensorFunctions.parse(found.measure, found.coordinates)
+    assert {*functions.columns, *found.coordinates, *found.constant} >= set(names)
+    q = np.column_stack([motion[c] for c in found.coordinates])
+    numbers = np.array([functions.starts[n] for n in functions.names])
+    seen = functions.values(np.stack([q, 0.0 * q, 0.0 * q]), TIMES, numbers)
+    there = np.array([names.index(column) for column in functions.columns])
+    assert np.abs(seen - exact.T[there]).max() < 5.0 * noise
+
+
+def test_noise_does_not_bias_a_radius() -> None:
+    """The radius of the best algebraic circle is too small by noise² / arc², unless corrected."""
+    rng, noise = np.random.default_rng(0), 0.05
+    angle = rng.uniform(-0.6, 0.6, 40_000)
+    track = np.column_stack([np.sin(angle), np.cos(angle)]) + noise * rng.standard_normal((angle.size, 2))
+    design = np.column_stack([track, np.ones(angle.size)])
+    a, b, c = np.linalg.lstsq(design, (track**2).sum(axis=1), rcond=None)[0]
+    assert np.sqrt(c + (a**2 + b**2) / 4.0) < 0.9
+    found = _circle((), track, np.full(2, noise**2), given=False)
+    assert found.radius == pytest.approx(1.0, abs=0.03)
+    assert found.excess == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "message"),
+    [
+        ([], "empty"),
+        ([("u",)], "two"),
+        ([("u", "w")], "not a column"),
+        ([("u", "u")], "twice"),
+    ],
+)
+def test_bodies_that_are_no_pairs_of_columns_are_refused(bodies, message) -> None:
+    with pytest.raises(InputError, match=message):
+        la.measure.linkage(filmed(1.0, seconds=1.0), bodies)

@@ -4,26 +4,35 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.resources import as_file, files
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
 from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
+from leastaction.diagnosis import hidden_freedom as hidden_freedom_module
+from leastaction.diagnosis.hidden_freedom import hidden_freedom
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
 from leastaction.hidden import band
-from leastaction.hidden.band import curve_errors
+from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.chain import chain
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
-from leastaction.hidden.gauge import canonical, open_changes, reflections
+from leastaction.hidden.gauge import canonical, open_changes, reflections, simplest_zero
 from leastaction.hidden.shooting import Shooter, law_of
+from leastaction.hidden.start import completed
 from leastaction.hidden.windows import cut_windows
+from leastaction.selection.search import run_search
+from leastaction.selection.search_state import begin_search
+from leastaction.simulation.integrate import rk4
 
 PENDULUM = systems.get("chaotic_pendulum")
 HIDDEN = 1  # theta2
@@ -36,14 +45,14 @@ def without(data: Trajectories, hidden: int) -> Trajectories:
     return arranged(data, names)
 
 
-def set_up(system=PENDULUM, known=None, hidden: int = HIDDEN, noise: float = NOISE, **ranges):
+def set_up(system=PENDULUM, known=None, hidden: int = HIDDEN, noise: float = NOISE, more=(), **ranges):
     """Truth, and the problem without one coordinate; the form of the law is given."""
     truth = systems.simulate_truth(
         system, **({"trials": 2, "duration": 6.0, "rate": 50.0, "seed": 3} | ranges)
     )
     sigma = systems.noise_std(system, truth, noise)
     data = systems.measure(system, truth, sigma, seed=1)
-    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    library = la.Library([*system.lagrangian, *more], system.coordinates, angles=system.angles)
     known = system.known if known is None else known
     request = Request(library, known, hidden=[system.coordinates[hidden]])
     return truth, build_problem(without(data, hidden), request)
@@ -218,6 +227,23 @@ def smooth_of(problem):
     return set_up(noise=0.0)[1].scales.smooth
 
 
+@pytest.mark.thorough
+def test_a_law_gives_the_motion_of_a_sensor_that_one_trial_lacks() -> None:
+    truth = systems.simulate_truth(PENDULUM, trials=2, duration=2.5, rate=40.0, seed=3)
+    data = systems.measure(PENDULUM, truth, np.zeros(2), seed=1)
+    items = [data[0], data[1].changed(q=np.where(np.arange(2) == HIDDEN, np.nan, data[1].q))]
+    library = la.Library(list(PENDULUM.lagrangian), PENDULUM.coordinates, angles=PENDULUM.angles)
+    setup = build_problem(items, Request(library, PENDULUM.known))
+    assert len(setup.searched.trajectories) == 1
+    problem, period = setup.problem, setup.scales.period
+    found = completed(problem, Structure(problem.free), period, true_coefficients(problem))
+    assert np.array_equal(found[0].q, data[0].q)
+    error = found[1].q[:, HIDDEN] - truth[1].q[:, HIDDEN]
+    error -= 2.0 * np.pi * np.round(np.median(error) / (2.0 * np.pi))
+    assert np.median(np.abs(error)) < 0.02
+    assert np.abs(error).max() < 0.2
+
+
 # ---------------------------------------------------------------- joint fit
 def test_the_joint_fit_recovers_law_and_motion(pendulum) -> None:
     truth, setup, fit = pendulum
@@ -273,7 +299,53 @@ def test_a_sensor_makes_the_band_narrower(pendulum) -> None:
     assert np.median(seen) < np.median(hidden)
 
 
+def test_standard_errors_with_a_sensor_are_those_of_a_fit_with_it(pendulum) -> None:
+    truth, setup, fit = pendulum
+    expected = errors_with_sensor(fit, HIDDEN)
+    sigma = np.nanmax(fit.position_std) / truth[0].q[:, 0].std() * truth[0].q[:, 1].std()
+    data = systems.measure(PENDULUM, truth, np.array([NOISE, sigma]), seed=1)
+    request = Request(setup.library, PENDULUM.known)
+    problem = build_problem(data, request).problem
+    grid, structure = Grid.lay(problem, 25.0), Structure(problem.free)
+    curve = grid.smooth()
+    true = true_coefficients(problem)
+    seen = grid.fit(structure, grid.start(structure, curve.control_points, true, curve.noise_std))
+    assert seen.converged
+    assert np.all(expected < fit.standard_errors)
+    assert np.allclose(expected, seen.standard_errors, rtol=0.35)
+
+
 # ---------------------------------------------------------------- what is open
+@pytest.mark.parametrize("shift", [0.6, 2.8])
+def test_the_zero_of_a_hidden_angle_is_that_of_fewest_terms(shift) -> None:
+    """A law written about another zero has both sines; about its own it has none."""
+    system = PENDULUM
+    more = ["sin(theta2)", "theta1_dot*theta2_dot*sin(theta1-theta2)", "theta2_dot**2*cos(theta1-theta2)"]
+    truth, setup = set_up(more=more)
+    problem, law = setup.problem, system.lagrangian
+    coupling = next(text for text in law if "theta1_dot*theta2_dot" in text)
+    turned = law | {
+        "cos(theta2)": law["cos(theta2)"] * np.cos(shift),
+        "sin(theta2)": -law["cos(theta2)"] * np.sin(shift),
+        coupling: law[coupling] * np.cos(shift),
+        more[1]: law[coupling] * np.sin(shift),
+        more[2]: 0.0,
+    }
+    grid = Grid.lay(problem, 25.0)
+    curve = smooth(grid.spline, [t.t for t in truth], [t.q - [0.0, shift] for t in truth])
+    members = [k for k in problem.free if turned[problem.terms[k].text] != 0.0]
+    values = np.array([turned[term.text] for term in problem.terms])
+    fit = grid.fit(
+        Structure(members), grid.start(Structure(members), curve.control_points, values, np.ones(2))
+    )
+    found = simplest_zero(replace(fit, coefficients=values), HIDDEN)
+    assert found is not None
+    assert found.shift == pytest.approx(-shift, abs=0.01)
+    exact = np.array([law.get(term.text, 0.0) for term in problem.terms])
+    assert np.allclose(found.coefficients, exact, rtol=0.01)
+    assert set(found.members) == {k for k in problem.free if exact[k] != 0.0}
+
+
 def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None:
     _, setup, fit = pendulum
     (change,) = reflections(setup.problem, list(fit.structure))
@@ -341,16 +413,19 @@ def test_a_pendulum_without_one_encoder_is_found(hidden) -> None:
 
 
 @pytest.mark.thorough
-def test_a_sensor_in_some_recordings_only_is_used_where_it_is() -> None:
-    data = systems.generate(PENDULUM, noise=0.01, trials=3, duration=10.0, seed=1)
-    items = [*data[:2], data[2].changed(q=np.where(np.arange(2) == 1, np.nan, data[2].q))]
-    library = la.Library(list(PENDULUM.lagrangian), PENDULUM.coordinates, angles=PENDULUM.angles)
-    model = la.discover(items, library, known=PENDULUM.known)
+@pytest.mark.parametrize(
+    ("name", "missing"), [("chaotic_pendulum", 1), ("spherical_pendulum", 0), ("spherical_pendulum", 1)]
+)
+def test_a_sensor_in_some_recordings_only_is_used_where_it_is(name, missing) -> None:
+    system = systems.get(name)
+    data = systems.generate(system, noise=0.01, trials=3, duration=10.0, seed=1)
+    items = [*data[:2], data[2].changed(q=np.where(np.arange(2) == missing, np.nan, data[2].q))]
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    model = la.discover(items, library, known=system.known)
     assert model.fit.status == "ok", model.fit.warnings
     for term in model.terms:
         if not term.known:
-            exact = PENDULUM.lagrangian[term.expression]
-            assert abs(term.coefficient - exact) < 4.0 * term.standard_error
+            assert abs(term.coefficient - system.lagrangian[term.expression]) < 4.0 * term.standard_error
 
 
 @pytest.mark.thorough
@@ -374,10 +449,12 @@ def test_the_structure_of_a_measured_pendulum_is_found_without_its_second_encode
         "theta2_dot**2",
         "theta1_dot*theta2_dot",
         "theta1_dot*theta2_dot*cos(theta1-theta2)",
+        "theta1_dot*theta2_dot*sin(theta1-theta2)",
         "theta2_dot**2*cos(theta1-theta2)",
         "cos(theta1)",
         "cos(theta2)",
         "sin(theta1)",
+        "sin(theta2)",
         "cos(theta1-theta2)",
     ]
     library = la.Library(terms, ["theta1", "theta2"], angles=["theta1", "theta2"])
@@ -392,3 +469,74 @@ def test_the_structure_of_a_measured_pendulum_is_found_without_its_second_encode
     found = {term.expression: term.coefficient for term in model.terms if not term.known}
     assert found.keys() == published.keys()
     assert all(abs(found[text] / value - 1.0) < 0.01 for text, value in published.items())
+
+
+# ------------------------------------------------------- a degree of freedom that nobody declared
+STIFFNESS, MASS, INNER, OWN, DAMPING = 20.0, 1.0, 0.3, 9.0, 0.2  # of a box on a spring, and a mass in it
+
+
+def box(inside: bool, force_from_outside: float = 0.0, dry: float = 0.0) -> Trajectories:
+    """Recordings of a driven box that holds a mass on a spring, or one that is fastened."""
+    rng = np.random.default_rng(5)
+    t, trials = np.arange(0.0, 10.0, 0.02), 3
+    fine = np.arange(0.0, 10.0, 0.002)
+    given = np.zeros((trials, fine.size))
+    for w in rng.uniform(1.0, 10.0, (5, trials, 1)):
+        given += 3.0 * np.sin(w * fine + rng.uniform(0.0, 6.0, (trials, 1)))
+    shaken = rng.standard_normal((trials, fine.size))
+    for _ in range(2):  # two passes: a hump about 7 rad/s
+        shaken = lfilter([1.0], [1.0, -2.0 * 0.995 * np.cos(0.014), 0.995**2], shaken, axis=1)
+    given_and_more = given + force_from_outside * shaken / shaken.std()
+    own = np.sqrt(OWN / INNER) if inside else 1e-9
+    total = MASS if inside else MASS + INNER
+
+    def accelerate(q, v, f):
+        coupling = INNER * (own**2 * q[..., 1] + DAMPING * own * v[..., 1]) if inside else 0.0
+        friction = dry * np.tanh(v[..., 0] / 0.01)
+        x = (f[..., 0] - STIFFNESS * q[..., 0] - 0.4 * v[..., 0] - friction + coupling) / total
+        return np.stack([x, -x - own**2 * q[..., 1] - DAMPING * own * v[..., 1]], axis=-1)
+
+    between = CubicSpline(fine, given_and_more.T)
+    start = np.zeros((trials, 2))
+    q, _ = rk4(
+        accelerate, start, start, t, forces=lambda s: np.stack([between(s), 0.0 * between(s)], axis=-1)
+    )
+    x = q[..., 0].T + 0.002 * rng.standard_normal((trials, t.size))
+    runs = zip(x, given[:, ::10], strict=True)
+    return Trajectories([la.Trajectory(t, a[:, None], forces=f[:, None], coordinates=["x"]) for a, f in runs])
+
+
+def noticed(data: Trajectories) -> list:
+    request = Request(la.Library(["x_dot**2", "x**2"], ["x"]), {}, ["x_dot**2/2"])
+    return hidden_freedom(run_search(begin_search(build_problem(data, request))))
+
+
+@pytest.mark.thorough
+def test_a_mass_inside_a_box_is_noticed_with_its_frequency() -> None:
+    (finding,) = noticed(box(inside=True))
+    true = np.sqrt(OWN / INNER) / (2.0 * np.pi)
+    assert abs(finding.values["frequency"] - true) < 3.0 * finding.values["error"]
+    assert finding.values["error"] < 0.1 * true
+    assert finding.values["terms"] == ("z_dot**2", "x_dot*z_dot", "z**2")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("fault", [{"force_from_outside": 1.5}, {"dry": 1.0}], ids=["vibration", "friction"])
+def test_a_mass_that_is_fastened_is_not_noticed(fault) -> None:
+    assert not noticed(box(inside=False, **fault))
+
+
+def test_filtered_motion_is_that_of_an_oscillator() -> None:
+    """ẍ + 2ζω ẋ + ω² x = −t from rest has a closed solution, and a push linear in time is met exactly."""
+    t = np.linspace(0.0, 3.0, 40)
+    omega, zeta = 4.0, 0.2
+    motion = SimpleNamespace(t=np.concatenate([t, t]), trials=[slice(0, 40), slice(40, 80)])
+    pole = hidden_freedom_module._poles(np.array([omega]), np.array([zeta]))
+    state = hidden_freedom_module._filtered(motion, np.concatenate([t, 0.0 * t]), pole)[0]
+    found = -state.imag / pole[0].imag
+    rate = omega * np.sqrt(1.0 - zeta**2)
+    decay = np.exp(-zeta * omega * t)
+    a, b = 2.0 * zeta / omega**3, (2.0 * zeta**2 - 1.0) / (omega**2 * rate)
+    exact = -(t / omega**2 - a + decay * (a * np.cos(rate * t) + b * np.sin(rate * t)))
+    assert np.allclose(found[:40], exact, atol=1e-12)
+    assert not found[40:].any()

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.calibration import plausible_sizes
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
-from leastaction.hidden.band import curve_errors
+from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.gauge import open_changes, reflections
 from leastaction.selection.search_state import Search
 
-__all__ = ["about_hidden", "about_sensors"]
+__all__ = ["about_hidden", "about_knots", "about_sensors"]
 
 
 def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
@@ -39,6 +41,14 @@ def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
     return out
 
 
+def about_knots(search: Search) -> list[Finding]:
+    """Whether finer knots still changed the coefficients: a doubt where samples do not hold the curve."""
+    if search.knots_settled or not search.found.converged:
+        return []
+    note = find("knots-not-settled")
+    return [replace(note, severity="warning") if search.found.problem.hidden else note]
+
+
 def about_hidden(search: Search) -> list[Finding]:
     """One finding for each hidden coordinate, and one for what is open of it."""
     fit = search.found
@@ -53,7 +63,8 @@ def about_hidden(search: Search) -> list[Finding]:
         own = [float(e[column]) for e in errors]
         kinds = [change.kind for change in discrete if change.coordinate == i]
         typical = float(np.median(own))
-        out.append(find("hidden-coordinate", names[i], standard_error=typical, gauge=kinds))
+        sensor = _gain_of_sensor(fit, i)
+        out.append(find("hidden-coordinate", names[i], standard_error=typical, gauge=kinds, **sensor))
         if names[i] in changes:
             out.append(find("hidden-gauge", names[i], changes=list(changes[names[i]])))
         loose = [
@@ -64,3 +75,13 @@ def about_hidden(search: Search) -> list[Finding]:
         if loose:
             out.append(find("hidden-motion-open", names[i], trials=len(loose), of=len(own), error=typical))
     return out
+
+
+def _gain_of_sensor(fit: Fit, coordinate: int) -> dict[str, str | float]:
+    """The coefficient whose standard error a sensor would reduce most, and by which factor."""
+    with_it = errors_with_sensor(fit, coordinate)
+    if not fit.usable or not np.isfinite(with_it).all() or not with_it.all():
+        return {}
+    factors = fit.standard_errors / with_it
+    most = int(np.argmax(factors))
+    return {"term": fit.problem.terms[fit.structure.members[most]].text, "factor": float(factors[most])}

@@ -13,7 +13,8 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
-from leastaction.diagnosis.hidden import about_hidden, about_sensors
+from leastaction.diagnosis.hidden import about_hidden, about_knots, about_sensors
+from leastaction.diagnosis.hidden_freedom import hidden_freedom
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
@@ -98,8 +99,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
-    if not search.knots_settled and fit.converged:
-        found.append(find("knots-not-settled"))
+    found += about_knots(search)
     found += about_sensors(fit, np.sqrt(chi2))
     found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
@@ -143,7 +143,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
         named = perhaps_angles(fit.problem.candidates)
         found = found or undeclared_angles(search, named) or lacking_family(search)
         found = found or undeclared_angles(search, () if named else fit.problem.coordinates)
-        found = found or time_dependence(search)
+        found = found or time_dependence(search) or hidden_freedom(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.

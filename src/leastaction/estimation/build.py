@@ -22,6 +22,7 @@ from leastaction.estimation.hidden import (
     check_hidden_terms,
     knots_of_all,
     refuse_prescribed,
+    with_every_sensor,
     with_hidden,
 )
 from leastaction.estimation.problem import Problem
@@ -135,7 +136,8 @@ def build_problem(
         seen, left_out = leave_out_outliers(seen, request.degree, most_samples)
         findings += left_out
     trajectories = anchored(joined(seen, trajectories), library, hidden)
-    searched = trajectories if most_samples is None else excerpt(trajectories, most_samples)
+    searched = trajectories if hidden or seen_by is not None else with_every_sensor(trajectories)
+    searched = searched if most_samples is None else excerpt(searched, most_samples)
     scales = knots_of_all(lay_knots(arranged(searched, measured), request.degree), hidden)
     library, known, smoothed = _smooth_friction(library, known, scales.rates)
     states = states_along(library.coordinates, scales)
@@ -323,8 +325,7 @@ def _check_data(trajectories: Trajectories, hidden: tuple[int, ...]) -> None:
             _check_range(forces, f"the force on {name!r}")
     _check_range([np.array(trajectories.sampling_interval)], "the sampling interval")
     for rate in trajectories.rates:
-        kind = "velocity" if rate.derivative == 1 else "acceleration"
-        _check_range(rate.values, f"the {kind} of {trajectories.coordinates[rate.coordinate]!r}")
+        _check_range(rate.values, f"the {rate.quantity} of {trajectories.coordinates[rate.coordinate]!r}")
 
 
 def _check_range(parts: Sequence[np.ndarray], what: str) -> None:

@@ -14,7 +14,15 @@ from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names, quoted
 from leastaction.library import Library
 
-__all__ = ["anchored", "check_hidden_terms", "knots_of_all", "refuse_prescribed", "with_hidden"]
+__all__ = [
+    "anchored",
+    "check_hidden_terms",
+    "knots_of_all",
+    "lacking",
+    "refuse_prescribed",
+    "with_every_sensor",
+    "with_hidden",
+]
 
 
 def with_hidden(
@@ -82,22 +90,33 @@ def refuse_prescribed(names: Sequence[str], hidden: Sequence[int], prescribed: S
 
 
 def anchored(trajectories: Trajectories, library: Library, hidden: Sequence[int]) -> Trajectories:
-    """The trajectories, with a hidden coordinate zero at the start if candidates contain only its rate.
+    """The trajectories; a coordinate without samples is zero at the start if candidates hold only its rate.
 
     The zero of such a coordinate is arbitrary. Without this choice, the normal matrix of the curve would be
     singular.
     """
     terms = (*library.terms, *library.dissipation)
     used = {symbol.name for term in terms for symbol in term.expr.free_symbols}
-    cyclic = [i for i in hidden if trajectories.coordinates[i] not in used]
-    if not cyclic:
+    cyclic = {i for i, name in enumerate(trajectories.coordinates) if name not in used}
+    if not any(cyclic & {*hidden, *lacking(item)} for item in trajectories):
         return trajectories
     items: list[Trajectory] = []
     for item in trajectories:
         q = item.q.copy()
-        q[0, cyclic] = 0.0
+        q[0, list(cyclic & set(lacking(item)))] = 0.0
         items.append(item.changed(q=q))
     return Trajectories(items)
+
+
+def lacking(item: Trajectory) -> tuple[int, ...]:
+    """Coordinates without samples in a trajectory; a single one only fixes a zero, see `anchored`."""
+    return tuple(np.flatnonzero(np.isfinite(item.q).sum(axis=0) <= 1).tolist())
+
+
+def with_every_sensor(trajectories: Trajectories) -> Trajectories:
+    """The trajectories in which every coordinate has samples; all, if there are none."""
+    whole = [item for item in trajectories if not lacking(item)]
+    return trajectories if len(whole) in (0, len(trajectories)) else Trajectories(whole)
 
 
 def _refuse_samples(trajectories: Trajectories, name: str) -> None:

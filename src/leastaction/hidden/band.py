@@ -1,4 +1,4 @@
-"""Posterior standard deviation of the coordinates of a fitted curve.
+"""Posterior standard deviation of the coordinates of a fitted curve, and what a further sensor would add.
 
 With the curve's block H of the normal matrix, its border C and the covariance Σ of the coefficients,
 
@@ -15,12 +15,14 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.bspline import SplineSpace
+from leastaction.estimation.blocks import observe
 from leastaction.estimation.elimination import BandedFactor, NormalEquations
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.joint import linearise
 from leastaction.estimation.recipes import Recipe
 
-__all__ = ["curve_errors", "normal_of"]
+__all__ = ["curve_errors", "errors_with_sensor", "normal_of"]
 
 
 def curve_errors(fit: Fit, coordinates: Sequence[int], times: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -57,6 +59,26 @@ def _band(space: SplineSpace, inverse: np.ndarray, times: np.ndarray) -> np.ndar
         for d in range(width - a):
             out += (2.0 if d else 1.0) * basis[:, a] * basis[:, a + d] * inverse[first + a, d]
     return out
+
+
+def errors_with_sensor(fit: Fit, coordinate: int) -> np.ndarray:
+    """(n_members,) standard errors of the coefficients, had a hidden coordinate been measured.
+
+    Its samples are those of the fitted curve, at all times, with noise of the same share of the spread as
+    that of the other coordinates (median). Weights of the equations stay as they are.
+    """
+    data = fit.problem.trajectories
+    curves = list(fit.curves())
+    spread = np.sqrt(np.mean([np.var(curve, axis=0) for curve in curves], axis=0))
+    noise = fit.weights.noise_std.copy()
+    noise[coordinate] = float(np.nanmedian(fit.position_std / spread)) * spread[coordinate]
+    own = np.arange(data.n_dof) == coordinate
+    values = [np.where(own, curve, t.q) for t, curve in zip(data, curves, strict=True)]
+    seen = observe(fit.grid.spline, [t.t for t in data], values, data.rates, fit.problem.crew)
+    physics, index = fit.grid.physics(fit.structure)
+    weights = replace(fit.weights, noise_std=noise)
+    there = fit_joint(seen, physics, weights, fit.control_points, fit.coefficients[index], max_steps=0)
+    return np.sqrt(np.clip(np.diag(there.covariance), 0.0, None))
 
 
 def normal_of(fit: Fit, trial: int) -> NormalEquations:

@@ -8,12 +8,17 @@ their generators
 
 A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms.
 Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
+
+Where the zero of q_h is open, the law can be written about any: q_h = q_h' + c has coefficients λ'(c). The
+zero at which most of them vanish gives the law of fewest terms. Half way to the half turn, sines take the
+place of cosines; of two laws with as many terms we choose the one with more terms that a mirror leaves.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import sympy as sp
@@ -24,10 +29,13 @@ from leastaction.library import Term
 from leastaction.mechanics import Points
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Reflection", "canonical", "open_changes", "reflections"]
+__all__ = ["Reflection", "Rewritten", "canonical", "open_changes", "reflections", "simplest_zero"]
 
 _STATES = 200  # along the motion, at which equations are compared
 _MATTERS = 0.2  # of the largest coefficient of the same kind
+_ZEROS = 72  # shifts that are compared; between them the coefficients are interpolated
+_VANISHES = 0.05  # of the largest value of a coefficient over all zeros
+_REACH = 3.0  # of the spread of a hidden length: its zero is looked for up to here
 _EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
 
 OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
@@ -177,3 +185,90 @@ def _states_about(fit: Fit) -> Points:
     along = np.array(fit.points(_STATES).columns).reshape(3, n, -1)
     parts = [rng.permuted(block, axis=1).T for block in along]
     return Points(parts[0], parts[1], parts[2], np.zeros(along.shape[2]))
+
+
+class Rewritten(NamedTuple):
+    """A law about another zero of a hidden coordinate.
+
+    Attributes
+    ----------
+    shift : float
+        The new zero, in the old coordinate.
+    coefficients : (n_candidates,) array
+    members : tuple of int
+        Free candidates whose coefficients do not vanish.
+    """
+
+    shift: float
+    coefficients: np.ndarray
+    members: tuple[int, ...]
+
+
+def simplest_zero(fit: Fit, coordinate: int) -> Rewritten | None:
+    """The law about the zero of a hidden coordinate with which it has fewest terms.
+
+    None if the candidates cannot write it about other zeros, or if none has fewer terms.
+    """
+    problem, known = fit.problem, np.nan_to_num(fit.problem.known)
+    shifts, found, sizes = _about_zeros(fit, coordinate)
+    if not found.size:
+        return None
+    largest = np.abs(found).max(axis=0)
+    matters = largest * sizes > _EXACT * (largest * sizes).max()
+    laws: list[Rewritten] = []
+    for k in np.flatnonzero(matters):
+        for n in np.flatnonzero(found[:-1, k] * found[1:, k] < 0.0):
+            there = found[n, k] / (found[n, k] - found[n + 1, k])
+            values = found[n] + there * (found[n + 1] - found[n])
+            kept = matters & (np.abs(values) > _VANISHES * largest)
+            coefficients = known.copy()
+            coefficients[problem.free[kept]] = values[kept]
+            shift = float(shifts[n] + there * (shifts[n + 1] - shifts[n]))
+            laws.append(Rewritten(shift, coefficients, tuple(problem.free[kept].tolist())))
+    laws = [law for law in laws if len(law.members) < len(fit.structure)]
+
+    mirrored = [_is_mirrored(term, problem.coordinates) for term in problem.terms]
+
+    def length(law: Rewritten) -> tuple[int, int, int]:
+        signs = len(canonical(problem, law.members, law.coefficients))
+        return len(law.members), sum(not mirrored[k] for k in law.members), signs
+
+    return min(laws, key=length, default=None)
+
+
+def _is_mirrored(term: Term, names: Sequence[str]) -> bool:
+    """Whether a term stays as it is where all coordinates change their signs, as a cosine does."""
+    swap = {s: -s for n in names for s in (sp.Symbol(n, real=True), sp.Symbol(f"{n}_dot", real=True))}
+    return sp.expand(term.expr.xreplace(swap) - term.expr) == 0
+
+
+def _about_zeros(fit: Fit, coordinate: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Shifts; (n_shifts, n_free) coefficients of the law after them; (n_free,) root mean square of each term.
+
+    No coefficients where the candidates cannot write the shifted law.
+    """
+    problem, points = fit.problem, _states_about(fit)
+    free, known = problem.free, np.nan_to_num(problem.known)
+    if problem.coordinates[coordinate] in problem.candidates.turning:
+        shifts = np.linspace(-np.pi, np.pi, _ZEROS + 1)
+    else:
+        spread = float(np.mean([curve[:, coordinate].std() for curve in fit.curves()]))
+        shifts = spread * np.linspace(-_REACH, _REACH, _ZEROS + 1)
+    columns = problem.candidates.strong(points).reshape(len(problem.candidates), -1)
+    sizes = np.sqrt((columns[free] ** 2).mean(axis=1)) + 1e-300
+    solve = np.linalg.pinv((columns[free] / sizes[:, None]).T, rcond=1e-10) / sizes[:, None]
+    laws = np.array([_law_about(fit, points, coordinate, shift) for shift in shifts])
+    moved = laws - known @ columns
+    found = moved @ solve.T
+    left = np.sqrt(np.mean((moved - found @ columns[free]) ** 2))
+    if not left <= _EXACT * np.sqrt(np.mean(laws**2)):
+        return shifts, np.zeros((0, len(free))), sizes
+    return shifts, found, sizes
+
+
+def _law_about(fit: Fit, points: Points, coordinate: int, shift: float) -> np.ndarray:
+    """The equations of the law with the coordinate shifted."""
+    q, qdot, qddot = (part.T.copy() for part in np.array(points.columns).reshape(3, points.n_dof, -1))
+    q[:, coordinate] += shift
+    strong = fit.problem.candidates.strong(Points(q, qdot, qddot, np.zeros(len(q))))
+    return np.tensordot(fit.coefficients, strong, 1).ravel()

@@ -11,11 +11,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth
+from leastaction.data.coerce import arranged
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.estimation.hidden import knots_of_all, lacking
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
 from leastaction.hidden.chain import Chained, chain
@@ -25,7 +29,7 @@ from leastaction.hidden.settings import HIDDEN
 from leastaction.hidden.shooting import Shooter, Solutions, law_of
 from leastaction.hidden.windows import Windows, cut_windows
 
-__all__ = ["HiddenStart", "find_start", "follow_again"]
+__all__ = ["HiddenStart", "completed", "find_start", "follow_again"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +92,33 @@ def follow_again(
     """
     hunt = _Hunt(problem, list(structure), smooth, period, np.random.default_rng(1))
     return _started(hunt, coefficients[None, hunt.members], confirmed=True)
+
+
+def completed(
+    problem: Problem, structure: Structure, period: float, coefficients: np.ndarray
+) -> Trajectories:
+    """The data, with the motion of a given law for coordinates that have a sensor in other trials only.
+
+    Parameters
+    ----------
+    problem : Problem
+    structure : Structure
+    period : float
+        Of the motion, in seconds.
+    coefficients : (n_candidates,) array
+    """
+    items: list[Trajectory] = []
+    for item in problem.trajectories:
+        missing = lacking(item)
+        alone, q = Trajectories([item]), item.q.copy()
+        if missing and len(missing) < item.n_dof:
+            seen = arranged(alone, [name for i, name in enumerate(item.coordinates) if i not in missing])
+            knots = knots_of_all(lay_knots(seen, problem.degree), missing)
+            one = replace(problem.on(alone), hidden=missing)
+            hunt = _Hunt(one, list(structure), knots.smooth, period, np.random.default_rng(1))
+            q[:, list(missing)] = hunt.followed(coefficients[None, list(structure)]).values[0]
+        items.append(item.changed(q=q))
+    return Trajectories(items)
 
 
 def _started(hunt: _Hunt, given: np.ndarray, confirmed: bool) -> HiddenStart:
@@ -161,6 +192,14 @@ class _Hunt:
                 given = shooter.fit(chained.chosen, self.sizes[members], HIDDEN.last[3])
         values[members] = given.coefficients[0]
         return values, chained
+
+    def followed(self, coefficients: np.ndarray) -> Chained:
+        """The motion of a law along every trajectory, its (1, n_members) coefficients held."""
+        mechanics = law_of(self.problem, self.all_members)
+        shooter = Shooter(mechanics, self.windows(HIDDEN.last[0], None), self.scales.unit)
+        rounds = 2 * HIDDEN.state_rounds
+        found = shooter.screen(coefficients, self._begins()[None], HIDDEN.branches, rounds)
+        return chain(shooter, found, self.scales, [t.t for t in self.problem.trajectories])
 
     def _begins(self) -> np.ndarray:
         return draw_begins(self.scales, self.problem.hidden, self.rng)

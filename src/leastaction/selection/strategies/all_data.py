@@ -1,4 +1,7 @@
-"""Fit and select again on all data, from a structure that was found on pieces of them.
+"""Fit and select again on all data, from a structure that was found on a part of them.
+
+That part is made of pieces of long recordings, or of the recordings in which no sensor is missing. In the
+others the law that was found gives the motion of the coordinate without a sensor.
 
 The knots stay: with a factor of 1.4 between grids and errors that fall with a high power of the spacing,
 what still moves by a tenth of a standard error leaves a bias of some hundredths.
@@ -17,6 +20,7 @@ import numpy as np
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.weights import Start
+from leastaction.hidden.start import completed
 from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import feeding_friction, irrelevant_terms
@@ -41,7 +45,8 @@ def run(search: Search) -> Search:
 def _start(search: Search, grid: Grid) -> Start:
     """The law on the curve through all samples, which are smoothed as strongly as the pieces were."""
     found = search.found
-    points = grid.smooth(search.scales.smooth.penalty).control_points
+    data = completed(grid.problem, found.structure, search.scales.period, found.coefficients)
+    points = grid.posed(grid.problem.on(data)).smooth(search.scales.smooth.penalty).control_points
     longer = grid.spline.n_ctrl / len(found.control_points)
     slack, physics = found.weights.slack, found.weights.physics
     # w grows in proportion to the data where equations are exact, and not at all where an error shows;

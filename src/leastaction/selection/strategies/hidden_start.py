@@ -20,8 +20,10 @@ from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start, evidence, update_weights
 from leastaction.findings import find
+from leastaction.hidden.gauge import simplest_zero
 from leastaction.hidden.start import HiddenStart, find_start, follow_again
-from leastaction.selection.likelihood_refinement import refine
+from leastaction.selection.likelihood_refinement import refine, value
+from leastaction.selection.progress import Progress
 from leastaction.selection.search_state import Search, equations_hold
 
 __all__ = ["run"]
@@ -58,12 +60,27 @@ def run(search: Search) -> Search:
         if equations_hold(best[0]):
             break
     assert best is not None
-    fit, curve = refine(best[0], search.report), best[1]
+    fit, curve = _at_simplest_zero(refine(best[0], search.report), search.report), best[1]
     scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
     names = [problem.coordinates[i] for i in problem.hidden]
     notes = () if confirmed else (find("hidden-start-unconfirmed", names),)
     findings = (*search.findings, *notes)
     return replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
+
+
+def _at_simplest_zero(fit: Fit, report: Progress) -> Fit:
+    """The fit about the zeros of its hidden coordinates that give fewer terms, where it is more probable."""
+    for i in fit.problem.hidden:
+        zero = simplest_zero(fit, i) if fit.converged else None
+        if zero is None:
+            continue
+        points = fit.control_points.copy()
+        points[:, i] -= zero.shift
+        start = Start(points, zero.coefficients, fit.weights)
+        other = fit.grid.fit(Structure(zero.members), start)
+        if other.converged and value(other) > value(fit):
+            fit = refine(other, report)
+    return fit
 
 
 def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:

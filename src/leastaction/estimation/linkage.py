@@ -1,0 +1,291 @@
+r"""Constraints between points that are tracked in a plane, and the coordinates that remain.
+
+Points of rigid bodies obey equations of degree one (a slider) or two (a rod):
+
+.. math:: n \cdot p = c, \qquad |p - a|^2 = r^2, \qquad |p_j - p_i|^2 = r^2 .
+
+Each is a combination v of monomials of the tracks that does not vary: without noise, vᵀSv = 0 for their
+covariance S. Noise adds a known matrix N to S. The constraint is the solution of S v = λ N v with the least
+λ. It is consistent, while the v of least vᵀSv is not (Kukush, Markovsky & Van Huffel 2004, Comput. Stat. Data
+Anal. 47:123). λ is the variance of the deviations over that which noise explains: it tends to one where a
+constraint holds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+
+__all__ = ["Assembly", "Body", "Constraint"]
+
+_HOLDS = 9.0  # largest λ: tracks have systematic errors, too, here up to three times the noise
+_CLEARER = 1.5  # factor of λ by which a circle has to beat a line, and a centre beside an anchor the anchor
+_ONE_SIDE = 0.99  # share of samples on one side, for the solution of a loop to be a single one
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A constraint that holds.
+
+    Attributes
+    ----------
+    kind : {"fixed", "slides", "turns", "turns with", "closes"}
+        At rest; on a line; on a circle about the anchor; like that, at a constant angle to another body; on
+        circles about two anchors.
+    body : (str, str)
+        Columns of the point.
+    anchors : tuple of (str, str)
+        Columns of the points to which it is tied; () for the ground.
+    radii : tuple of float
+        Distances from them.
+    deviation : float
+        Root mean square deviation over that which noise explains.
+    """
+
+    kind: str
+    body: tuple[str, str]
+    anchors: tuple[tuple[str, ...], ...] = ()
+    radii: tuple[float, ...] = ()
+    deviation: float = 1.0
+
+
+class Body(NamedTuple):
+    """A tracked point: (n_times, 2) samples, NaN where missing, and the variance of their noise."""
+
+    columns: tuple[str, str]
+    track: np.ndarray
+    variance: np.ndarray
+
+
+class _Circle(NamedTuple):
+    anchor: tuple[str, ...]
+    centre: np.ndarray
+    radius: float
+    excess: float
+    given: bool
+
+
+class _Placed(NamedTuple):
+    """Texts of both components, "" where constant; their mean values; whether it only translates."""
+
+    texts: tuple[str, str]
+    means: np.ndarray
+    translates: bool
+
+
+class Assembly:
+    """Ties tracked points to the ground and to one another; those without a tie keep their columns.
+
+    Attributes
+    ----------
+    constraints : list of Constraint
+    coordinates, angles : list of str
+        Coordinates that describe the motion, and those that are angles from the vertical.
+    functions : list of str
+        Measurement functions of the columns.
+    constant : list of str
+        Columns that do not move.
+    loops : int
+        Points with a constraint too many, whose angles are therefore not independent.
+    """
+
+    def __init__(self, bodies: Sequence[Body]) -> None:
+        self.constraints: list[Constraint] = []
+        self.coordinates: list[str] = []
+        self.angles: list[str] = []
+        self.functions: list[str] = []
+        self.constant: list[str] = []
+        self.loops = 0
+        self._placed: dict[tuple[str, ...], _Placed] = {}
+        self._bodies: dict[tuple[str, ...], Body] = {body.columns: body for body in bodies}
+        self._turns: list[tuple[str, np.ndarray, float]] = []
+        self._sign = 0.0
+        self._taken = {name for body in bodies for name in body.columns}
+        waiting = list(bodies)
+        while waiting:
+            at = next((k for k, body in enumerate(waiting) if self._tie(body)), None)
+            if at is None:
+                self._free(waiting[0])
+            waiting.pop(at or 0)
+        self.functions = _once(self.functions)
+
+    def _free(self, body: Body) -> None:
+        self.coordinates += body.columns
+        self._placed[body.columns] = _Placed(body.columns, np.zeros(2), True)
+
+    def _tie(self, body: Body) -> bool:
+        """Whether a constraint ties the point to the ground, or to a point with a place."""
+        seen = body.track[np.isfinite(body.track).all(axis=1)]
+        excess, normals = eigh(np.cov(seen.T), np.diag(body.variance))
+        circles = self._circles(body)
+        if excess[1] < _HOLDS:
+            self._rest(body, seen, float(excess[1]))
+        elif excess[0] < min([_HOLDS, *(_CLEARER * c.excess for c in circles if not c.anchor)]):
+            self._slide(body, seen, normals[:, 0], float(excess[0]))
+        elif circles:
+            self._turn(body, circles)
+        return body.columns in self._placed
+
+    def _circles(self, body: Body) -> list[_Circle]:
+        """Circles on which the point moves: about the ground, and about points with a place."""
+        out = [_circle((), body.track, body.variance, given=False)]
+        for anchor, place in self._placed.items():
+            if place.texts == ("", ""):
+                continue
+            other = self._bodies[anchor]
+            away, variance = body.track - other.track, body.variance + other.variance
+            found = _circle(anchor, away, variance, given=True)
+            if place.translates:  # its own mark need not be where the rod is fixed
+                beside = _circle(anchor, away, variance, given=False)
+                found = beside if _CLEARER * beside.excess < found.excess else found
+            out.append(found)
+        return [circle for circle in out if circle.excess < _HOLDS]
+
+    def _rest(self, body: Body, seen: np.ndarray, excess: float) -> None:
+        self.constraints.append(Constraint("fixed", body.columns, deviation=excess**0.5))
+        self.constant += body.columns
+        self._placed[body.columns] = _Placed(("", ""), seen.mean(axis=0), True)
+
+    def _slide(self, body: Body, seen: np.ndarray, normal: np.ndarray, excess: float) -> None:
+        """Along a line, the column that moves more is the coordinate."""
+        self.constraints.append(Constraint("slides", body.columns, deviation=excess**0.5))
+        spread, means = seen.std(axis=0), seen.mean(axis=0)
+        k = int(np.argmax(spread))
+        texts, slope = ["", ""], -normal[k] / normal[1 - k]
+        texts[k] = body.columns[k]
+        self.coordinates.append(texts[k])
+        if abs(slope) * spread[k] < body.variance[1 - k] ** 0.5:
+            self.constant.append(body.columns[1 - k])
+        else:
+            start = means[1 - k] - slope * means[k]
+            texts[1 - k] = f"{self._number('offset', start)} + {self._number('slope', slope)}*{texts[k]}"
+            self.functions.append(f"{body.columns[1 - k]} = {texts[1 - k]}")
+        self._placed[body.columns] = _Placed((texts[0], texts[1]), means, True)
+
+    def _turn(self, body: Body, circles: list[_Circle]) -> None:
+        """On one circle: with an angle of its own, or of another body; on two circles: where they meet."""
+        first = circles[0]
+        away = body.track - first.centre - (self._bodies[first.anchor].track if first.anchor else 0.0)
+        self._sign = self._sign or (1.0 if np.nanmean(away[:, 1]) >= 0.0 else -1.0)
+        turned = np.arctan2(away[:, 0], self._sign * away[:, 1])
+        size = float(body.variance.mean()) / first.radius**2
+        with_it = self._with_another(turned, size)
+        side = _side(body, circles, self._bodies)
+        if with_it is not None:
+            kind, angle, circles = "turns with", with_it, circles[:1]
+        elif side and len(circles) > 1:
+            kind, angle, circles = "closes", "", circles[:2]
+        else:
+            self.loops += len(circles) > 1
+            kind, angle, circles = "turns", self._name("theta"), circles[:1]
+            self.coordinates.append(angle)
+            self.angles.append(angle)
+            self._turns.append((angle, turned, size))
+        worst = max(c.excess for c in circles) ** 0.5
+        anchors, radii = tuple(c.anchor for c in circles), tuple(c.radius for c in circles)
+        self.constraints.append(Constraint(kind, body.columns, anchors, radii, worst))
+        texts = self._meeting(circles, side) if kind == "closes" else self._around(first, angle)
+        self.functions += [f"{column} = {text}" for column, text in zip(body.columns, texts, strict=True)]
+        self._placed[body.columns] = _Placed(texts, np.zeros(2), False)
+
+    def _with_another(self, turned: np.ndarray, size: float) -> str | None:
+        """The angle of another body, with a constant beside it if there is one, if the two turn together."""
+        for name, other, of_other in self._turns:
+            apart = np.exp(1j * (turned - other))
+            apart = apart[np.isfinite(apart)]
+            offset = float(np.angle(apart.mean()))
+            variance, noise = float(np.var(np.angle(apart * np.exp(-1j * offset)))), size + of_other
+            if variance < _HOLDS * noise:
+                return name if offset**2 < noise else f"{name} + {self._number('turn', offset)}"
+        return None
+
+    def _centre(self, circle: _Circle) -> tuple[str, str]:
+        """The centre of a circle as texts."""
+        if not circle.anchor:
+            return self._number("pivot_x", circle.centre[0]), self._number("pivot_y", circle.centre[1])
+        place, out = self._placed[circle.anchor], ["", ""]
+        for k, text in enumerate(place.texts):
+            if not text:
+                out[k] = self._number(f"pivot_{'xy'[k]}", float(place.means[k] + circle.centre[k]))
+            elif circle.given:
+                out[k] = text
+            else:
+                out[k] = f"{text} + {self._number('offset_' + 'xy'[k], float(circle.centre[k]))}"
+        return out[0], out[1]
+
+    def _around(self, circle: _Circle, angle: str) -> tuple[str, str]:
+        (x, y), length = self._centre(circle), self._number("length", circle.radius)
+        sign = "+" if self._sign > 0.0 else "-"
+        return f"{x} + {length}*sin({angle})", f"{y} {sign} {length}*cos({angle})"
+
+    def _meeting(self, circles: list[_Circle], side: float) -> tuple[str, str]:
+        """Where two circles meet: P + a D + b D⊥, D = Q − P, a = ½ + (r² − s²)/2D², a² + b² = r²/D²."""
+        (px, py), (qx, qy) = (self._centre(circle) for circle in circles)
+        r, s = (self._number("length", circle.radius) for circle in circles)
+        dx, dy = f"({qx} - ({px}))", f"({qy} - ({py}))"
+        square = f"({dx}**2 + {dy}**2)"
+        a = f"(1/2 + ({r}**2 - {s}**2)/(2*{square}))"
+        b = f"sqrt({r}**2/{square} - {a}**2)"
+        one, other = ("-", "+") if side > 0.0 else ("+", "-")
+        return f"{px} + {a}*{dx} {one} {b}*{dy}", f"{py} + {a}*{dy} {other} {b}*{dx}"
+
+    def _name(self, base: str) -> str:
+        name, k = base, 1
+        while name in self._taken:
+            k += 1
+            name = f"{base}{k}"
+        self._taken.add(name)
+        return name
+
+    def _number(self, base: str, start: float) -> str:
+        return f"{{{self._name(base)}={start:.6g}}}"
+
+
+def _circle(anchor: tuple[str, ...], track: np.ndarray, variance: np.ndarray, *, given: bool) -> _Circle:
+    """The circle that fits best, about a given centre at the origin or any other."""
+    p = track[np.isfinite(track).all(axis=1)]
+    shift = np.zeros(2) if given else p.mean(axis=0)
+    unit = float(np.sqrt(np.mean((p - shift) ** 2)))
+    p, noise = (p - shift) / unit, variance / unit**2
+    mean, square = p.mean(axis=0), (p**2).mean(axis=0) - noise
+    features = np.column_stack([(p**2).sum(axis=1), p])
+    matrix = np.zeros((3, 3))
+    matrix[0, 0] = 4.0 * square @ noise + 2.0 * noise @ noise
+    matrix[0, 1:] = matrix[1:, 0] = 2.0 * mean * noise
+    matrix[1:, 1:] = np.diag(noise)
+    n = 1 if given else 3
+    excess, vectors = eigh(np.cov(features.T)[:n, :n], matrix[:n, :n], subset_by_index=[0, 0])
+    slopes: np.ndarray = np.zeros(2)
+    slopes[: n - 1] = vectors[1:, 0] / vectors[0, 0]
+    centre = -0.5 * slopes
+    radius = np.sqrt(max(square.sum() + slopes @ mean + centre @ centre, 0.0))
+    return _Circle(anchor, centre * unit + shift, float(radius) * unit, float(excess[0]), given)
+
+
+def _side(body: Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...], Body]) -> float:
+    """On which side of the line between two anchors the point stays; 0 if it does not."""
+    if len(circles) < 2:
+        return 0.0
+    first, second = (c.centre + (bodies[c.anchor].track if c.anchor else np.zeros(2)) for c in circles[:2])
+    away, line = body.track - first, second - first + np.zeros_like(body.track)
+    side: np.ndarray = line[:, 0] * away[:, 1] - line[:, 1] * away[:, 0]
+    left = float(np.mean(side[np.isfinite(side)] > 0.0))
+    return 1.0 if left > _ONE_SIDE else -1.0 if left < 1.0 - _ONE_SIDE else 0.0
+
+
+def _once(functions: Iterable[str]) -> list[str]:
+    """The functions with each start value at its first occurrence only."""
+    given: set[str] = set()
+
+    def shortened(found: re.Match[str]) -> str:
+        name = found[1]
+        text = f"{{{name}}}" if name in given else found[0]
+        given.add(name)
+        return text
+
+    return [re.sub(r"\{(\w+)=[^}]*\}", shortened, text) for text in functions]
