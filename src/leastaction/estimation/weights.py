@@ -18,6 +18,7 @@ For an exact model, w grows without bound. On real hardware, or with knots that 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,7 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 # of ∫ r²: smaller values count as zero, because products of their reciprocals overflow
 _NOTHING = 1e-150
-_SHORTEST = 0.1  # smallest share of a change of the weights in one step
-_FARTHEST = np.log(30.0)  # largest change of log w after a reversal
+_FARTHEST = np.log(30.0)  # largest change of log w by extrapolation
 _HALVINGS = 4  # of a step of the weights
 _MOST_STEPS = 100  # limit for a structure
 
@@ -158,8 +158,7 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, stride = best.n_steps, 1.0
-    taken = before = np.zeros(0)
+    steps, last = best.n_steps, None
     tolerance = ESTIMATION.evidence_settled * shared(observations)
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
@@ -168,16 +167,12 @@ def fit_weights(
             update = update_weights(observations, best)
         except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
-        change = _change(best.weights, update)
-        if taken.size and float(taken @ change) < 0.0:
-            update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
-            change = _change(best.weights, update)
-            stride = _secant(taken, before, change)
-        else:  # a reversal needs no further acceleration
-            update = _accelerate(best.weights, update)
-        before = change
-        for _ in range(_HALVINGS):
-            weights = _part_of_the_way(best.weights, update, stride)
+        here = _Proposed(np.log(best.weights.physics), np.log(update.physics / best.weights.physics))
+        update = replace(update, physics=np.exp(here.place + _step(here, last, update.slack)))
+        last = here
+        for halvings in range(_HALVINGS):
+            # two equations may compete for the same error: then a whole step goes too far
+            weights = _part_of_the_way(best.weights, update, 0.5**halvings)
             fit = fit_joint(
                 observations,
                 physics,
@@ -190,46 +185,53 @@ def fit_weights(
             value = evidence(observations, fit)
             if np.isfinite(value) and value >= best_evidence - tolerance:
                 break
-            # two equations compete for the same error, and the weights oscillate
-            stride *= 0.5
         else:
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
         settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
-        taken = _change(best.weights, fit.weights)
         best, best_evidence = fit, value
         if settled:
             break
     return best
 
 
-def _change(old: Weights, new: Weights) -> np.ndarray:
-    """Changes of the logarithms of all weights."""
-    pairs = ((old.physics, new.physics), (old.noise_std, new.noise_std))
-    return np.concatenate([np.log(b / a) for a, b in pairs])
+class _Proposed(NamedTuple):
+    """Logarithms of the equations' weights, and the changes of them that the fixed-point update proposes."""
+
+    place: np.ndarray
+    change: np.ndarray
 
 
-def _secant(taken: np.ndarray, before: np.ndarray, change: np.ndarray) -> float:
-    """The share of the changes that reaches the fixed point, after a step that reversed them.
+def _step(here: _Proposed, last: _Proposed | None, slack: np.ndarray) -> np.ndarray:
+    """Steps of the logarithms of the equations' weights.
 
-    The weights of equations that compete for one error oscillate.  Along the step, changes fall linearly,
-    from ``before`` to ``change``, and to zero at the fixed point.
+    The fixed-point update needs many rounds where an equation has an error within the noise, and it
+    oscillates where equations compete for one error. Therefore its changes are extrapolated to zero along the
+    last step (Anderson 1965, J. ACM 12:547, with a memory of one).  Large growth is squared.  Weights of
+    nearly exact equations have no fixed point and are not extrapolated.
     """
-    along = float(taken @ taken) / float(taken @ (before - change))
-    return float(np.clip(along, _SHORTEST, 1.0))
+    change = here.change
+    grown = np.where(change > np.log(1.5), change + np.minimum(change, np.log(10.0)), change)
+    if last is None:
+        return grown
+    taken, bend = here.place - last.place, change - last.change
+    share = float(bend @ change) / max(float(bend @ bend), 1e-300)
+    step = change - share * (taken + bend)
+    if float(step @ change) <= 0.0:
+        step = change
+    onward = taken * change > 0.0
+    step = np.where(onward & (grown > change), np.maximum(step, grown), step)
+    exact = slack <= ESTIMATION.slack_left
+    step = np.where(exact, np.where(onward, grown, np.clip(step, -np.abs(change), np.abs(change))), step)
+    farthest = np.maximum(_FARTHEST, grown)
+    return np.clip(step, -farthest, farthest)
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
     """Weights between old and new ones, interpolated by their logarithms."""
     noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
     return replace(new, noise_std=noise_std, physics=old.physics * (new.physics / old.physics) ** share)
-
-
-def _accelerate(old: Weights, new: Weights) -> Weights:
-    """Square the growth of w while it is large, because the plain fixed point needs many rounds."""
-    ratio = new.physics / old.physics
-    return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
