@@ -371,8 +371,22 @@ def test_a_cluster_keeps_its_blocks(monkeypatch):
 
 
 @pytest.mark.parametrize("crew", ["alone"], indirect=True)
+def test_the_basis_of_fewer_samples_is_kept(crew, monkeypatch):
+    """It is formed once, and the numbers are those of a stream."""
+    _, kept, physics, control = both(crew)
+    looked = counted_looks(monkeypatch)
+    one = linearise(kept, physics, control, VALUES, WEIGHTS).cost(WEIGHTS)
+    assert looked == []
+    monkeypatch.setattr(streamed, "_KEPT", 0)
+    _, parts, physics, control = both(crew)
+    assert linearise(parts, physics, control, VALUES, WEIGHTS).cost(WEIGHTS) == one
+    assert looked
+
+
+@pytest.mark.parametrize("crew", ["alone"], indirect=True)
 def test_a_step_is_one_pass(crew, monkeypatch):
     """What a step needs of the weights that are foreseen comes from one look at every block."""
+    monkeypatch.setattr(streamed, "_KEPT", 0)
     _, parts, physics, control = both(crew)
     looked = counted_looks(monkeypatch)
     at = linearise(parts, physics, control, VALUES, WEIGHTS)
