@@ -41,7 +41,8 @@ from leastaction.estimation.simulation_error import minimise_simulation_error
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import (
     Start,
-    _secant,
+    _Proposed,
+    _step,
     evidence,
     fit_weights,
     start_weights,
@@ -604,22 +605,26 @@ def test_an_equation_without_terms_has_a_weight_of_the_size_of_the_others():
     assert np.all(np.diag(quadratic.matrix)[2:] > 0.0)
 
 
-@pytest.mark.parametrize("factor", [-0.8, -1.0, -5.0])
+@pytest.mark.parametrize("factor", [-0.8, -1.0, -5.0, 0.92])
 @pytest.mark.parametrize("first", [1.0, 0.5, 2.0])
-def test_a_weight_that_swings_about_its_fixed_point_is_met(factor: float, first: float):
-    """x → factor · x: without the shorter stride the rounds of −1 never end, and those of −5 run away."""
-    x = np.array([1.0, -0.5])
-    before = (factor - 1.0) * x
-    taken = first * before  # a part of it, or accelerated
-    x = x + taken
-    stride = _secant(taken, before, (factor - 1.0) * x)
-    assert np.abs(x + stride * (factor - 1.0) * x).max() < 1e-12
+def test_weights_meet_the_fixed_point_of_a_linear_update(factor: float, first: float):
+    """x → factor · x: rounds of −1 would never end, those of −5 run away, those of 0.92 take a hundred."""
+    x = np.array([0.1, -0.05])
+    last = _Proposed(x, (factor - 1.0) * x)
+    x = x + first * last.change  # a part of it, or squared
+    here = _Proposed(x, (factor - 1.0) * x)
+    assert np.abs(x + _step(here, last, np.full(2, 100.0))).max() < 1e-12
 
 
-def test_a_stride_stays_between_a_tenth_and_all():
-    one = np.array([1.0])
-    assert _secant(1e-9 * one, one, -one) == 0.1
-    assert _secant(one, one, -1e-12 * one) == pytest.approx(1.0)
+def test_weights_of_nearly_exact_equations_are_not_extrapolated():
+    last, here = (_Proposed(np.array([x]), np.array([c])) for x, c in ((0.0, 0.2), (0.2, 0.15)))
+    assert _step(here, last, np.array([100.0])) == pytest.approx([0.6])
+    assert _step(here, last, np.array([0.0])) == pytest.approx([0.15])
+    assert _step(here, None, np.array([0.0])) == pytest.approx([0.15])
+    # large growth is squared, and no step is longer than a factor of 30
+    assert _step(_Proposed(np.zeros(1), np.ones(1)), None, np.zeros(1)) == pytest.approx([2.0])
+    far = _Proposed(np.array([0.2]), np.array([0.1999]))
+    assert _step(far, last, np.array([100.0])) == pytest.approx([np.log(30.0)])
 
 
 # -------------------------------- steps of the joint fit where the weights of the equations are large
