@@ -304,7 +304,7 @@ def app() -> None:
     import page_helpers  # of tests/
 
     def shoot(page, name: str, text: str) -> None:
-        page.get_by_text(text).first.wait_for(timeout=120_000)
+        page.get_by_text(text).first.wait_for(timeout=600_000)
         page.wait_for_timeout(1500)
         page.evaluate("window.scrollTo(0, 0)")
         page.screenshot(path=SCREENS[name])
