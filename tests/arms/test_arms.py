@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import re
 import shutil
 import subprocess
 from dataclasses import replace
@@ -16,7 +17,7 @@ import leastaction as la
 from helpers import assert_refused_in_one_line
 from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
-from leastaction.arms.log import load_notes, prepared
+from leastaction.arms.log import contact_notes, load_notes, prepared
 from leastaction.arms.planning import Bounds, Limits, Plan, Series
 from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
@@ -403,6 +404,23 @@ def test_a_contact_is_reported_and_a_clean_log_is_not(found):
     assert note.startswith("from 3.0")
     assert "the torque of q2" in note
     assert "\n" not in note
+
+
+@pytest.mark.parametrize(("duration", "size"), [(0.15, 12.0), (0.4, 6.0), (1.0, 4.0)])
+def test_contacts_of_any_duration_are_located(duration, size):
+    """White errors with a push in one joint, in a random place of the second trial; none without it."""
+    rng = np.random.default_rng(5)
+    times, owners = np.tile(np.arange(0.01, 10.0, 0.02), 2), np.repeat([0, 1], 500)
+    for _ in range(20):
+        errors, begin, joint = rng.normal(size=(1000, 3)), rng.uniform(1.0, 8.0), int(rng.integers(3))
+        assert contact_notes(WRIST, times, owners, errors, ("a", "b")) == []
+        inside = (times > begin) & (times < begin + duration) & (owners == 1)
+        errors[inside, joint] += size * (-1.0) ** joint
+        (note,) = contact_notes(WRIST, times, owners, errors, ("a", "b"))
+        first, last = map(float, re.findall(r"from ([\d.]+) to ([\d.]+) s", note)[0])
+        assert abs(first - begin) < 0.25
+        assert abs(last - begin - duration) < 0.25
+        assert f"'b' the torque of q{joint + 1} " in note
 
 
 def test_currents_are_reported_where_the_tree_has_inertias(found):
