@@ -4,20 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.resources import as_file, files
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicSpline
-from scipy.signal import lfilter
 
 import leastaction as la
 from leastaction import systems
 from leastaction.curve.smoothing import smooth
 from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
-from leastaction.diagnosis import hidden_freedom as hidden_freedom_module
-from leastaction.diagnosis.hidden_freedom import hidden_freedom
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
@@ -30,9 +25,6 @@ from leastaction.hidden.gauge import canonical, open_changes, reflections, simpl
 from leastaction.hidden.shooting import Shooter, law_of
 from leastaction.hidden.start import completed
 from leastaction.hidden.windows import cut_windows
-from leastaction.selection.search import run_search
-from leastaction.selection.search_state import begin_search
-from leastaction.simulation.integrate import rk4
 
 PENDULUM = systems.get("chaotic_pendulum")
 HIDDEN = 1  # theta2
@@ -469,74 +461,3 @@ def test_the_structure_of_a_measured_pendulum_is_found_without_its_second_encode
     found = {term.expression: term.coefficient for term in model.terms if not term.known}
     assert found.keys() == published.keys()
     assert all(abs(found[text] / value - 1.0) < 0.01 for text, value in published.items())
-
-
-# ------------------------------------------------------- a degree of freedom that nobody declared
-STIFFNESS, MASS, INNER, OWN, DAMPING = 20.0, 1.0, 0.3, 9.0, 0.2  # of a box on a spring, and a mass in it
-
-
-def box(inside: bool, force_from_outside: float = 0.0, dry: float = 0.0) -> Trajectories:
-    """Recordings of a driven box that holds a mass on a spring, or one that is fastened."""
-    rng = np.random.default_rng(5)
-    t, trials = np.arange(0.0, 10.0, 0.02), 3
-    fine = np.arange(0.0, 10.0, 0.002)
-    given = np.zeros((trials, fine.size))
-    for w in rng.uniform(1.0, 10.0, (5, trials, 1)):
-        given += 3.0 * np.sin(w * fine + rng.uniform(0.0, 6.0, (trials, 1)))
-    shaken = rng.standard_normal((trials, fine.size))
-    for _ in range(2):  # two passes: a hump about 7 rad/s
-        shaken = lfilter([1.0], [1.0, -2.0 * 0.995 * np.cos(0.014), 0.995**2], shaken, axis=1)
-    given_and_more = given + force_from_outside * shaken / shaken.std()
-    own = np.sqrt(OWN / INNER) if inside else 1e-9
-    total = MASS if inside else MASS + INNER
-
-    def accelerate(q, v, f):
-        coupling = INNER * (own**2 * q[..., 1] + DAMPING * own * v[..., 1]) if inside else 0.0
-        friction = dry * np.tanh(v[..., 0] / 0.01)
-        x = (f[..., 0] - STIFFNESS * q[..., 0] - 0.4 * v[..., 0] - friction + coupling) / total
-        return np.stack([x, -x - own**2 * q[..., 1] - DAMPING * own * v[..., 1]], axis=-1)
-
-    between = CubicSpline(fine, given_and_more.T)
-    start = np.zeros((trials, 2))
-    q, _ = rk4(
-        accelerate, start, start, t, forces=lambda s: np.stack([between(s), 0.0 * between(s)], axis=-1)
-    )
-    x = q[..., 0].T + 0.002 * rng.standard_normal((trials, t.size))
-    runs = zip(x, given[:, ::10], strict=True)
-    return Trajectories([la.Trajectory(t, a[:, None], forces=f[:, None], coordinates=["x"]) for a, f in runs])
-
-
-def noticed(data: Trajectories) -> list:
-    request = Request(la.Library(["x_dot**2", "x**2"], ["x"]), {}, ["x_dot**2/2"])
-    return hidden_freedom(run_search(begin_search(build_problem(data, request))))
-
-
-@pytest.mark.thorough
-def test_a_mass_inside_a_box_is_noticed_with_its_frequency() -> None:
-    (finding,) = noticed(box(inside=True))
-    true = np.sqrt(OWN / INNER) / (2.0 * np.pi)
-    assert abs(finding.values["frequency"] - true) < 3.0 * finding.values["error"]
-    assert finding.values["error"] < 0.1 * true
-    assert finding.values["terms"] == ("z_dot**2", "x_dot*z_dot", "z**2")
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("fault", [{"force_from_outside": 1.5}, {"dry": 1.0}], ids=["vibration", "friction"])
-def test_a_mass_that_is_fastened_is_not_noticed(fault) -> None:
-    assert not noticed(box(inside=False, **fault))
-
-
-def test_filtered_motion_is_that_of_an_oscillator() -> None:
-    """ẍ + 2ζω ẋ + ω² x = −t from rest has a closed solution, and a push linear in time is met exactly."""
-    t = np.linspace(0.0, 3.0, 40)
-    omega, zeta = 4.0, 0.2
-    motion = SimpleNamespace(t=np.concatenate([t, t]), trials=[slice(0, 40), slice(40, 80)])
-    pole = hidden_freedom_module._poles(np.array([omega]), np.array([zeta]))
-    state = hidden_freedom_module._filtered(motion, np.concatenate([t, 0.0 * t]), pole)[0]
-    found = -state.imag / pole[0].imag
-    rate = omega * np.sqrt(1.0 - zeta**2)
-    decay = np.exp(-zeta * omega * t)
-    a, b = 2.0 * zeta / omega**3, (2.0 * zeta**2 - 1.0) / (omega**2 * rate)
-    exact = -(t / omega**2 - a + decay * (a * np.cos(rate * t) + b * np.sin(rate * t)))
-    assert np.allclose(found[:40], exact, atol=1e-12)
-    assert not found[40:].any()

@@ -22,13 +22,6 @@ class DiagnosisSettings:
     """Share of the spread of a hidden coordinate by which its motion in a trial may be uncertain. Preference:
     beyond it the motion is hardly known."""
 
-    freedom_share: float = 0.05
-    """Share of the equation error that a hidden mass has to explain by what the known forces cause, beyond
-    forces that depend on the state. Preference: a smaller one hardly matters."""
-
-    freedom_chance: float = 1.0
-    """Gain by a hidden mass over the largest of those that shifts of the residual leave to chance."""
-
     half_a_sample: float = 0.15
     """Sampling intervals by which a delay may differ from half of one, to be called forces that are held.
     Half, twice: no effect."""

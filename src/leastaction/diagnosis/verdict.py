@@ -14,7 +14,6 @@ from leastaction.diagnosis.families import lacking_family, named_family, simpler
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
 from leastaction.diagnosis.hidden import about_hidden, about_knots, about_sensors
-from leastaction.diagnosis.hidden_freedom import hidden_freedom
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
@@ -143,7 +142,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
         named = perhaps_angles(fit.problem.candidates)
         found = found or undeclared_angles(search, named) or lacking_family(search)
         found = found or undeclared_angles(search, () if named else fit.problem.coordinates)
-        found = found or time_dependence(search) or hidden_freedom(search)
+        found = found or time_dependence(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.

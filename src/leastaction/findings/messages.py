@@ -143,12 +143,6 @@ CODES: dict[str, Message] = {
         on_command_line="bound it around the value that you expect: --shape {subject}=LOW..HIGH",
     ),
     # coordinates without a sensor
-    "hidden-freedom": Message(
-        "warning",
-        "a degree of freedom without a sensor seems to act on {subject}: a mass on a spring of its own, at "
-        "{frequency:.3g} ± {error:.1g} Hz, explains at least {share:.0f%} of the equation error",
-        "declare a hidden coordinate {hidden}, with candidates such as {terms}",
-    ),
     "hidden-coordinate": Message("note", templates.hidden_coordinate),
     "hidden-gauge": Message(
         "warning",
@@ -355,7 +349,9 @@ CODES: dict[str, Message] = {
         "let the search run to its end",
     ),
     "knots-not-settled": Message(
-        "note", "the coefficients still changed at the last refinement of the knots", "sample faster"
+        "note",
+        "the coefficients still changed at the last refinement of the knots",
+        "sample faster",
     ),
     "coefficients-of-free-runs": Message(
         "note",
@@ -368,7 +364,9 @@ CODES: dict[str, Message] = {
         "samples, forces are {between}",
     ),
     "forecasts": Message(
-        "note", stated.followed, "compare forecasts of held-out trials with the accuracy that you need"
+        "note",
+        stated.followed,
+        "compare forecasts of held-out trials with the accuracy that you need",
     ),
     "forecasts-fail": Message(
         "warning",
@@ -376,7 +374,9 @@ CODES: dict[str, Message] = {
         "record more or longer trials with more varied motions, or offer fewer candidates",
     ),
     "forecast-reach": Message(
-        "note", stated.reach, "estimated from the intervals: forecast a trial that was held out"
+        "note",
+        stated.reach,
+        "estimated from the intervals: forecast a trial that was held out",
     ),
     "gravity-off": Message(
         "warning",
