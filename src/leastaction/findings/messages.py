@@ -234,8 +234,8 @@ CODES: dict[str, Message] = {
     ),
     "slight-terms": Message(
         "note",
-        "these data barely determine {subject}, but its effect is smaller than the equation error",
-        "remove it from the candidates for a simpler law",
+        "these data barely determine {subject}, but the effect is smaller than the equation error",
+        "for a simpler law, leave out such candidates",
     ),
     "slight-rival": Message(
         "note",
