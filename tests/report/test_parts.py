@@ -499,7 +499,7 @@ def test_only_words_that_the_table_of_symmetries_has_are_explained():
     )
 
 
-# ------------------------------------------------ figures: every primitive by what is in its SVG; colours; ticks
+# ------------------------------------- figures: every primitive by what is in its SVG; colours; ticks
 _DIGIT = 0.051  # px: half of the last digit that is written
 
 
