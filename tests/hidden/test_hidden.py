@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib.resources import as_file, files
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from leastaction import systems
 from leastaction.curve.smoothing import smooth
 from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
-from leastaction.diagnosis.hidden import about_knots
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
@@ -307,14 +305,6 @@ def test_standard_errors_with_a_sensor_are_those_of_a_fit_with_it(pendulum) -> N
     assert seen.converged
     assert np.all(expected < fit.standard_errors)
     assert np.allclose(expected, seen.standard_errors, rtol=0.35)
-
-
-@pytest.mark.parametrize(("hidden", "severity"), [((), "note"), ((HIDDEN,), "warning")])
-def test_knots_that_have_not_settled_are_a_doubt_without_samples(hidden, severity) -> None:
-    fit = SimpleNamespace(converged=True, problem=SimpleNamespace(hidden=hidden))
-    (finding,) = about_knots(SimpleNamespace(found=fit, knots_settled=False))
-    assert finding.severity == severity
-    assert about_knots(SimpleNamespace(found=fit, knots_settled=True)) == []
 
 
 # ---------------------------------------------------------------- what is open

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
@@ -14,7 +12,7 @@ from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.gauge import open_changes, reflections
 from leastaction.selection.search_state import Search
 
-__all__ = ["about_hidden", "about_knots", "about_sensors"]
+__all__ = ["about_hidden", "about_sensors"]
 
 
 def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
@@ -39,14 +37,6 @@ def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
             find("calibration-open", n, error=e) for n, e, w in zip(names, errors, wide, strict=True) if e > w
         ]
     return out
-
-
-def about_knots(search: Search) -> list[Finding]:
-    """Whether finer knots still changed the coefficients: a doubt where samples do not hold the curve."""
-    if search.knots_settled or not search.found.converged:
-        return []
-    note = find("knots-not-settled")
-    return [replace(note, severity="warning") if search.found.problem.hidden else note]
 
 
 def about_hidden(search: Search) -> list[Finding]:

@@ -13,7 +13,7 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
-from leastaction.diagnosis.hidden import about_hidden, about_knots, about_sensors
+from leastaction.diagnosis.hidden import about_hidden, about_sensors
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
@@ -98,7 +98,8 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
-    found += about_knots(search)
+    if not search.knots_settled and fit.converged:
+        found.append(find("knots-not-settled"))
     found += about_sensors(fit, np.sqrt(chi2))
     found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
