@@ -69,8 +69,10 @@ def about_hidden(search: Search) -> list[Finding]:
 
 def _gain_of_sensor(fit: Fit, coordinate: int) -> dict[str, str | float]:
     """The coefficient whose standard error a sensor would reduce most, and by which factor."""
+    if not fit.usable:
+        return {}
     with_it = errors_with_sensor(fit, coordinate)
-    if not fit.usable or not np.isfinite(with_it).all() or not with_it.all():
+    if not np.isfinite(with_it).all() or not with_it.all():
         return {}
     factors = fit.standard_errors / with_it
     most = int(np.argmax(factors))

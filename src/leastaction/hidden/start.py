@@ -107,6 +107,8 @@ def completed(
         Of the motion, in seconds.
     coefficients : (n_candidates,) array
     """
+    if not any(map(lacking, problem.trajectories)):
+        return problem.trajectories
     items: list[Trajectory] = []
     for item in problem.trajectories:
         missing = lacking(item)
