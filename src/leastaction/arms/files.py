@@ -17,7 +17,8 @@ from typing import Any, cast
 import numpy as np
 
 from leastaction.arms.base import find_base
-from leastaction.arms.model import ArmModel, FitFacts
+from leastaction.arms.log import FitFacts
+from leastaction.arms.model import ArmModel
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, find_base
-from leastaction.arms.log import contact_notes, load_notes, prepared, scale_notes
-from leastaction.arms.model import ArmModel, FitFacts
+from leastaction.arms.log import FitFacts, contact_notes, load_notes, prepared, scale_notes
+from leastaction.arms.model import ArmModel
 from leastaction.arms.regression import Choice, Regression
 from leastaction.arms.signals import Recording, Signals
 from leastaction.curve.bspline import SplineGrid, uniform_grid

@@ -45,7 +45,7 @@ from leastaction.mechanics.arm_columns import (
 )
 from leastaction.threads import single_threaded
 
-__all__ = ["ArmModel", "FitFacts"]
+__all__ = ["ArmModel"]
 
 _BANDS = (5.0, 10.0)  # Hz
 

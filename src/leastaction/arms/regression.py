@@ -36,7 +36,7 @@ from leastaction.mechanics.arm_columns import (
     smooth_sign,
 )
 
-__all__ = ["Acting", "Choice", "Regression", "Solution"]
+__all__ = ["Acting", "Choice", "Regression", "Solution", "reweighted"]
 
 _CHUNK = 512  # knot intervals handled at once
 _BLOCKS = 6  # of time, each left out once
@@ -89,6 +89,25 @@ class Solution(NamedTuple):
 
     values: np.ndarray
     squares: np.ndarray
+
+
+def reweighted(local: np.ndarray, squares: np.ndarray, least: np.ndarray | float) -> Solution:
+    """Least squares over all joints, each weighted by its own residuals.
+
+    Parameters
+    ----------
+    local : (n_dof, n + 1, n + 1) array
+        Products of the columns and, last, of the torque, for each joint.
+    squares, least : (n_dof,) arrays
+        Residual sums of squares to begin with, and the least that count.
+    """
+    values = np.zeros(local.shape[1] - 1)
+    for _ in range(_ROUNDS):
+        summed = np.tensordot(1.0 / squares, local, 1)
+        values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
+        residual = np.append(values, -1.0)
+        squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), least)
+    return Solution(values, squares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +264,7 @@ class Regression:
             places, numbers = self.own(members, dry, i)
             local[i][np.ix_(places, places)] = total[i][np.ix_(numbers, numbers)]
         squares = np.maximum(local[:, -1, -1], 1e-300)
-        floor, values = 1e-12 * squares, np.zeros(size - 1)
-        for _ in range(_ROUNDS):
-            summed = np.tensordot(1.0 / squares, local, 1)
-            values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
-            residual = np.append(values, -1.0)
-            squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), floor)
-        return Solution(values, squares)
+        return reweighted(local, squares, 1e-12 * squares)
 
     def _unseen(self, members: Sequence[int], dry: Acting, squares: np.ndarray) -> float:
         """Squared errors of blocks that are predicted from the others, relative to ``squares``."""

@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.stats import norm
 from scipy.stats import t as t_distribution
 
-from leastaction.arms.regression import Acting, Choice, Regression, Solution
+from leastaction.arms.regression import Acting, Choice, Regression, Solution, reweighted
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.estimation.gauss_newton import symmetric_inverse
@@ -35,7 +35,6 @@ from leastaction.mechanics.arm_columns import ArmTerm
 __all__ = ["Recording", "Signals"]
 
 _CHUNK = 512  # knot intervals handled at once
-_ROUNDS = 4  # updates of the weights, for start values of gains
 _FAR = 0.1  # of a sampling interval, or of a gain: after a larger step the columns are computed again
 _LARGEST = 0.5  # largest relative change of a gain in one step
 _CHANCE = 0.01  # probability that a delay is reported for an arm without any
@@ -158,14 +157,8 @@ class Signals:
             sign = np.array([*np.ones(m), -1.0 if i in self.unknown else 1.0])
             part = total[i][np.ix_([*members, -1], [*members, -1])] * np.outer(sign, sign)
             local[i][np.ix_([*range(m), last], [*range(m), last])] = part
-        weights, values = np.ones(n), np.zeros(size - 1)
-        for _ in range(_ROUNDS):
-            summed = np.tensordot(weights, local, 1)
-            values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
-            residual = np.append(values, -1.0)
-            weights = 1.0 / np.maximum(np.einsum("a,iab,b->i", residual, local, residual), 1e-300)
         gains = self.gains.copy()
-        gains[list(self.unknown)] = values[m:]
+        gains[list(self.unknown)] = reweighted(local, np.ones(n), 1e-300).values[m:]
         return replace(self, gains=gains)
 
     def changes(self, choice: Choice) -> np.ndarray:

@@ -14,6 +14,7 @@ from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say
 from leastaction.cli.text import complete_file, complete_folder, one_line, shown
+from leastaction.cli.values import assignments
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 
@@ -194,14 +195,10 @@ def _table(path: str) -> list[dict[str, Any]]:
 
 def _gains(text: str) -> dict[str, float]:
     """Torque per ampere of each joint that is named."""
-    out: dict[str, float] = {}
-    for part in text.split(","):
-        name, _, value = part.partition("=")
-        try:
-            out[name.strip()] = float(value)
-        except ValueError:
-            raise InputError(f"--gains holds {quoted(part)}; expected JOINT=NUMBER, e.g. q1=10.5") from None
-    return out
+    try:
+        return assignments(text)
+    except InputError as error:
+        raise InputError(f"--gains: {error}; expected JOINT=NUMBER, e.g. q1=10.5") from None
 
 
 def _split(log: Trajectories, hold_out: str | None) -> tuple[Trajectories, Trajectories | None]:

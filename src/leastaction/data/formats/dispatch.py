@@ -21,6 +21,7 @@ from leastaction.data.validation import FloatArray, time_fault
 from leastaction.errors import DataError, InputError
 from leastaction.findings import Finding, find
 from leastaction.identifiers import quoted
+from leastaction.shown import counted
 
 __all__ = [
     "MIN_SAMPLES",
@@ -327,11 +328,8 @@ def _check_enough(layout: Layout, table: Table, label: str, q: FloatArray) -> No
     trial = f", trial {quoted(label)}" if table.trials is not None else ""
     need = f"at least {MIN_SAMPLES} are needed; leave the trial out or record a longer one"
     if len(q) < MIN_SAMPLES:
-        raise DataError(f"{table.source}{trial}: there are only {_samples(len(q))}; {need}")
+        raise DataError(f"{table.source}{trial}: there are only {counted(len(q), 'sample')}; {need}")
     for name, count in zip(layout.coordinates, np.isfinite(q).sum(axis=0).tolist(), strict=True):
         if count < MIN_SAMPLES:
-            raise DataError(f"{table.source}{trial}: {name} has only {_samples(count, 'measured ')}; {need}")
-
-
-def _samples(count: int, kind: str = "") -> str:
-    return f"{count} {kind}sample" + ("" if count == 1 else "s")
+            measured = counted(count, "measured sample")
+            raise DataError(f"{table.source}{trial}: {name} has only {measured}; {need}")
