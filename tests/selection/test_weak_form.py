@@ -578,6 +578,15 @@ def test_a_group_is_exchanged_for_another_at_once(seed):
     assert relevant(model, penalty) == (0, 1, 2)
 
 
+def test_relevance_with_a_matrix_that_is_singular_but_for_rounding():
+    """A negative eigenvalue cancels the priors; the inverse is then anything, and its diagonal no share."""
+    n = 8
+    matrix = np.eye(n)
+    matrix[0, 1] = matrix[1, 0] = 1.0 + 1e-6 + 1e-15
+    gradient = np.r_[np.zeros(2), np.full(n - 2, -10.0)]
+    assert set(range(2, n)) <= set(relevant(QuadraticModel(matrix, gradient, np.zeros(n)), 10.0))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_pair_that_one_term_stands_for_is_found(seed):
     """Near-twins of another term fill the ranks, and what the sum lacks is first made up by decoys."""

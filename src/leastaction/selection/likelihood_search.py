@@ -217,7 +217,8 @@ def relevant(model: QuadraticModel, penalty: float) -> tuple[int, ...]:
         except np.linalg.LinAlgError:
             break
         mean = np.clip(covariance @ right[kept], -_LARGEST, _LARGEST)
-        determined = np.maximum(1.0 - precision * np.diag(covariance), 1e-12)
+        # Between 0 and 1 but for rounding, which a singular matrix makes large.
+        determined = np.clip(1.0 - precision * np.diag(covariance), 1e-12, 1.0)
         updated = determined / np.maximum(mean**2, 1e-300)
         settled = np.all(np.abs(np.log(updated) - np.log(precision)) < _SETTLED)
         stays = updated < SELECTION.irrelevant
