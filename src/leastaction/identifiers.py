@@ -1,4 +1,4 @@
-"""Which names a coordinate may have, and how they are written for people; the one place for both."""
+"""Which names a coordinate may have, and how names, values and numbers of things are written in messages."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ __all__ = [
     "RESERVED_NAMES",
     "TIME",
     "check_coordinate_names",
+    "counted",
     "measured_columns",
     "names_in_terms",
     "quoted",
@@ -73,6 +74,17 @@ def quoted(value: object, limit: int = 40) -> str:
         text = f"<{type(value).__name__}>"
     text = "".join(c if c.isprintable() else " " for c in text[: limit + 1])
     return text if len(text) <= limit else text[: limit - 3] + "..."
+
+
+def counted(n: int, noun: str, plural: str = "") -> str:
+    """A number with its noun.
+
+    Examples
+    --------
+    >>> counted(1, "term"), counted(2, "trajectory", "trajectories")
+    ('1 term', '2 trajectories')
+    """
+    return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def check_coordinate_names(names: Iterable[str] | str) -> tuple[str, ...]:

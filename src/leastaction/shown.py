@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Card", "Display", "Panel", "Series", "Shown", "Typeset", "counted", "data_frame", "show"]
+__all__ = ["Card", "Display", "Panel", "Series", "Shown", "Typeset", "data_frame", "show"]
 
 _MOST_ROWS = 20  # of a table; a card is a summary
 _MOST_LABELS = 10  # of a legend
@@ -149,17 +149,6 @@ def _row(row: Sequence[Piece], tag: str) -> Markup:
         for cell in row
     ]
     return Markup("<tr>{}</tr>").format(Markup("").join(cells))
-
-
-def counted(n: int, noun: str, plural: str = "") -> str:
-    """A number with its noun.
-
-    Examples
-    --------
-    >>> counted(1, "term"), counted(2, "trajectory", "trajectories")
-    ('1 term', '2 trajectories')
-    """
-    return f"{n} {noun if n == 1 else plural or noun + 's'}"
 
 
 def show(*things: Any) -> None:

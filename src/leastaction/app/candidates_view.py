@@ -16,8 +16,8 @@ from leastaction.app.candidates import (
     split_trials,
 )
 from leastaction.app.parts import action, fault, field, math, panel, say, title
-from leastaction.cli.text import counted
 from leastaction.errors import InputError
+from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
     from leastaction import Library

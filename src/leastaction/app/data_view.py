@@ -14,8 +14,8 @@ from leastaction.app.figures import data_figure
 from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
 from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
 from leastaction.app.session import EXAMPLES
-from leastaction.cli.text import counted
 from leastaction.findings import sentence
+from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page

@@ -11,7 +11,8 @@ from leastaction.cli.demo import DEMOS, HELD_OUT, Demo
 from leastaction.cli.discover import OUTPUTS, command_line, write_outputs
 from leastaction.cli.output import check_folder
 from leastaction.cli.show import live_progress, say, show_fit, show_table, with_error
-from leastaction.cli.text import complete_folder, counted, shown
+from leastaction.cli.text import complete_folder, shown
+from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel, Trajectories

@@ -9,9 +9,10 @@ import click
 
 from leastaction.cli.output import check_file
 from leastaction.cli.show import say
-from leastaction.cli.text import complete_file, counted, shown
+from leastaction.cli.text import complete_file, shown
 from leastaction.cli.values import blame, number
 from leastaction.errors import InputError
+from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
     from leastaction.systems import MechanicalSystem

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from leastaction.cli.text import counted, in_options, one_line
+from leastaction.cli.text import in_options, one_line
 from leastaction.findings import STATED
 from leastaction.findings.wording import fill
+from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel
@@ -51,7 +52,7 @@ def _law(coefficients: Mapping[str, float]) -> str:
 
 
 _DETAILS: dict[str, Callable[[Any], str]] = {
-    "terms": partial(counted, thing="term"),
+    "terms": partial(counted, noun="term"),
     "evidence": "evidence {:.1f}".format,
     "knots_per_second": "{:.0f} knots per second".format,
     "coefficients": _law,

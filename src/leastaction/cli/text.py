@@ -8,7 +8,7 @@ import re
 import click
 from click.shell_completion import CompletionItem
 
-__all__ = ["complete_file", "complete_folder", "counted", "in_options", "one_line", "shown"]
+__all__ = ["complete_file", "complete_folder", "in_options", "one_line", "shown"]
 
 
 _OPTIONS = {
@@ -34,17 +34,6 @@ def one_line(text: str) -> str:
     'first second [31m'
     """
     return " ".join("".join(c if c.isprintable() else " " for c in text).split())
-
-
-def counted(number: int, thing: str) -> str:
-    """Return a number with its noun, which takes an s in the plural.
-
-    Examples
-    --------
-    >>> counted(1, "trial"), counted(3, "trial")
-    ('1 trial', '3 trials')
-    """
-    return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def shown(path: str | os.PathLike[str]) -> str:

@@ -10,8 +10,8 @@ import numpy as np
 from leastaction.data.validation import listed
 from leastaction.errors import InputError
 from leastaction.findings import Finding
-from leastaction.identifiers import quoted, split_names, written_name
-from leastaction.shown import Card, Display, Panel, Series, Shown, counted, data_frame
+from leastaction.identifiers import counted, quoted, split_names, written_name
+from leastaction.shown import Card, Display, Panel, Series, Shown, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast
 import sympy
 
 from leastaction.errors import InputError
-from leastaction.identifiers import names_in_terms
+from leastaction.identifiers import counted, names_in_terms
 from leastaction.library.reduction import same_functions
 from leastaction.library.term import Candidate, Kind, Term, make_term
-from leastaction.shown import Card, Shown, counted, data_frame
+from leastaction.shown import Card, Shown, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd

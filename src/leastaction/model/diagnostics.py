@@ -13,8 +13,9 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.data.shown import units_of, written_names
 from leastaction.data.trajectories import Trajectories
 from leastaction.findings import Finding
+from leastaction.identifiers import counted
 from leastaction.library import Dropped, Kind
-from leastaction.shown import Card, Display, Panel, Series, Shown, counted, data_frame
+from leastaction.shown import Card, Display, Panel, Series, Shown, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd

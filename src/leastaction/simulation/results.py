@@ -14,8 +14,8 @@ from leastaction.data.shown import written_names
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.validation import listed
 from leastaction.errors import InputError
-from leastaction.identifiers import quoted
-from leastaction.shown import Card, Display, Panel, Series, Shown, counted, data_frame
+from leastaction.identifiers import counted, quoted
+from leastaction.shown import Card, Display, Panel, Series, Shown, data_frame
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -20,8 +20,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray, time_fault
 from leastaction.errors import DataError, InputError
 from leastaction.findings import Finding, find
-from leastaction.identifiers import quoted
-from leastaction.shown import counted
+from leastaction.identifiers import counted, quoted
 
 __all__ = [
     "MIN_SAMPLES",
