@@ -8,13 +8,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from leastaction.cli.text import in_options, one_line
-from leastaction.findings import STATED
+from leastaction.findings import STATED, alike, sentence
 from leastaction.findings.wording import fill
 from leastaction.identifiers import counted
 
@@ -274,14 +273,11 @@ def _held_out(forecast: ForecastResult) -> str:
 
 def _notes(model: LagrangianModel) -> Iterator[str]:
     """Notes that the statements and the law do not contain already; those of one kind in one sentence."""
-    from leastaction.findings import sentence
-
     notes = [f for f in model.fit.findings if f.severity == "note" and f.code not in STATED]
     smooth = any("sqrt(" in term.written for term in (*model.terms, *model.dissipation))
     if not smooth:
         notes = [f for f in notes if f.code != "friction-smoothed"]
-    for _, alike in groupby(notes, key=lambda f: (f.code, f.remedy if f.code != "text" else id(f))):
-        *others, last = alike
+    for *others, last in alike(notes):
         yield "; ".join([*(f.message for f in others), sentence(last, "command line")])
 
 

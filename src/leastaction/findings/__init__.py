@@ -14,7 +14,7 @@ from leastaction.findings.finding import (
     status_of,
 )
 from leastaction.findings.messages import CODES
-from leastaction.findings.sentences import find, sentence
+from leastaction.findings.sentences import alike, find, sentence
 from leastaction.findings.stated import stated_error, statements
 from leastaction.findings.templates import REASONS, because
 from leastaction.findings.wording import Audience
@@ -31,6 +31,7 @@ __all__ = [
     "Finding",
     "Severity",
     "Status",
+    "alike",
     "because",
     "doubtful",
     "find",

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any
 
-from leastaction.findings.finding import Finding
+from leastaction.findings.finding import TEXT, Finding
 from leastaction.findings.messages import CODES
 from leastaction.findings.wording import Audience, Text, fill
 
-__all__ = ["find", "sentence"]
+__all__ = ["alike", "find", "sentence"]
 
 
 def find(code: str, subject: str | Iterable[str] = (), /, **values: Any) -> Finding:
@@ -50,6 +51,19 @@ def sentence(finding: Finding, audience: Audience = "python") -> str:
         return f"{finding.message}: {fill(remedy, {**finding.values, 'subject': finding.subject})}"
     except (KeyError, TypeError, ValueError):  # figures of another version, from a file
         return str(finding)
+
+
+def alike(findings: Iterable[Finding]) -> Iterator[list[Finding]]:
+    """Successive findings with the same statement about several subjects.
+
+    Examples
+    --------
+    >>> unused = [find("forces-unused", name) for name in ("x", "y")]
+    >>> [len(group) for group in alike([*unused, find("undeclared-angle", "theta", jumps=3)])]
+    [2, 1]
+    """
+    for _, group in groupby(findings, key=lambda f: (f.code, f.remedy if f.code != TEXT else id(f))):
+        yield list(group)
 
 
 def _other_remedies(audience: Audience) -> dict[str, Text]:

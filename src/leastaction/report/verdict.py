@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
-from itertools import groupby
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding, stated_error
+from leastaction.findings import STATED, Finding, alike, stated_error
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
@@ -51,7 +50,7 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     words = _terms_in(model, findings)
     against = _against(validation) if model.fit.status == "ok" else []
     said = {
-        key: [_in_words(group, notation, words) for group in _alike(some)]
+        key: [_in_words(group, notation, words) for group in alike(some)]
         for key, some in {
             "reservations": [f for f in notes if f.code not in _PREPARED and f.code not in STATED],
             "prepared": [f for f in notes if f.code in _PREPARED],
@@ -107,12 +106,6 @@ def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
     texts = {t.written for t in (*model.terms, *model.dissipation)}
     texts |= {text for point in path for text in point.written}
     return texts | {text for finding in findings for text in finding.subject if re.search(r"[*(]", text)}
-
-
-def _alike(findings: Iterable[Finding]) -> Iterator[list[Finding]]:
-    """Successive findings with the same statement about several subjects."""
-    for _, group in groupby(findings, key=lambda f: (f.code, f.remedy if f.code != "text" else id(f))):
-        yield list(group)
 
 
 def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str]) -> Markup:
