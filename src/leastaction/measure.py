@@ -6,20 +6,16 @@ They are expressions like any other: print them, change them, or write your own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from leastaction.curve.knots import lay_knots
-from leastaction.data.coerce import arranged
-from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
-from leastaction.estimation.linkage import Assembly, Body, Constraint
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["Linkage", "camera", "imu", "linkage"]
+if TYPE_CHECKING:
+    from leastaction.data.trajectories import Trajectory
+    from leastaction.estimation.linkage import Linkage
 
-_FLOOR = 1e-6  # of the spread of a column: least noise
+__all__ = ["Linkage", "camera", "imu", "linkage"]
 
 
 def camera(angles: Sequence[str], markers: Sequence[tuple[str, str]]) -> list[str]:
@@ -113,49 +109,6 @@ def imu(
     return out
 
 
-@dataclass(frozen=True)
-class Linkage:
-    """Constraints between tracked points, and coordinates that fulfil them.
-
-    Attributes
-    ----------
-    constraints : tuple of Constraint
-        With ``kind``, ``body``, ``anchors``, ``radii``, and ``deviation`` (from the constraint, over noise).
-    coordinates, angles : tuple of str
-        Coordinates that remain, and those of them that are angles from the vertical.
-    measure : tuple of str
-        Measurement functions, with start values of the calibration numbers.
-    constant : tuple of str
-        Columns to leave out, because they do not move.
-    loops : int
-        Points with a constraint that these coordinates do not fulfil.
-    """
-
-    constraints: tuple[Constraint, ...]
-    coordinates: tuple[str, ...]
-    angles: tuple[str, ...]
-    measure: tuple[str, ...]
-    constant: tuple[str, ...]
-    loops: int
-
-    def __str__(self) -> str:
-        lines = [_said(constraint) for constraint in self.constraints]
-        if self.loops:
-            lines.append(f"{self.loops} more than the coordinates fulfil: the loop has no unique solution")
-        lines.append(f"coordinates: {', '.join(self.coordinates) or 'none'}")
-        lines += [f'--measure "{text}"' for text in self.measure]
-        return "\n".join(lines + ([f"leave out: {', '.join(self.constant)}"] if self.constant else []))
-
-
-def _said(constraint: Constraint) -> str:
-    body = "(" + ", ".join(constraint.body) + ")"
-    about = [f"({', '.join(a)})" if a else "a fixed point" for a in constraint.anchors]
-    tied = " and ".join(f"{r:.4g} from {a}" for r, a in zip(constraint.radii, about, strict=True))
-    said = {"fixed": "does not move", "slides": "moves along a straight line", "turns": f"stays {tied}"}
-    said |= {"turns with": f"stays {tied} and turns with another point", "closes": f"stays {tied}"}
-    return f"{body} {said[constraint.kind]} (deviation {constraint.deviation:.2g} times the noise)"
-
-
 def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tuple[str, str]]) -> Linkage:
     """Find what ties tracked points in a plane, and propose coordinates with their measurement functions.
 
@@ -196,33 +149,29 @@ def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tu
     >>> found.coordinates, round(found.constraints[0].radii[0], 2)
     (('theta',), 0.5)
     """
+    from leastaction.data.trajectories import Trajectories
+    from leastaction.estimation.linkage import assembled
+
     data = Trajectories.coerce(trajectories)
-    pairs = [tuple(check_coordinate_names(list(body))) for body in bodies]
+    pairs: list[tuple[str, str]] = []
+    for body in bodies:
+        columns = check_coordinate_names(list(body))
+        if len(columns) != 2:
+            raise InputError(f"a body has the columns {quoted(columns)}; give two, horizontal and vertical")
+        pairs.append((columns[0], columns[1]))
     names = [name for pair in pairs for name in pair]
-    for pair in pairs:
-        if len(pair) != 2:
-            raise InputError(f"a body has the columns {quoted(pair)}; give two, horizontal and vertical")
     for name in names:
         if name not in data.coordinates or names.count(name) > 1:
             how = "is not a column of the data" if name not in data.coordinates else "occurs twice"
             raise InputError(f"bodies name {quoted(name)}, which {how}; give each point two columns")
     if not names:
         raise InputError("bodies is empty; give the two columns of each point")
-    tracks = arranged(data.without_rates(), names)
-    tracks = Trajectories([run.changed(forces=None) for run in tracks])
-    values = np.concatenate([run.q for run in tracks])
-    noise = np.maximum(lay_knots(tracks, 5).smooth.noise_std, _FLOOR * np.nanstd(values, axis=0))
-    found = Assembly(
-        [
-            Body((x, y), values[:, 2 * k : 2 * k + 2], noise[2 * k : 2 * k + 2] ** 2)
-            for k, (x, y) in enumerate(pairs)
-        ]
-    )
-    return Linkage(
-        tuple(found.constraints),
-        tuple(found.coordinates),
-        tuple(found.angles),
-        tuple(found.functions),
-        tuple(found.constant),
-        found.loops,
-    )
+    return assembled(data, pairs)
+
+
+def __getattr__(name: str) -> type[Linkage]:
+    if name == "Linkage":
+        from leastaction.estimation.linkage import Linkage
+
+        return Linkage
+    raise AttributeError(f"module 'leastaction.measure' has no attribute {name!r}")

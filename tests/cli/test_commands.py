@@ -532,6 +532,20 @@ assert not heavy, heavy
     assert set(program.commands) == set(COMMANDS)
 
 
+def test_functions_of_sensors_need_no_numerical_library():
+    script = """
+import sys
+from leastaction.measure import camera, imu
+camera(["theta"], [("u", "v")]), imu("theta", gyroscope="gyro")
+heavy = {"numpy", "scipy", "sympy"} & set(sys.modules)
+assert not heavy, heavy
+from leastaction.measure import *
+assert Linkage().coordinates == ()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
 def test_examples_in_the_help_parse():
     for name in COMMANDS:
         text = run(name, "--help").stdout.split("Example:\n")[1].strip().replace("\\\n", " ")

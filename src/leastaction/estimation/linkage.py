@@ -15,16 +15,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
 
-__all__ = ["Assembly", "Body", "Constraint"]
+from leastaction.curve.knots import lay_knots
+from leastaction.data.coerce import arranged
+from leastaction.data.trajectories import Trajectories
+from leastaction.estimation.observations import RELATIVE_FLOOR
+
+__all__ = ["Constraint", "Linkage", "assembled"]
 
 _HOLDS = 9.0  # largest λ: tracks have systematic errors, too, here up to three times the noise
 _CLEARER = 1.5  # factor of λ by which a circle has to beat a line, and a centre beside an anchor the anchor
+_DEGREE = 5  # of the splines that tell the noise
 _ONE_SIDE = 0.99  # share of samples on one side, for the solution of a loop to be a single one
 
 
@@ -53,8 +59,50 @@ class Constraint:
     radii: tuple[float, ...] = ()
     deviation: float = 1.0
 
+    def __str__(self) -> str:
+        body = "(" + ", ".join(self.body) + ")"
+        about = [f"({', '.join(a)})" if a else "a fixed point" for a in self.anchors]
+        tied = " and ".join(f"{r:.4g} from {a}" for r, a in zip(self.radii, about, strict=True))
+        said = {"fixed": "does not move", "slides": "moves along a straight line", "turns": f"stays {tied}"}
+        said |= {"turns with": f"stays {tied} and turns with another point", "closes": f"stays {tied}"}
+        return f"{body} {said[self.kind]} (deviation {self.deviation:.2g} times the noise)"
 
-class Body(NamedTuple):
+
+@dataclass(frozen=True)
+class Linkage:
+    """Constraints between tracked points, and coordinates that fulfil them.
+
+    Attributes
+    ----------
+    constraints : tuple of Constraint
+        With ``kind``, ``body``, ``anchors``, ``radii``, and ``deviation`` (from the constraint, over noise).
+    coordinates, angles : tuple of str
+        Coordinates that remain, and those of them that are angles from the vertical.
+    measure : tuple of str
+        Measurement functions, with start values of the calibration numbers.
+    constant : tuple of str
+        Columns to leave out, because they do not move.
+    loops : int
+        Points with a constraint that these coordinates do not fulfil.
+    """
+
+    constraints: tuple[Constraint, ...] = ()
+    coordinates: tuple[str, ...] = ()
+    angles: tuple[str, ...] = ()
+    measure: tuple[str, ...] = ()
+    constant: tuple[str, ...] = ()
+    loops: int = 0
+
+    def __str__(self) -> str:
+        lines = list(map(str, self.constraints))
+        if self.loops:
+            lines.append(f"{self.loops} more than the coordinates fulfil: the loop has no unique solution")
+        lines.append(f"coordinates: {', '.join(self.coordinates) or 'none'}")
+        lines += [f'--measure "{text}"' for text in self.measure]
+        return "\n".join(lines + ([f"leave out: {', '.join(self.constant)}"] if self.constant else []))
+
+
+class _Body(NamedTuple):
     """A tracked point: (n_times, 2) samples, NaN where missing, and the variance of their noise."""
 
     columns: tuple[str, str]
@@ -78,31 +126,30 @@ class _Placed(NamedTuple):
     translates: bool
 
 
-class Assembly:
+def assembled(trajectories: Trajectories, bodies: Sequence[tuple[str, str]]) -> Linkage:
+    """The linkage of points given by two columns each; noise is estimated from smooth curves."""
+    tracks = arranged(trajectories.without_rates(), [name for body in bodies for name in body])
+    tracks = Trajectories([run.changed(forces=None) for run in tracks])
+    values = np.concatenate([run.q for run in tracks])
+    floor = RELATIVE_FLOOR * np.nanstd(values, axis=0)
+    variance = np.maximum(lay_knots(tracks, _DEGREE).smooth.noise_std, floor) ** 2
+    places = [slice(2 * k, 2 * k + 2) for k in range(len(bodies))]
+    points = zip(bodies, places, strict=True)
+    return _Assembly([_Body(body, values[:, at], variance[at]) for body, at in points]).found
+
+
+class _Assembly:
     """Ties tracked points to the ground and to one another; those without a tie keep their columns.
 
     Attributes
     ----------
-    constraints : list of Constraint
-    coordinates, angles : list of str
-        Coordinates that describe the motion, and those that are angles from the vertical.
-    functions : list of str
-        Measurement functions of the columns.
-    constant : list of str
-        Columns that do not move.
-    loops : int
-        Points with a constraint too many, whose angles are therefore not independent.
+    found : Linkage
     """
 
-    def __init__(self, bodies: Sequence[Body]) -> None:
-        self.constraints: list[Constraint] = []
-        self.coordinates: list[str] = []
-        self.angles: list[str] = []
-        self.functions: list[str] = []
-        self.constant: list[str] = []
-        self.loops = 0
+    def __init__(self, bodies: Sequence[_Body]) -> None:
+        self.found = Linkage()
         self._placed: dict[tuple[str, ...], _Placed] = {}
-        self._bodies: dict[tuple[str, ...], Body] = {body.columns: body for body in bodies}
+        self._bodies: dict[tuple[str, ...], _Body] = {body.columns: body for body in bodies}
         self._turns: list[tuple[str, np.ndarray, float]] = []
         self._sign = 0.0
         self._taken = {name for body in bodies for name in body.columns}
@@ -112,13 +159,18 @@ class Assembly:
             if at is None:
                 self._free(waiting[0])
             waiting.pop(at or 0)
-        self.functions = _once(self.functions)
+        self.found = replace(self.found, measure=_once(self.found.measure))
 
-    def _free(self, body: Body) -> None:
-        self.coordinates += body.columns
+    def _add(self, **more: Any) -> None:
+        """Append to fields of the linkage."""
+        longer = {name: getattr(self.found, name) + value for name, value in more.items()}
+        self.found = replace(self.found, **longer)
+
+    def _free(self, body: _Body) -> None:
+        self._add(coordinates=body.columns)
         self._placed[body.columns] = _Placed(body.columns, np.zeros(2), True)
 
-    def _tie(self, body: Body) -> bool:
+    def _tie(self, body: _Body) -> bool:
         """Whether a constraint ties the point to the ground, or to a point with a place."""
         seen = body.track[np.isfinite(body.track).all(axis=1)]
         excess, normals = eigh(np.cov(seen.T), np.diag(body.variance))
@@ -131,7 +183,7 @@ class Assembly:
             self._turn(body, circles)
         return body.columns in self._placed
 
-    def _circles(self, body: Body) -> list[_Circle]:
+    def _circles(self, body: _Body) -> list[_Circle]:
         """Circles on which the point moves: about the ground, and about points with a place."""
         out = [_circle((), body.track, body.variance, given=False)]
         for anchor, place in self._placed.items():
@@ -146,28 +198,28 @@ class Assembly:
             out.append(found)
         return [circle for circle in out if circle.excess < _HOLDS]
 
-    def _rest(self, body: Body, seen: np.ndarray, excess: float) -> None:
-        self.constraints.append(Constraint("fixed", body.columns, deviation=excess**0.5))
-        self.constant += body.columns
+    def _rest(self, body: _Body, seen: np.ndarray, excess: float) -> None:
+        still = Constraint("fixed", body.columns, deviation=excess**0.5)
+        self._add(constraints=(still,), constant=body.columns)
         self._placed[body.columns] = _Placed(("", ""), seen.mean(axis=0), True)
 
-    def _slide(self, body: Body, seen: np.ndarray, normal: np.ndarray, excess: float) -> None:
+    def _slide(self, body: _Body, seen: np.ndarray, normal: np.ndarray, excess: float) -> None:
         """Along a line, the column that moves more is the coordinate."""
-        self.constraints.append(Constraint("slides", body.columns, deviation=excess**0.5))
         spread, means = seen.std(axis=0), seen.mean(axis=0)
         k = int(np.argmax(spread))
         texts, slope = ["", ""], -normal[k] / normal[1 - k]
         texts[k] = body.columns[k]
-        self.coordinates.append(texts[k])
+        line = Constraint("slides", body.columns, deviation=excess**0.5)
+        self._add(constraints=(line,), coordinates=(texts[k],))
         if abs(slope) * spread[k] < body.variance[1 - k] ** 0.5:
-            self.constant.append(body.columns[1 - k])
+            self._add(constant=(body.columns[1 - k],))
         else:
             start = means[1 - k] - slope * means[k]
             texts[1 - k] = f"{self._number('offset', start)} + {self._number('slope', slope)}*{texts[k]}"
-            self.functions.append(f"{body.columns[1 - k]} = {texts[1 - k]}")
+            self._add(measure=(f"{body.columns[1 - k]} = {texts[1 - k]}",))
         self._placed[body.columns] = _Placed((texts[0], texts[1]), means, True)
 
-    def _turn(self, body: Body, circles: list[_Circle]) -> None:
+    def _turn(self, body: _Body, circles: list[_Circle]) -> None:
         """On one circle: with an angle of its own, or of another body; on two circles: where they meet."""
         first = circles[0]
         away = body.track - first.centre - (self._bodies[first.anchor].track if first.anchor else 0.0)
@@ -181,16 +233,15 @@ class Assembly:
         elif side and len(circles) > 1:
             kind, angle, circles = "closes", "", circles[:2]
         else:
-            self.loops += len(circles) > 1
+            self._add(loops=int(len(circles) > 1))
             kind, angle, circles = "turns", self._name("theta"), circles[:1]
-            self.coordinates.append(angle)
-            self.angles.append(angle)
+            self._add(coordinates=(angle,), angles=(angle,))
             self._turns.append((angle, turned, size))
         worst = max(c.excess for c in circles) ** 0.5
         anchors, radii = tuple(c.anchor for c in circles), tuple(c.radius for c in circles)
-        self.constraints.append(Constraint(kind, body.columns, anchors, radii, worst))
         texts = self._meeting(circles, side) if kind == "closes" else self._around(first, angle)
-        self.functions += [f"{column} = {text}" for column, text in zip(body.columns, texts, strict=True)]
+        functions = tuple(f"{column} = {text}" for column, text in zip(body.columns, texts, strict=True))
+        self._add(constraints=(Constraint(kind, body.columns, anchors, radii, worst),), measure=functions)
         self._placed[body.columns] = _Placed(texts, np.zeros(2), False)
 
     def _with_another(self, turned: np.ndarray, size: float) -> str | None:
@@ -267,7 +318,7 @@ def _circle(anchor: tuple[str, ...], track: np.ndarray, variance: np.ndarray, *,
     return _Circle(anchor, centre * unit + shift, float(radius) * unit, float(excess[0]), given)
 
 
-def _side(body: Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...], Body]) -> float:
+def _side(body: _Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...], _Body]) -> float:
     """On which side of the line between two anchors the point stays; 0 if it does not."""
     if len(circles) < 2:
         return 0.0
@@ -278,7 +329,7 @@ def _side(body: Body, circles: Sequence[_Circle], bodies: Mapping[tuple[str, ...
     return 1.0 if left > _ONE_SIDE else -1.0 if left < 1.0 - _ONE_SIDE else 0.0
 
 
-def _once(functions: Iterable[str]) -> list[str]:
+def _once(functions: Iterable[str]) -> tuple[str, ...]:
     """The functions with each start value at its first occurrence only."""
     given: set[str] = set()
 
@@ -288,4 +339,4 @@ def _once(functions: Iterable[str]) -> list[str]:
         given.add(name)
         return text
 
-    return [re.sub(r"\{(\w+)=[^}]*\}", shortened, text) for text in functions]
+    return tuple(re.sub(r"\{(\w+)=[^}]*\}", shortened, text) for text in functions)
