@@ -22,6 +22,7 @@ from leastaction.mechanics.arm_columns import (
     joint_terms,
     presliding,
 )
+from leastaction.mechanics.equations import Mechanics
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 from leastaction.mechanics.euler_lagrange import euler_lagrange as la_euler_lagrange
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics, mass_matrix
@@ -466,6 +467,28 @@ def test_the_public_operator_needs_numbers():
         la.euler_lagrange(library, [[0.5]], [[1.0]], [[2.0]])
     found = la.euler_lagrange(library.at({"a": 2.0}), [[0.5]], [[1.0]], [[2.0]])
     assert_close(found, [[[2.0, 2.0 * np.exp(-1.0)]]])
+
+
+def test_energy_changes_by_the_power_of_friction_and_forces(rng):
+    """Along free motion energy falls by q̇·∂ψ/∂q̇, and it rises by q̇·f."""
+    law = ["x_dot**2/2 + (x - y)**2/3", "(2 + cos(x))*y_dot**2", "x_dot*y_dot*sin(y)/4"]
+    friction = Library(["x"], PLANE, dissipation=["abs(x_dot)", "x_dot*y_dot/3 + y_dot**2", "abs(y_dot)**3"])
+    parts = sp.Add(*(term.expr for term in terms(law, PLANE)))
+    mechanics = Mechanics(parts, sp.Add(*(term.expr for term in friction.dissipation)), PLANE)
+    q, qdot, forces = rng.standard_normal((3, 20, 2))
+    qddot, step = mechanics.acceleration(q, qdot, forces), 1e-6
+    states = ((q + s * (qdot + 0.5 * s * qddot), qdot + s * qddot) for s in (-step, step))
+    before, after = (mechanics.energy(*state) for state in states)
+    power = np.sum(qdot * forces, axis=1) - mechanics.friction_power(q, qdot)
+    np.testing.assert_allclose((after - before) / (2.0 * step), power, rtol=1e-6, atol=1e-7)
+
+
+def test_expressions_of_the_coordinates_are_evaluated(rng):
+    x, y_dot = sp.Symbol("x", real=True), sp.Symbol("y_dot", real=True)
+    mechanics = Mechanics(y_dot**2, sp.Integer(0), PLANE)
+    q, qdot = rng.standard_normal((2, 5, 2))
+    found = mechanics.evaluate([x * abs(y_dot), sp.Integer(3)], q, qdot)
+    assert_close(found, [q[:, 0] * np.abs(qdot[:, 1]), np.full(5, 3.0)])
 
 
 # -------- kinematic trees: geometry, columns and derivatives, against symbols, energy and finite differences

@@ -97,9 +97,7 @@ class Mechanics:
         self._named = state_symbols(coordinates)
         self.q = [sp.Symbol(f"q_{i}", real=True) for i in range(self.n_dof)]
         self.qdot = [sp.Symbol(f"v_{i}", real=True) for i in range(self.n_dof)]
-        swap = dict(zip([*self._named[0], *self._named[1]], [*self.q, *self.qdot], strict=True))
-        self._lagrangian = lagrangian.replace(sp.Abs, RealAbs).xreplace(swap)
-        self._dissipation = dissipation.replace(sp.Abs, RealAbs).xreplace(swap)
+        self._lagrangian, self._dissipation = self._neutral(lagrangian), self._neutral(dissipation)
         self.timed = time_symbol in self._lagrangian.free_symbols | self._dissipation.free_symbols
 
     @classmethod
@@ -116,6 +114,11 @@ class Mechanics:
         for term, value in zip(terms, values, strict=True):
             parts[term.kind] += value * term.expr
         return cls(parts["lagrangian"], parts["dissipation"], coordinates, parameters, prescribed)
+
+    def _neutral(self, expr: sp.Expr) -> sp.Expr:
+        """An expression in the symbols of the coordinates, in those of `q` and `qdot`."""
+        swap = dict(zip([*self._named[0], *self._named[1]], [*self.q, *self.qdot], strict=True))
+        return expr.replace(sp.Abs, RealAbs).xreplace(swap)
 
     @property
     def state(self) -> list[sp.Symbol]:
@@ -208,6 +211,10 @@ class Mechanics:
     def _energy_function(self) -> Callable[..., list[Any]]:
         return self.compile([self.energy_expression])
 
+    @cached_property
+    def _friction_power_function(self) -> Callable[..., list[Any]]:
+        return self.compile([sp.Add(*(v * sp.diff(self._dissipation, v) for v in self.qdot))])
+
     def compile(
         self, expressions: Sequence[sp.Expr], more: Sequence[sp.Symbol] = ()
     ) -> Callable[..., list[Any]]:
@@ -298,9 +305,24 @@ class Mechanics:
 
     def energy(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
         """Return q̇·∂L/∂q̇ − L, shape (...)."""
+        return self._values(self._energy_function, q, qdot, t)[0]
+
+    def friction_power(self, q: np.ndarray, qdot: np.ndarray, t: Any = None) -> np.ndarray:
+        """Return q̇·∂ψ/∂q̇, shape (...): the rate at which friction takes energy."""
+        return self._values(self._friction_power_function, q, qdot, t)[0]
+
+    def evaluate(
+        self, expressions: Iterable[sp.Expr], q: np.ndarray, qdot: np.ndarray, t: Any = None
+    ) -> np.ndarray:
+        """Return values of expressions in the symbols of the coordinates, shape (n_expressions, ...)."""
+        return self._values(self.compile([self._neutral(expr) for expr in expressions]), q, qdot, t)
+
+    def _values(
+        self, function: Callable[..., list[Any]], q: np.ndarray, qdot: np.ndarray, t: Any
+    ) -> np.ndarray:
         with np.errstate(all="ignore"):
-            (value,) = self._energy_function(*self._columns(q, qdot, t))
-        return np.array(np.broadcast_to(value, q.shape[:-1]), dtype=float)
+            values = function(*self._columns(q, qdot, t))
+        return np.array([np.broadcast_to(value, q.shape[:-1]) for value in values], dtype=float)
 
 
 def _solve(mass: np.ndarray, right: np.ndarray) -> np.ndarray:

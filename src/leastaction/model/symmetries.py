@@ -373,10 +373,6 @@ def _drift(model: LagrangianModel, quantity: sp.Expr) -> float:
     diagnostics = model.diagnostics
     if diagnostics is None:
         return math.nan
-    names = [*state_symbols(model.coordinates)[0], *state_symbols(model.coordinates)[1]]
-    neutral = [sp.Dummy(real=True) for _ in names]
-    addends = [part.xreplace(dict(zip(names, neutral, strict=True))) for part in sp.Add.make_args(quantity)]
-    function = sp.lambdify(neutral, addends, modules="numpy", cse=True)
     points = diagnostics.grid.split(diagnostics.control_points)
     departures: list[float] = []
     sizes: list[float] = []
@@ -384,8 +380,7 @@ def _drift(model: LagrangianModel, quantity: sp.Expr) -> float:
         trial = diagnostics.trajectories[k]
         t = np.linspace(float(trial.t[0]), float(trial.t[-1]), min(_MOST_TIMES, 4 * trial.n_times))
         q, qdot = (diagnostics.grid.spaces[k].evaluate(points[k], t, nu) for nu in (0, 1))
-        with np.errstate(all="ignore"):
-            parts = np.array([np.broadcast_to(part, len(t)) for part in function(*q.T, *qdot.T)])
+        parts = model.mechanics.evaluate(sp.Add.make_args(quantity), q, qdot, t)
         departures.append(float(np.std(parts.sum(axis=0))))
         sizes.append(float(np.abs(parts).sum(axis=0).mean()))
     scale = float(np.mean(sizes))

@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import sympy as sp
 
 from leastaction.data.trajectories import Trajectories, Trajectory
-from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import Diagnostics, HiddenMotion
 from leastaction.model.model import LagrangianModel
 
@@ -129,26 +127,12 @@ class Energy:
         t = np.linspace(data.t[0], data.t[-1], n_times)
         q, qdot = series.curve_of(trial, t), series.curve_of(trial, t, 1)
         total, potential = model.energy(q, qdot), model.energy(q, np.zeros_like(q))
-        power = -_friction_power(model, q, qdot)
+        power = -model.mechanics.friction_power(q, qdot)
         if data.forces is not None:
             for i in range(model.n_dof):
                 power = power + np.interp(t, data.t, data.forces[:, i]) * qdot[:, i]
         work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(t))])
         return cls(t, total, potential, work + np.mean(total - work))
-
-
-def _friction_power(model: LagrangianModel, q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
-    """Σ_i q̇_i ∂ψ/∂q̇_i, shape (n_times,)."""
-    if not model.dissipation:
-        return np.zeros(len(q))
-    names, rates, _ = state_symbols(model.coordinates)
-    # The generated code does not use the names of the coordinates.
-    neutral = [sp.Dummy(real=True) for _ in (*names, *rates)]
-    psi = model.dissipation_function.xreplace(dict(zip((*names, *rates), neutral, strict=True)))
-    power = sp.Add(*(v * sp.diff(psi, v) for v in neutral[len(names) :]))
-    function = sp.lambdify(neutral, power, modules="numpy", cse=True)
-    with np.errstate(all="ignore"):
-        return np.broadcast_to(np.asarray(function(*q.T, *qdot.T), dtype=float), (len(q),))
 
 
 def _diagnostics(model: LagrangianModel) -> Diagnostics:
