@@ -40,8 +40,13 @@ def with_hidden(
     hidden = check_coordinate_names([names] if isinstance(names, str) else list(names)) if names else ()
     if not hidden:
         return trajectories, ()
-    for name in hidden:
-        _refuse_samples(trajectories, name)
+    for i, name in enumerate(trajectories.coordinates):
+        count = sum(int(np.isfinite(t.q[:, i]).sum()) for t in trajectories)
+        if name in hidden and count:
+            raise InputError(
+                f"hidden names {quoted(name)}, which has {count} samples; leave its column out, or do not "
+                "call it hidden (missing samples may be NaN)"
+            )
     measured = [name for name in trajectories.coordinates if name not in hidden]
     if not measured:
         raise InputError(
@@ -117,19 +122,6 @@ def with_every_sensor(trajectories: Trajectories) -> Trajectories:
     """The trajectories in which every coordinate has samples; all, if there are none."""
     whole = [item for item in trajectories if not lacking(item)]
     return trajectories if len(whole) in (0, len(trajectories)) else Trajectories(whole)
-
-
-def _refuse_samples(trajectories: Trajectories, name: str) -> None:
-    """A coordinate with samples is not hidden."""
-    if name not in trajectories.coordinates:
-        return
-    i = trajectories.coordinates.index(name)
-    count = sum(int(np.isfinite(t.q[:, i]).sum()) for t in trajectories)
-    if count:
-        raise InputError(
-            f"hidden names {quoted(name)}, which has {count} samples; leave its column out, or do not call "
-            "it hidden (missing samples may be NaN)"
-        )
 
 
 def knots_of_all(measured: Knots, hidden: Sequence[int]) -> Knots:

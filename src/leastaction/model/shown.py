@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
@@ -132,12 +131,12 @@ def _statements(model: LagrangianModel) -> str:
     return f" ({'; '.join(said)})" if said else ""
 
 
-def _reach(term: ModelTerm) -> tuple[float, float]:
-    """Distances to the ends of the 95 % interval in per cent of the coefficient; 0 if there is none."""
-    ends = (term.coefficient - term.lower, term.upper - term.coefficient)
-    if not term.coefficient or not all(math.isfinite(end) and end > 0 for end in ends):
-        return 0.0, 0.0
-    return 100 * ends[0] / abs(term.coefficient), 100 * ends[1] / abs(term.coefficient)
+def _reach(term: ModelTerm) -> np.ndarray:
+    """(2,) distances to the ends of the 95 % interval in per cent of the coefficient; 0 if there is none."""
+    ends = np.array([term.coefficient - term.lower, term.upper - term.coefficient])
+    if not term.coefficient or not np.all(np.isfinite(ends) & (ends > 0)):
+        return np.zeros(2)
+    return 100 * ends / abs(term.coefficient)
 
 
 def _formulas(model: LagrangianModel) -> Markup:
