@@ -24,7 +24,7 @@ from leastaction.library import make_term
 from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_proposals import weak_grams
+from leastaction.selection.weak_form import weak_grams
 from leastaction.selection.weak_search import beam_search, noise_ratio, support_score
 
 ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
@@ -183,7 +183,7 @@ def main() -> None:
                     for error in ERRORS:
                         noise = 1.0
                         if search == "forward":
-                            levels = beam_search(gram, error, penalty, n_rows, n_candidates)
+                            levels = beam_search(gram, error, penalty, n_rows)
                         else:
                             levels = backward_search(gram, error, penalty, n_rows)
                             noise = noise_ratio(levels[-1][0].ratio, n_candidates, n_rows)

@@ -31,8 +31,7 @@ from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
 from leastaction.selection.strategies import shape_start, shortest_form
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakGram
-from leastaction.selection.weak_proposals import weak_grams
+from leastaction.selection.weak_form import WeakGram, weak_grams
 from leastaction.selection.weak_search import cheapest_combinations, noise_ratio, support_score
 from leastaction.simulation.integrate import rk4
 from studies import solve

@@ -345,9 +345,9 @@ def changed(gram: WeakGram, function) -> WeakGram:
     )
 
 
-def levels_of(gram: WeakGram, max_size: int = N, width: int = 8, error: float = 1.0):
+def levels_of(gram: WeakGram, width: int = 8, error: float = 1.0):
     """All levels: with a very low price of terms the search has no reason to stop early."""
-    return beam_search(gram, error, -1e6, 1.0, max_size, width)
+    return beam_search(gram, error, -1e6, 1.0, width)
 
 
 def solve(gram: WeakGram, members, error: float = 1.0) -> np.ndarray:
@@ -397,7 +397,7 @@ def test_no_support_explains_what_all_candidates_do_not(seed, error):
 def test_default_width_finds_the_planted_support(seed):
     members = tuple(sorted(np.random.default_rng(seed).choice(20, 5, replace=False).tolist()))
     gram, _ = weak_problem(seed, members, noise=0.02, n=20, correlation=0.7)
-    levels = levels_of(gram, 8)
+    levels = levels_of(gram)[:8]
     assert levels[4][0].members == members
     # a sharp elbow at the true size
     falls = -np.diff(np.log([level[0].ratio for level in levels]))
@@ -425,7 +425,7 @@ def test_price_of_a_term_ends_the_search():
     gram, truth = weak_problem(1, (2, 5), noise=0.05, n=20)
     gram = with_noise_level(gram, (2, 5), truth)
     penalty = term_penalty(120, 20)
-    levels = beam_search(gram, 0.0, penalty, 120.0, 20)
+    levels = beam_search(gram, 0.0, penalty, 120.0)
     best = min((s for level in levels for s in level), key=lambda s: support_score(s, penalty, 120.0))
     assert best.members == (2, 5)
     assert len(levels) < 20
@@ -435,7 +435,7 @@ def test_better_than_noise_is_not_better():
     gram, truth = weak_problem(1, (2, 5), noise=0.05, n=20)
     gram = with_noise_level(gram, (2, 5), truth)
     price = 3.0
-    scores = [support_score(level[0], price, 120.0) for level in beam_search(gram, 0.0, price, 120.0, 20)]
+    scores = [support_score(level[0], price, 120.0) for level in beam_search(gram, 0.0, price, 120.0)]
     np.testing.assert_allclose(np.diff(scores[2:]), price)
 
 

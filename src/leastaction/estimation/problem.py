@@ -178,8 +178,8 @@ class Problem:
         here = self.shape_values
         return self.at({name: self.ranges[name].stepped(here[name], step) for name, step in steps.items()})
 
-    def completed(self, coefficients: np.ndarray) -> np.ndarray:
-        """Coefficients of all candidates with the known ones in place and excluded ones at zero."""
+    def completed(self, coefficients: np.ndarray | float) -> np.ndarray:
+        """Coefficients of all candidates, or one for all, with known ones in place and excluded ones zero."""
         out = np.where(self.is_known, self.known, coefficients)
         out[list(self.excluded)] = 0.0
         return out

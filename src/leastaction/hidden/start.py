@@ -50,6 +50,15 @@ class HiddenStart:
     motions: list[np.ndarray]
     confirmed: bool
 
+    def in_place(self, problem: Problem) -> Trajectories:
+        """The data, with this motion for the hidden coordinates."""
+        items: list[Trajectory] = []
+        for trajectory, motion in zip(problem.trajectories, self.motions, strict=True):
+            q = trajectory.q.copy()
+            q[:, list(problem.hidden)] = motion
+            items.append(trajectory.changed(q=q))
+        return Trajectories(items)
+
 
 def find_start(
     problem: Problem, structure: Structure, smooth: Smooth, period: float, seed: int = 0

@@ -51,7 +51,7 @@ def run_descent(search: Search, options: AdamOptions) -> Search:
 def _start(problem: Problem, descent: AdamProblem, options: AdamOptions, points: np.ndarray) -> np.ndarray:
     """Coefficients to begin with; known ones in place."""
     given = options.start_coefficients
-    coefficients = problem.completed(np.ones(len(problem.candidates)))
+    coefficients = problem.completed(1.0)
     if given == "regression":
         return descent.regress(points, coefficients)
     if isinstance(given, Mapping):

@@ -293,7 +293,7 @@ class Profile:
 
     def _steps(self, point: ProfilePoint, bearers: Sequence[int], look: _Look) -> dict[str, float]:
         """Steps of the shape parameters, from their tangents."""
-        coefficients = self.problem.completed(np.zeros(len(self.problem.candidates)))
+        coefficients = self.problem.completed(0.0)
         found = solve_support(point.gram, look.error, point.members)
         coefficients[[*self.plain, *self._free(bearers)]] = found
         held = [k for k in bearers if coefficients[k] != 0.0]

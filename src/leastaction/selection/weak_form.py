@@ -27,9 +27,10 @@ from leastaction.curve.smoothing import Smooth
 from leastaction.estimation.grid import Grid
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["WeakForm", "WeakGram", "weak_form", "weak_gram", "weak_replicates"]
+__all__ = ["WeakForm", "WeakGram", "weak_form", "weak_gram", "weak_grams", "weak_replicates"]
 
 _BLOCK = 16384  # quadrature points handled at once
+_WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _HOPS = 6  # test functions a width
 _REPLICATES = 8  # of the noise: their mean and covariance
 _GOLDEN = 0.6180339887498949  # its multiples, less their integers, are spread evenly
@@ -275,6 +276,13 @@ def weak_form(
     forces = None if grid.forces is None else grid.forces.values
     seconds = [factor * period for factor in widths]
     return WeakForm(grid.spline, candidates, known, forces, seconds, np.sqrt(rates), uneven)
+
+
+def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
+    """The weak form of a problem along a smooth curve, for each width of test functions."""
+    problem = grid.problem
+    form = weak_form(grid, curve, problem.candidates, problem.completed(np.nan), _WIDTHS)
+    return form.grams(curve.control_points, weak_replicates(grid, curve, seed))
 
 
 def weak_replicates(grid: Grid, curve: Smooth, seed: int) -> list[np.ndarray]:

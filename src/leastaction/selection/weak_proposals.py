@@ -15,7 +15,7 @@ from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.progress import Progress, law_so_far
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
-from leastaction.selection.weak_form import WeakGram, weak_form, weak_replicates
+from leastaction.selection.weak_form import WeakGram, weak_grams
 from leastaction.selection.weak_search import (
     ScaledGram,
     Support,
@@ -27,9 +27,8 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "explicable", "propose_structures", "settled", "weak_grams"]
+__all__ = ["Proposal", "explicable", "propose_structures", "settled"]
 
-_WIDTHS = (1.0, 0.5, 2.0)  # of the test functions, in periods of the fastest coordinate
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _TRIED = 60  # structures whose mass matrix is looked at
 
@@ -82,14 +81,6 @@ def _of_all(gram: WeakGram, error: float) -> float:
     return ScaledGram(gram, error).ratio(tuple(range(gram.residual.shape[0] - 1)))
 
 
-def weak_grams(grid: Grid, curve: Smooth, seed: int) -> list[WeakGram]:
-    """The weak form along a smooth curve for each width of test functions."""
-    problem = grid.problem
-    known = problem.completed(np.full(len(problem.candidates), np.nan))
-    form = weak_form(grid, curve, problem.candidates, known, _WIDTHS)
-    return form.grams(curve.control_points, weak_replicates(grid, curve, seed))
-
-
 def _best_support(
     grid: Grid, curve: Smooth, gram: WeakGram, bases: list[tuple[int, ...]] | None
 ) -> tuple[Structure, np.ndarray]:
@@ -98,14 +89,16 @@ def _best_support(
     free = problem.free
     n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
     price = term_penalty(int(n_rows), free.size)
-    first = None
-    error, ranked = _EQUATION_ERRORS[-1], list[Support]()
-    for error in _promising(gram):  # the smallest that lets some structure explain the rows
+    *smaller, largest = _EQUATION_ERRORS
+    # where not even all candidates explain the rows, no structure does
+    promising = [e for e in smaller if _of_all(gram, e) < SELECTION.rows_explained]
+    first, error, ranked = None, largest, list[Support]()
+    for error in (*promising, largest):  # the smallest that lets some structure explain the rows
         ranked = _ranked(gram, error, price, n_rows, bases, problem.surcharges[free])
         if ranked[0].ratio < SELECTION.rows_explained:
             break
     for support in ranked[:_TRIED]:
-        coefficients = problem.completed(np.zeros(len(problem.candidates)))
+        coefficients = problem.completed(0.0)
         coefficients[free] = solve_support(gram, error, support.members)
         answer = Structure(free[list(support.members)]), coefficients
         if grid.regular(coefficients, curve.control_points) > ESTIMATION.mostly_regular:
@@ -113,12 +106,6 @@ def _best_support(
         first = first or answer
     assert first is not None
     return first
-
-
-def _promising(gram: WeakGram) -> list[float]:
-    """Equation errors, rising, but for those at which not even all candidates explain the rows."""
-    *smaller, largest = _EQUATION_ERRORS
-    return [*(e for e in smaller if _of_all(gram, e) < SELECTION.rows_explained), largest]
 
 
 def _ranked(
@@ -136,9 +123,9 @@ def _ranked(
     """
     size, noise = gram.residual.shape[0] - 1, 1.0
     if bases is not None:
-        levels = grow_bases(gram, error, price, n_rows, size, bases)
+        levels = grow_bases(gram, error, price, n_rows, bases)
     elif n_rows < SELECTION.rows_each * size:
-        levels = beam_search(gram, error, price, n_rows, size)
+        levels = beam_search(gram, error, price, n_rows)
     else:
         levels = backward_search(gram, error, price, n_rows)
         noise = noise_ratio(levels[-1][0].ratio, size, n_rows)

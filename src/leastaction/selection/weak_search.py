@@ -159,7 +159,7 @@ def _bisect(alpha: np.ndarray, squares: np.ndarray, mu: np.ndarray) -> np.ndarra
 
 
 def beam_search(
-    gram: WeakGram, error: float, penalty: float, n_rows: float, max_size: int, width: int = 8
+    gram: WeakGram, error: float, penalty: float, n_rows: float, width: int = 8
 ) -> list[list[Support]]:
     """The best supports of each size 1, 2, …, best first.
 
@@ -175,7 +175,7 @@ def beam_search(
     kept: list[Support] = [Support((), np.inf)]
     levels: list[list[Support]] = []
     best, since = np.inf, 0
-    for size in range(1, min(max_size, scaled.known) + 1):
+    for size in range(1, scaled.known + 1):
         # two terms often make sense together only: all pairs are tried
         kept = best_extensions(scaled, {s.members for s in kept}, scaled.known if size == 1 else width)
         kept = _swapped(scaled, kept, width) if size > 2 else kept
@@ -222,7 +222,6 @@ def grow_bases(
     error: float,
     penalty: float,
     n_rows: float,
-    max_size: int,
     bases: list[tuple[int, ...]],
     width: int = 3,
 ) -> list[list[Support]]:
@@ -238,7 +237,7 @@ def grow_bases(
         level: list[Support] = []
         values = np.full(len(bases), np.inf)
         for b, supports in enumerate(kept):
-            if max(map(len, supports)) >= min(max_size, scaled.known):
+            if max(map(len, supports)) >= scaled.known:
                 continue
             found = best_extensions(scaled, supports, width)
             kept[b] = {support.members for support in found}
@@ -334,7 +333,7 @@ def kinetic_bases(grid: Grid, smooth: Smooth) -> list[tuple[int, ...]]:
     points = first_points(grid.spline, smooth.control_points, slice(None, None, stride))
     n = problem.trajectories.n_dof
     options: list[list[Option]] = [[] for _ in range(n)]
-    fixed = problem.completed(np.zeros(len(problem.candidates)))
+    fixed = problem.completed(0.0)
     given = problem.candidates.mass_matrix(points, fixed)
     for i in range(n):
         if np.all(given[:, i, i] > 0.0):  # a known term already makes it positive

@@ -84,8 +84,7 @@ class _Profile:
         problem = search.problem
         assert problem.sensors is not None
         unit = 1.0 / np.sqrt(((free / plausible_sizes(problem.sensors)[:, None]) ** 2).sum(axis=0))
-        known = problem.completed(np.full(len(problem.candidates), np.nan))
-        form = weak_form(search.grid, search.curve, problem.candidates, known, (1.0,))
+        form = weak_form(search.grid, search.curve, problem.candidates, problem.completed(np.nan), (1.0,))
         return cls(search, problem.sensors, free * unit, form)
 
     def numbers(self, step: np.ndarray) -> np.ndarray:

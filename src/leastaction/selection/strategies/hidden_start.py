@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from leastaction.curve.knots import lay_knots
-from leastaction.curve.smoothing import Smooth, smooth
-from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.curve.smoothing import Smooth
+from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
+from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import Start, evidence, update_weights
 from leastaction.findings import find
@@ -53,31 +54,27 @@ def run(search: Search) -> Search:
         found = find_start(problem, structure, search.curve, period, search.seed + attempt)
         confirmed = confirmed or found.confirmed
         best = _likelier(best, _fitted(search, structure, found, best))
-        if equations_hold(best[0]):
-            break
-        again = follow_again(problem, structure, search.curve, period, best[0].coefficients)
-        best = _likelier(best, _fitted(search, structure, again, best))
+        if not equations_hold(best[0]):
+            again = follow_again(problem, structure, search.curve, period, best[0].coefficients)
+            best = _likelier(best, _fitted(search, structure, again, best))
         if equations_hold(best[0]):
             break
     assert best is not None
     fit, curve = _at_simplest_zero(refine(best[0], search.report), search.report), best[1]
     scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
     names = [problem.coordinates[i] for i in problem.hidden]
-    notes = () if confirmed else (find("hidden-start-unconfirmed", names),)
-    findings = (*search.findings, *notes)
+    findings = search.findings if confirmed else (*search.findings, find("hidden-start-unconfirmed", names))
     return replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
 
 
 def _at_simplest_zero(fit: Fit, report: Progress) -> Fit:
     """The fit about the zeros of its hidden coordinates that give fewer terms, where it is more probable."""
     for i in fit.problem.hidden:
-        zero = simplest_zero(fit, i) if fit.converged else None
-        if zero is None:
+        if not fit.converged or (zero := simplest_zero(fit, i)) is None:
             continue
         points = fit.control_points.copy()
         points[:, i] -= zero.shift
-        start = Start(points, zero.coefficients, fit.weights)
-        other = fit.grid.fit(Structure(zero.members), start)
+        other = fit.grid.fit(Structure(zero.members), Start(points, zero.coefficients, fit.weights))
         if other.converged and value(other) > value(fit):
             fit = refine(other, report)
     return fit
@@ -93,7 +90,7 @@ def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:
 def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _Fitted | None) -> _Fitted:
     """The joint fit from a start, on the grid of the one before: evidence compares on one grid only."""
     problem = search.problem
-    completed = _completed(problem.trajectories, problem.hidden, found)
+    completed = found.in_place(problem)
     if before is not None:
         grid = before[0].grid
     else:  # a hidden coordinate may be faster than what is measured
@@ -104,20 +101,9 @@ def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _F
     return grid.fit(structure, _drawn_together(grid, structure, start)), curve
 
 
-def _completed(data: Trajectories, hidden: tuple[int, ...], found: HiddenStart) -> Trajectories:
-    """The data, with the motion that was found in the place of hidden coordinates."""
-    items: list[Trajectory] = []
-    for trajectory, motion in zip(data, found.motions, strict=True):
-        q = trajectory.q.copy()
-        q[:, list(hidden)] = motion
-        items.append(trajectory.changed(q=q))
-    return Trajectories(items)
-
-
 def _smoothed(grid: Grid, completed: Trajectories) -> Smooth:
     """The smooth curve through samples and motion; the latter has no noise that could be known."""
-    times, values = [t.t for t in completed], [t.q for t in completed]
-    curve = smooth(grid.spline, times, values, rates=completed.rates)
+    curve = grid.posed(grid.problem.on(completed)).smooth()
     noise = curve.noise_std.copy()
     noise[list(grid.problem.hidden)] = 1.0
     return replace(curve, noise_std=noise)
@@ -131,35 +117,34 @@ def _drawn_together(grid: Grid, structure: Structure, start: Start) -> Start:
     The weights rise tenfold from step to step, and the curve follows. The step of the highest evidence is
     returned.
     """
-    physics, index = grid.physics(structure)
+    observations, (physics, index) = grid.observations, grid.physics(structure)
     held = Physics(physics.columns, np.zeros_like(physics.free), physics.forces)
     values = grid.problem.completed(start.coefficients)[index]
     best, highest, worse = start, -np.inf, 0
     weights, points = start.weights, start.control_points
     for step in range(_MOST_STEPS):
-        found = fit_joint(grid.observations, held, weights, points, values, tolerance=1.0)
+        found = fit_joint(observations, held, weights, points, values, tolerance=1.0)
         if not found.usable:
             break
         if step >= _HELD:
-            free = fit_joint(
-                grid.observations, physics, _at_rest(grid, found), found.control_points, values, tolerance=1.0
-            )
+            own = _with_slack(observations, found)
+            free = fit_joint(observations, physics, own, found.control_points, values, tolerance=1.0)
             found = free if free.usable else found
-        points, values, value = found.control_points, found.coefficients, evidence(grid.observations, found)
-        worse = 0 if value > highest else worse + 1
+        points, values, value = found.control_points, found.coefficients, evidence(observations, found)
+        worse += 1
         if value > highest:
             coefficients = start.coefficients.copy()
             coefficients[index] = values
-            best, highest = Start(points, coefficients, found.weights), value
+            best, highest, worse = Start(points, coefficients, found.weights), value, 0
         if worse == _WORSE:
             break
         weights = replace(weights, physics=_FACTOR * weights.physics)
     return best
 
 
-def _at_rest(grid: Grid, found: JointFit) -> Weights:
+def _with_slack(observations: Measurements, found: JointFit) -> Weights:
     """The weights of a fit, with the degrees of freedom that it leaves to the equation error."""
     try:
-        return replace(found.weights, slack=update_weights(grid.observations, found).slack)
+        return replace(found.weights, slack=update_weights(observations, found).slack)
     except np.linalg.LinAlgError:
         return found.weights
