@@ -30,7 +30,7 @@ from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
 from leastaction.estimation.crew import DaskCrew, employ
 from leastaction.estimation.elimination import BandedFactor, trace_product
-from leastaction.estimation.gauss_newton import condense, fit_joint, score_candidates
+from leastaction.estimation.gauss_newton import fit_joint, score_candidates
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
@@ -86,9 +86,7 @@ def test_blocks_score_candidates_as_the_whole(crew):
     grid, data, physics, control = problem()
     more = euler_lagrange(MORE, ["x", "y"])
     expected, found = (
-        linearise(seen, physics, control, VALUES).scored(
-            score, WEIGHTS, (control, VALUES), physics.columns, more
-        )
+        linearise(seen, physics, control, VALUES).scored(score, WEIGHTS, more)
         for seen in (Observations(grid, *data), observe(grid, *data, crew))
     )
     close(found.schur, expected.schur)
@@ -112,7 +110,7 @@ def test_what_is_computed_again_equals_what_is_kept(monkeypatch):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(kept.freedom(WEIGHTS), again.freedom(WEIGHTS), strict=True):
         np.testing.assert_array_equal(one, other)
-    one, other = (at.scored(score, WEIGHTS, (control, VALUES), physics.columns, more) for at in (kept, again))
+    one, other = (at.scored(score, WEIGHTS, more) for at in (kept, again))
     np.testing.assert_array_equal(one.schur, other.schur)
 
 
@@ -391,7 +389,11 @@ def unblocked(observations, physics, fit, columns):
     here = np.zeros(len(columns))
     here[: len(fit.coefficients)] = fit.coefficients
     at = problem_module.linearise(observations, everything, fit.control_points, here)
-    return condense(observations, at, fit.weights)
+    return at.normal(fit.weights).eliminate()
+
+
+def scored(observations, physics, fit, columns):
+    return score_candidates(fit.linearisation, fit.weights, columns)
 
 
 @pytest.mark.parametrize("stretch", [1, 3, 7, 512])
@@ -400,7 +402,7 @@ def test_candidates_scored_in_stretches_equal_one_dense_border(stretch, monkeypa
     monkeypatch.setattr(candidates, "_NUMBERS", 10**9)
     monkeypatch.setattr(candidates, "_SHORTEST", 1)
     problem = fitted()
-    expected, found = unblocked(*problem), score_candidates(*problem)
+    expected, found = unblocked(*problem), scored(*problem)
     scale = np.sqrt(np.diag(expected.matrix))
     np.testing.assert_allclose(
         found.matrix / np.outer(scale, scale), expected.matrix / np.outer(scale, scale), atol=1e-9
@@ -414,7 +416,7 @@ def test_candidates_scored_in_stretches_equal_one_dense_border(stretch, monkeypa
 
 def test_curve_step_equals_a_dense_solve():
     observations, physics, fit, columns = fitted()
-    found = score_candidates(observations, physics, fit, columns)
+    found = scored(observations, physics, fit, columns)
     normal = unblocked(observations, physics, fit, columns)
     everything = Physics(columns, np.ones(8, bool), None)
     here = np.append(fit.coefficients, np.zeros(3))

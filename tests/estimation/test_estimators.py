@@ -600,7 +600,7 @@ def test_an_equation_without_terms_has_a_weight_of_the_size_of_the_others():
     assert update.physics[0] == fit.weights.physics[0]
     assert update.physics[1] != fit.weights.physics[1]
     assert evidence(observations, fit) == -np.inf  # x is not determined
-    quadratic = score_candidates(observations, physics, fit, columns)
+    quadratic = score_candidates(fit.linearisation, fit.weights, columns)
     assert np.isfinite(quadratic.matrix).all()
     assert np.all(np.diag(quadratic.matrix)[2:] > 0.0)
 

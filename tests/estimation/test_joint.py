@@ -19,7 +19,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation import protocols
 from leastaction.estimation.build import Request, build_problem
-from leastaction.estimation.gauss_newton import condense, fit_joint
+from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights, linearise
 from leastaction.estimation.linkage import _circle
@@ -116,7 +116,7 @@ class Tiny:
         return linearise(self.observations, self.physics, self.control, coefficients)
 
     def condense(self):
-        return condense(self.observations, self.linearise(), self.weights)
+        return self.linearise().normal(self.weights).eliminate()
 
 
 def tiny(

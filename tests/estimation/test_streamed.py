@@ -133,10 +133,7 @@ def test_a_stream_scores_candidates_as_the_whole(crew, pushed):
     if pushed:
         more, step = WithPushes(more, Ramp()), np.arange(8.0)
     expected, found = (
-        linearise(seen, physics, control, VALUES).scored(
-            score, WEIGHTS, (control, VALUES), physics.columns, more
-        )
-        for seen in (whole, parts)
+        linearise(seen, physics, control, VALUES).scored(score, WEIGHTS, more) for seen in (whole, parts)
     )
     close(found.schur, expected.schur)
     close(found.volume.slope, expected.volume.slope)

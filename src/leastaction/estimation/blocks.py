@@ -30,6 +30,7 @@ from leastaction.estimation.observations import Observations, counts_and_floors
 from leastaction.estimation.recipes import InBlocks, Recipe, cut, observed
 from leastaction.estimation.streamed import StreamedObservations, is_long
 from leastaction.estimation.volume import Volume, add_volumes
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["BlockedObservations", "observe"]
 
@@ -133,21 +134,12 @@ class BlockedLinearisation(Costs):
         parts = crew.results(tasks)
         return _sum(p[0] for p in parts), _sum(p[1] for p in parts)
 
-    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
+    def scored(self, score: Callable[..., Any], weights: Weights, candidates: EulerLagrange) -> Any:
         """All candidates about a fit, summed over the blocks."""
-        weights, curve, columns, candidates = given
         crew, seen = self.observations.crew, self.observations
         tasks = [
-            crew.task(
-                _score,
-                score,
-                block,
-                weights,
-                (curve[0][points], curve[1]),
-                columns.within(intervals),
-                candidates.within(intervals),
-            )
-            for block, points, intervals in zip(self.blocks, seen.points, seen.intervals, strict=True)
+            crew.task(_score, score, block, weights, candidates.within(intervals))
+            for block, intervals in zip(self.blocks, seen.intervals, strict=True)
         ]
         small = crew.results([crew.task(_small_scores, task) for task in tasks])
         steps = BlockedFactor(seen, tuple(tasks), _sum(s[2] for s in small))

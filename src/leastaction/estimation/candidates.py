@@ -33,11 +33,11 @@ class CandidateBorder:
 
     linearisation: Linearisation
     weights: Weights
-    control_points: np.ndarray
     candidates: EulerLagrange
 
     def __call__(self, step: np.ndarray) -> np.ndarray:
-        out, grid = np.zeros_like(self.control_points), self.linearisation.observations.grid
+        at = self.linearisation
+        out, grid = np.zeros_like(at.control_points), at.observations.grid
         (moved,) = np.nonzero(step)
         if moved.size:
             moving = replace(self, candidates=self.candidates.subset(moved.tolist()))
@@ -49,17 +49,18 @@ class CandidateBorder:
 
     def stretches(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Runs of knot intervals with √w J and √w [r, e], (m, n_equations, n_local or 1 + n) each."""
-        grid, size = self.linearisation.observations.grid, 1 + len(self.candidates)
-        n, n_quad = self.control_points.shape[1], grid.weights.shape[1]
+        at, size = self.linearisation, 1 + len(self.candidates)
+        grid = at.observations.grid
+        n, n_quad = at.control_points.shape[1], grid.weights.shape[1]
         root = np.sqrt(self.weights.physics)[:, None, None]
         length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
-        for part in self.linearisation.parts():
+        for part in at.parts():
             for a in range(part.chunk.start, part.chunk.stop, length):
                 chunk = slice(a, min(a + length, part.chunk.stop))
                 inside = slice(chunk.start - part.chunk.start, chunk.stop - part.chunk.start)
                 columns = np.empty((chunk.stop - chunk.start, n, n_quad, size))
                 columns[..., 0] = part.right[inside, ..., 0]
-                strong = self.candidates.strong(points_at(grid, self.control_points, chunk))
+                strong = self.candidates.strong(points_at(grid, at.control_points, chunk))
                 by_interval(strong, columns[..., 1:])
                 columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
                 columns[..., :1] *= root
@@ -92,24 +93,8 @@ class Scores:
     border: Callable[[np.ndarray], np.ndarray]
 
 
-def score(
-    at: Linearisation,
-    weights: Weights,
-    curve: tuple[np.ndarray, np.ndarray],
-    columns: EulerLagrange,
-    candidates: EulerLagrange,
-) -> Scores:
+def score(at: Linearisation, weights: Weights, candidates: EulerLagrange) -> Scores:
     """Score candidates about a fit.
-
-    Parameters
-    ----------
-    at : Linearisation
-    weights : Weights
-    curve : pair of arrays
-        Control points and coefficients of the fit.
-    columns : EulerLagrange
-        Those of the fit.
-    candidates : EulerLagrange
 
     Raises
     ------
@@ -119,40 +104,38 @@ def score(
     normal = at.normal(weights)
     curve_gradient = normal.border[:, 0].copy()
     factor = BandedFactor.of(normal.rows)
-    border = CandidateBorder(at, weights, curve[0], candidates)
-    volume = volume_term(at.observations.grid, columns, *curve, candidates)
+    border = CandidateBorder(at, weights, candidates)
+    grid, columns = at.observations.grid, at.physics.columns
+    volume = volume_term(grid, columns, at.control_points, at.coefficients, candidates)
     schur = schur_complement(border, factor, curve_gradient)
-    calibration = slice(1 + at.physics.n_free, None)
-    if normal.border[:, calibration].size:
-        schur -= _calibrated(border, factor, normal, calibration)
+    if normal.border.shape[1] > 1 + at.physics.n_free:
+        schur -= _calibrated(border, factor, normal)
     return Scores(schur, volume, factor, curve_gradient, border)
 
 
-def _calibrated(
-    border: CandidateBorder, factor: BandedFactor, normal: NormalEquations, calibration: slice
-) -> np.ndarray:
+def _calibrated(border: CandidateBorder, factor: BandedFactor, normal: NormalEquations) -> np.ndarray:
     """(1 + n, 1 + n) reduction of the Schur complement by the calibration numbers, which are refitted.
 
     With their border B, their corner K and Z = H⁻¹B, it is RᵀS⁻¹R, where S = K − BᵀZ and
     R = [g_κ − Zᵀg_P, −ZᵀC].
     """
-    own = normal.border[:, calibration]
-    gradient, inner = normal.gradient[calibration.start - 1 :], slice(calibration.start - 1, None)
+    begin = border.linearisation.physics.n_free
+    own = normal.border[:, 1 + begin :]
     follow = factor.backward(factor.forward(own.copy()))
-    matrix = normal.corner[inner, inner] - own.T @ follow
+    matrix = normal.corner[begin:, begin:] - own.T @ follow
     reach = np.zeros((len(matrix), 1 + len(border.candidates)))
-    grid, n = border.linearisation.observations.grid, border.control_points.shape[1]
+    grid, n = border.linearisation.observations.grid, border.linearisation.control_points.shape[1]
     for chunk, jacobian, columns in border.stretches():
         local = grid.local_control_points(follow.reshape(grid.n_ctrl, n, -1), chunk)
         seen = jacobian @ local.reshape(len(jacobian), jacobian.shape[2], -1)
         reach -= np.einsum("mqk,mqc->kc", seen, columns)
-    reach[:, 0] = gradient - follow.T @ normal.border[:, 0]
+    reach[:, 0] = normal.gradient[begin:] - follow.T @ normal.border[:, 0]
     return reach.T @ np.linalg.pinv(matrix, rcond=1e-12, hermitian=True) @ reach
 
 
 def schur_complement(border: CandidateBorder, factor: BandedFactor, curve_gradient: np.ndarray) -> np.ndarray:
     """(1 + n, 1 + n): moments of [r, e] less those of [y_g, Y]."""
-    grid, n = border.linearisation.observations.grid, border.control_points.shape[1]
+    grid, n = border.linearisation.observations.grid, border.linearisation.control_points.shape[1]
     size = 1 + len(border.candidates)
     out = np.zeros((size, size))
     carried, solved = np.zeros((0, n, size)), np.zeros((0, size))

@@ -245,17 +245,6 @@ class Fit:
 
     def score(self, candidates: EulerLagrange | None = None) -> Quadratic:
         """Quadratic model of the cost in candidates about this fit, by default in all free ones."""
-        physics, index = self.grid.physics(self.structure)
         if candidates is None:
             candidates = self.problem.candidates.subset(self.problem.free.tolist())
-        solution = JointFit(
-            self.control_points,
-            self.coefficients[index],
-            self.covariance,
-            self.linearisation,
-            self.logdet,
-            self.weights,
-            self.status,
-            self.n_steps,
-        )
-        return score_candidates(self.grid.observations, physics, solution, candidates)
+        return score_candidates(self.linearisation, self.weights, candidates)

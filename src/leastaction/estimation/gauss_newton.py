@@ -26,7 +26,7 @@ import numpy as np
 
 from leastaction.estimation import joint
 from leastaction.estimation.candidates import score
-from leastaction.estimation.elimination import CurveFactor, Eliminated, Quadratic
+from leastaction.estimation.elimination import CurveFactor, Quadratic
 from leastaction.estimation.joint import Linearisation, Physics, Weights
 from leastaction.estimation.protocols import Linearised, Measurements, System, linearise
 from leastaction.estimation.sensors import SensorObservations
@@ -36,7 +36,6 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = [
     "JointFit",
     "Quadratic",
-    "condense",
     "fit_joint",
     "nearer",
     "score_candidates",
@@ -94,19 +93,6 @@ class JointFit:
     def usable(self) -> bool:
         """Whether the result is finite, converged or not."""
         return self.status != "not finite"
-
-
-def condense(
-    observations: Measurements, linearisation: Linearised, weights: Weights, damping: float = 0.0
-) -> Eliminated:
-    """Eliminate the control points.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When H is not positive definite, or not finite.
-    """
-    return linearisation.normal(weights).eliminate(damping)
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:
@@ -310,9 +296,7 @@ def nearer(at: Linearisation, weights: Weights) -> Linearisation | None:
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def score_candidates(
-    observations: Measurements, physics: Physics, fit: JointFit, candidates: EulerLagrange
-) -> Quadratic:
+def score_candidates(at: Linearised, weights: Weights, candidates: EulerLagrange) -> Quadratic:
     """Quadratic model of the cost in the coefficients of *all* candidates about a fit.
 
     For candidates that overflow along the curve, gradient and couplings are zero.
@@ -322,9 +306,7 @@ def score_candidates(
     numpy.linalg.LinAlgError
         When H is not positive definite.
     """
-    at, weights = fit.linearisation, fit.weights
-    curve = (fit.control_points, fit.coefficients)
-    found = at.scored(score, weights, curve, physics.columns, candidates)
+    found = at.scored(score, weights, candidates)
     gradient = found.schur[1:, 0] - weights.volume @ found.volume.slope
     matrix = found.schur[1:, 1:] + at.mean(weights.volume) * found.volume.corner
     lost = ~(np.isfinite(np.diag(matrix)) & np.isfinite(gradient))

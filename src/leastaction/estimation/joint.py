@@ -24,6 +24,7 @@ from leastaction.estimation.intervals import by_interval, local_jacobian, points
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, volume_term
 from leastaction.mechanics import Columns, Points
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = [
     "Costs",
@@ -269,9 +270,9 @@ class Linearisation(Costs):
         inverse = (factor or BandedFactor.of(self.normal(weights).rows)).inverse_rows()
         return self.traces(weights, inverse), self.observations.traces(inverse, weights.noise_std)
 
-    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
+    def scored(self, score: Callable[..., Any], weights: Weights, candidates: EulerLagrange) -> Any:
         """Apply a function of the linearisation, or of each of its blocks, and sum the results."""
-        return score(self, *given)
+        return score(self, weights, candidates)
 
     def parts(self) -> Iterator[Equations]:
         """The equations, run by run of knot intervals."""

@@ -13,6 +13,7 @@ from leastaction.estimation.elimination import Eliminated
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["Linearised", "Measurements", "System", "linearise"]
 
@@ -51,7 +52,7 @@ class Linearised(Protocol):
     def normal(self, weights: Weights) -> System: ...
     def lean(self) -> Linearised: ...
     def freedom(self, weights: Weights, factor: Any = None) -> tuple[np.ndarray, np.ndarray]: ...
-    def scored(self, score: Callable[..., Any], *given: Any) -> Any: ...
+    def scored(self, score: Callable[..., Any], weights: Weights, candidates: EulerLagrange) -> Any: ...
 
 
 class Measurements(Protocol):

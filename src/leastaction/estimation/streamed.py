@@ -198,14 +198,11 @@ class StreamedLinearisation(Costs):
         parts = self.observations.each(_freedom, [(point, weights) for point in self.at])
         return _total(p[0] for p in parts), _total(p[1] for p in parts)
 
-    def scored(self, score: Callable[..., Any], *given: Any) -> Any:
+    def scored(self, score: Callable[..., Any], weights: Weights, candidates: EulerLagrange) -> Any:
         """All candidates about a fit, summed over the blocks."""
-        weights, _, columns, candidates = given
         seen = self.observations
         own = [candidates.within(intervals) for intervals in seen.intervals]
-        chosen = [columns.within(intervals) for intervals in seen.intervals]
-        given_each = zip(self.at, chosen, own, strict=True)
-        parts = seen.each(_score, [(point, score, weights, *both) for point, *both in given_each])
+        parts = seen.each(_score, [(point, score, weights, c) for point, c in zip(self.at, own, strict=True)])
 
         def border(step: np.ndarray) -> np.ndarray:
             asked = [(point, weights, c, step) for point, c in zip(self.at, own, strict=True)]
@@ -364,18 +361,16 @@ def _score(
     point: _Point,
     score: Callable[..., Any],
     weights: Weights,
-    columns: EulerLagrange,
     candidates: EulerLagrange,
 ) -> Any:
-    curve = point.control_points, point.coefficients
-    part = score(_linearised(block, point), weights, curve, columns, candidates)
+    part = score(_linearised(block, point), weights, candidates)
     return replace(part, factor=part.factor.logdet, border=None)
 
 
 def _border(
     block: _Block, point: _Point, weights: Weights, candidates: EulerLagrange, step: np.ndarray
 ) -> np.ndarray:
-    return CandidateBorder(_linearised(block, point), weights, point.control_points, candidates)(step)
+    return CandidateBorder(_linearised(block, point), weights, candidates)(step)
 
 
 def _solve(block: _Block, point: _Point, weights: Weights, damping: float, right: np.ndarray) -> np.ndarray:
