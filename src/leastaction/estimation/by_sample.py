@@ -13,7 +13,7 @@ import numpy as np
 from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.sensors import Sensors
 
-__all__ = ["by_sample", "directions", "is_seen", "misfit", "moved", "newton_step"]
+__all__ = ["by_sample", "directions", "misfit", "moved", "newton_step"]
 
 _ANGLES = 12  # equally spaced start values of an angle
 _BRANCHES = 4  # largest number of values of the coordinates that fit one sample
@@ -31,7 +31,7 @@ def by_sample(
     A single sample may allow several values of an angle. The path with the smallest jumps is chosen.
     """
     sensors = sensors.static()
-    turning = angular & is_seen(sensors)
+    turning = angular & sensors.seen
     axes = [np.arange(_ANGLES) * 2.0 * np.pi / _ANGLES - np.pi if a else np.zeros(1) for a in turning]
     begins = np.array(list(product(*axes)))
     shape = (times.size, angular.size)
@@ -40,26 +40,11 @@ def by_sample(
     for k in range(angular.size):  # local minima on the grid
         lowest = np.minimum(np.roll(mesh, 1, axis=k), np.roll(mesh, -1, axis=k))
         cost = np.where((mesh > lowest).reshape(cost.shape), np.inf, cost)
-    first = np.argsort(cost, axis=0, kind="stable")[:_BRANCHES]
-    there = np.isfinite(np.take_along_axis(cost, first, axis=0))
-    first = first[there.any(axis=1)]
+    n_branches = min(_BRANCHES, int(np.isfinite(cost).sum(axis=0).max()))
+    first = np.argsort(cost, axis=0, kind="stable")[:n_branches]
     branches = np.stack([_improved(sensors, trial, begins[row], times, numbers) for row in first])
-    return _continued(
-        branches, np.stack([misfit(sensors, trial, q, times, numbers) for q in branches]), angular
-    )
-
-
-def is_seen(sensors: Sensors) -> np.ndarray:
-    """(n_dof,) whether a coordinate has samples, or a column that depends on no rate depends on it."""
-    functions = sensors.functions
-    used = {
-        symbol.name
-        for expr, degree in zip(functions.expressions, functions.degrees, strict=True)
-        for symbol in expr.free_symbols
-        if not degree
-    }
-    direct = np.isfinite(np.concatenate(sensors.direct)).any(axis=0)
-    return direct | np.isin(functions.coordinates, list(used))
+    cost = np.stack([misfit(sensors, trial, q, times, numbers) for q in branches])
+    return _continued(branches, cost, angular)
 
 
 def _continued(branches: np.ndarray, cost: np.ndarray, angular: np.ndarray) -> np.ndarray:
@@ -81,14 +66,13 @@ def _continued(branches: np.ndarray, cost: np.ndarray, angular: np.ndarray) -> n
 
 
 def _improved(
-    sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray, steps: int = _STEPS
+    sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray
 ) -> np.ndarray:
     """(n_times, n_dof) coordinates that fit each sample better (Levenberg–Marquardt)."""
     best, damping = q.copy(), np.full(times.size, 1e-3)
     cost = misfit(sensors, trial, best, times, numbers)
-    for _ in range(steps):
-        states = np.stack([best, np.zeros_like(best), np.zeros_like(best)])
-        there = best + newton_step(sensors, trial, states, times, numbers, damping)
+    for _ in range(_STEPS):
+        there = best + newton_step(sensors, trial, _at_rest(best), times, numbers, damping)
         found = misfit(sensors, trial, there, times, numbers)
         better = found < cost
         best[better], settled = there[better], found >= (1.0 - 1e-6) * cost
@@ -102,9 +86,8 @@ def _improved(
 def moved(sensors: Sensors, trajectories: Trajectories, numbers: np.ndarray) -> Trajectories:
     """Coordinates that follow from the columns with other calibration numbers near the present ones."""
     static = sensors.static()
-    return Trajectories(
-        [t.changed(q=_improved(static, k, t.q, t.t, numbers)) for k, t in enumerate(trajectories)]
-    )
+    items = [t.changed(q=_improved(static, k, t.q, t.t, numbers)) for k, t in enumerate(trajectories)]
+    return Trajectories(items)
 
 
 def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray, np.ndarray]:
@@ -120,33 +103,31 @@ def directions(sensors: Sensors, trajectories: Trajectories) -> tuple[np.ndarray
     static, size = sensors.static(), len(sensors.functions.names)
     known, whole = np.zeros((size, size)), np.zeros((size, size))
     for k, t in enumerate(trajectories):
-        states = np.stack([t.q, np.zeros_like(t.q), np.zeros_like(t.q)])
-        _, slopes, own = sensors.functions.evaluate(states, t.t, sensors.numbers)
-        seen = np.isfinite(sensors.samples[k]) / static.noise_std
-        jacobian = slopes[:, 0].transpose(2, 0, 1) * seen[..., None]
-        border = own.transpose(2, 0, 1) * seen[..., None]
-        matrix = np.swapaxes(jacobian, 1, 2) @ jacobian
-        known_size = _EXACT * np.einsum("sii->si", matrix) + 1.0
-        direct = np.where(np.isfinite(sensors.direct[k]), known_size, 0.0)
+        _, jacobian, border = static.weighted(k, _at_rest(t.q), t.t, sensors.numbers)
+        matrix: np.ndarray = np.swapaxes(jacobian, 1, 2) @ jacobian
+        direct = np.isfinite(sensors.direct[k]) * (_EXACT * np.einsum("sii->si", matrix) + 1.0)
         matrix += direct[:, :, None] * np.eye(t.q.shape[1])
         cross = np.swapaxes(jacobian, 1, 2) @ border
         whole += np.einsum("sck,scl->kl", border, border)
         known += np.einsum("sik,sil->kl", cross, np.linalg.pinv(matrix, rcond=1e-10, hermitian=True) @ cross)
-    touched = np.diag(whole) > 0.0
-    scale = np.where(touched, 1.0 / np.sqrt(np.where(touched, np.diag(whole), 1.0)), 1.0)
-    (own,) = np.nonzero(touched)
-    index = np.ix_(own, own)
-    values, vectors = np.linalg.eigh((whole - known)[index] * np.outer(scale[own], scale[own]))
+    (own,) = np.nonzero(np.diag(whole) > 0.0)
+    scale = 1.0 / np.sqrt(np.diag(whole)[own])
+    values, vectors = np.linalg.eigh((whole - known)[np.ix_(own, own)] * np.outer(scale, scale))
     wide = np.zeros((size, own.size))
-    wide[own] = scale[own, None] * vectors
+    wide[own] = scale[:, None] * vectors
     return wide[:, values < _OPEN], wide[:, values >= _OPEN]
 
 
 def misfit(sensors: Sensors, trial: int, q: np.ndarray, times: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """(n_times,) squared deviations of all columns, over their noise."""
-    h = sensors.functions.values(np.stack([q, 0.0 * q, 0.0 * q]), times, numbers)
+    h = sensors.functions.values(_at_rest(q), times, numbers)
     error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
     return (error**2).sum(axis=1) + np.square(np.nan_to_num(q - sensors.direct[trial])).sum(axis=1)
+
+
+def _at_rest(q: np.ndarray) -> np.ndarray:
+    """(3, n_times, n_dof) states without rates."""
+    return np.stack([q, np.zeros_like(q), np.zeros_like(q)])
 
 
 def newton_step(
@@ -158,10 +139,7 @@ def newton_step(
     damping: np.ndarray | float,
 ) -> np.ndarray:
     """(n_times, n_dof) steps of the coordinates that lower the misfit of each sample."""
-    h, slopes, _ = sensors.functions.evaluate(states, times, numbers)
-    error = np.nan_to_num((h.T - sensors.samples[trial]) / sensors.noise_std)
-    seen = np.isfinite(sensors.samples[trial]) / sensors.noise_std
-    jacobian = slopes[:, 0].transpose(2, 0, 1) * seen[:, :, None]
+    error, jacobian, _ = sensors.weighted(trial, states, times, numbers)
     direct = np.isfinite(sensors.direct[trial])
     matrix = np.swapaxes(jacobian, 1, 2) @ jacobian + direct[:, :, None] * np.eye(states.shape[2])
     gradient = np.einsum("sci,sc->si", jacobian, error) + np.nan_to_num(states[0] - sensors.direct[trial])

@@ -25,7 +25,7 @@ from leastaction.curve.smoothing import smooth
 from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.by_sample import by_sample, directions, is_seen, misfit, newton_step
+from leastaction.estimation.by_sample import by_sample, directions, misfit, newton_step
 from leastaction.estimation.gauss_newton import JointFit
 from leastaction.estimation.joint import Physics
 from leastaction.estimation.sensors import SensorFunctions, SensorObservations, Sensors
@@ -208,7 +208,7 @@ def _draws(sensors: Sensors, rng: np.random.Generator) -> list[np.ndarray]:
             kind, column, shared = _kind(functions, name)
             if kind == "offset":
                 values.append(float(mean[column]))
-            elif kind == "factor" and functions.degrees[column] and not is_seen(sensors).all():
+            elif kind == "factor" and functions.degrees[column] and not sensors.seen.all():
                 values.append(1.0)
             elif kind == "factor":
                 size = float(np.sqrt(2.0) * spread[column]) ** (1.0 / shared)
@@ -311,7 +311,7 @@ class _Hunt:
     def _determined(self, sensors: Sensors, there: Trajectories) -> np.ndarray:
         """(n_numbers, n_directions) changes of κ that the columns determine without a law of motion."""
         free, fixed = directions(sensors, there)
-        scale_open = not is_seen(replace(sensors, direct=[t.q for t in self.own])).all()
+        scale_open = not replace(sensors, direct=[t.q for t in self.own]).seen.all()
         kinds = [_kind(sensors.functions, name)[0] for name in sensors.functions.names]
         moving = ~np.any(np.concatenate([free, fixed], axis=1), axis=1)
         if scale_open:  # a gain and the size of the motion are not identifiable
@@ -337,5 +337,5 @@ def _centred(sensors: Sensors) -> Sensors:
 
     They determine the mean of the coordinate. Their noise is estimated and equals its spread.
     """
-    unseen = ~is_seen(sensors)
+    unseen = ~sensors.seen
     return replace(sensors, direct=[np.where(unseen, 0.0, values) for values in sensors.direct])

@@ -191,6 +191,14 @@ class Sensors:
     numbers: np.ndarray
     ranges: Mapping[str, tuple[float, float]]
 
+    @property
+    def seen(self) -> np.ndarray:
+        """(n_dof,) whether a coordinate has samples, or a column that depends on no rate depends on it."""
+        pairs = zip(self.functions.expressions, self.functions.degrees, strict=True)
+        used = {symbol.name for expr, degree in pairs if not degree for symbol in expr.free_symbols}
+        direct = np.isfinite(np.concatenate(self.direct)).any(axis=0)
+        return direct | np.isin(self.functions.coordinates, list(used))
+
     def at(self, numbers: np.ndarray) -> Sensors:
         """The sensors with other calibration numbers."""
         return replace(self, numbers=numbers)
@@ -199,6 +207,26 @@ class Sensors:
         """The sensors without weight for columns that depend on velocities or accelerations."""
         moving = np.array(self.functions.degrees) > 0
         return replace(self, noise_std=np.where(moving, np.inf, self.noise_std))
+
+    def weighted(
+        self, trial: int, states: np.ndarray, times: np.ndarray, numbers: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """h − y, ∂h/∂q and ∂h/∂κ at the samples of a trial, over the noise; zero where missing.
+
+        Parameters
+        ----------
+        states : (3, n_times, n_dof) array
+            q, q̇ and q̈.
+
+        Returns
+        -------
+        tuple of arrays
+            (n_times, n_columns), (n_times, n_columns, n_dof), (n_times, n_columns, n_numbers)
+        """
+        h, slopes, own = self.functions.evaluate(states, times, numbers)
+        error = np.nan_to_num((h.T - self.samples[trial]) / self.noise_std)
+        seen = (np.isfinite(self.samples[trial]) / self.noise_std)[..., None]
+        return error, slopes[:, 0].transpose(2, 0, 1) * seen, own.transpose(2, 0, 1) * seen
 
 
 @dataclass(frozen=True, eq=False)
