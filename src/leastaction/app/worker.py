@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from leastaction.cli.text import one_line
 from leastaction.errors import DataError, InputError
 from leastaction.threads import single_threaded
 
@@ -192,4 +193,4 @@ def explain(error: BaseException) -> str:
         text = f"no model could be computed ({type(error).__name__}: {error}); try other candidates"
     else:
         text = f"a fault of leastaction itself: {type(error).__name__}: {error}; please report this"
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return one_line(text)

@@ -1,21 +1,21 @@
-"""Conversion of arrays or trajectories to `Trajectories`; groups of these, and selections of coordinates."""
+"""Conversion of arrays or trajectories to `Trajectories`, and selections of their coordinates."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.sparse import issparse
 
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.trajectory import FIELDS, Trajectory
-from leastaction.data.validation import FloatArray, listed
+from leastaction.data.validation import FloatArray
 from leastaction.errors import InputError
 from leastaction.identifiers import quoted
-from leastaction.kinds import is_array, is_list, is_mapping
+from leastaction.kinds import is_array, is_list
 
-__all__ = ["arranged", "gather", "group_labels", "joined", "one_each"]
+__all__ = ["arranged", "gather", "joined", "one_each"]
 
 
 def gather(
@@ -92,58 +92,6 @@ def _times(t: Any, q: Any) -> Any:
     if not 0.0 < step < np.inf:
         raise InputError(f"t is {quoted(t)}; expected a positive sampling interval in seconds, or the times")
     return step * np.arange(len(np.atleast_1d(q)))
-
-
-_ONE_EACH = "give one for each trajectory, e.g. groups=['empty', 'empty', 'payload']"
-
-
-def group_labels(
-    given: Mapping[str, object] | Iterable[object], trajectories: Trajectories
-) -> tuple[str, ...]:
-    """The name of the group of each trajectory, from a sequence or a mapping by name.
-
-    Raises
-    ------
-    InputError
-        If a trajectory has none, or a name is not that of a trajectory.
-
-    Examples
-    --------
-    >>> runs = Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2], name=name) for name in "ab"])
-    >>> group_labels({"b": "payload", "a": "empty"}, runs)
-    ('empty', 'payload')
-    """
-    labels = _by_name(given, trajectories.names) if is_mapping(given) else _in_a_row(given)
-    if len(labels) != len(trajectories):
-        raise InputError(
-            f"groups has {len(labels)} entries, but there are {len(trajectories)} trajectories; {_ONE_EACH}"
-        )
-    return tuple(labels)
-
-
-def _in_a_row(given: object) -> list[str]:
-    if isinstance(given, (str, bytes)) or not isinstance(given, Iterable):
-        raise InputError(f"groups is {quoted(given)}; {_ONE_EACH}")
-    return [_label(item) for item in cast("Iterable[object]", given)]
-
-
-def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
-    for name in given:
-        if name not in names:
-            raise InputError(
-                f"groups names {quoted(name)}, which is not a trajectory; they are {listed(names)}"
-            )
-    lacking = [name for name in names if name not in given]
-    if lacking:
-        raise InputError(f"groups has no entry for the trajectory {quoted(lacking[0])}; give it one")
-    return [_label(given[name]) for name in names]
-
-
-def _label(value: object) -> str:
-    text = str(value).strip()
-    if value is None or not text:
-        raise InputError("the name of a group is empty; give every trajectory a group")
-    return text
 
 
 def arranged(trajectories: Trajectories, coordinates: Sequence[str]) -> Trajectories:

@@ -11,20 +11,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from leastaction.data.coerce import group_labels
 from leastaction.data.trajectories import Trajectories
+from leastaction.data.validation import listed
 from leastaction.errors import InputError
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
 from leastaction.identifiers import quoted
+from leastaction.kinds import is_mapping
 from leastaction.library import Term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["GroupTerm", "GroupedColumns", "Grouping", "grouped", "laws"]
+__all__ = ["GroupTerm", "GroupedColumns", "Grouping", "group_labels", "grouped", "laws"]
+
+_ONE_EACH = "give one for each trajectory, e.g. groups=['empty', 'empty', 'payload']"
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,56 @@ class Grouping:
     def members(self, group: int) -> list[int]:
         """The trajectories of a group."""
         return [n for n, place in enumerate(self.places) if place == group]
+
+
+def group_labels(
+    given: Mapping[str, object] | Iterable[object], trajectories: Trajectories
+) -> tuple[str, ...]:
+    """The name of the group of each trajectory, from a sequence or a mapping by name.
+
+    Raises
+    ------
+    InputError
+        If a trajectory has none, or a name is not that of a trajectory.
+
+    Examples
+    --------
+    >>> from leastaction import Trajectory
+    >>> runs = Trajectories([Trajectory([0.0, 1.0], [0.1, 0.2], name=name) for name in "ab"])
+    >>> group_labels({"b": "payload", "a": "empty"}, runs)
+    ('empty', 'payload')
+    """
+    labels = _by_name(given, trajectories.names) if is_mapping(given) else _in_a_row(given)
+    if len(labels) != len(trajectories):
+        raise InputError(
+            f"groups has {len(labels)} entries, but there are {len(trajectories)} trajectories; {_ONE_EACH}"
+        )
+    return tuple(labels)
+
+
+def _in_a_row(given: object) -> list[str]:
+    if isinstance(given, (str, bytes)) or not isinstance(given, Iterable):
+        raise InputError(f"groups is {quoted(given)}; {_ONE_EACH}")
+    return [_label(item) for item in cast("Iterable[object]", given)]
+
+
+def _by_name(given: Mapping[Any, object], names: Sequence[str]) -> list[str]:
+    for name in given:
+        if name not in names:
+            raise InputError(
+                f"groups names {quoted(name)}, which is not a trajectory; they are {listed(names)}"
+            )
+    lacking = [name for name in names if name not in given]
+    if lacking:
+        raise InputError(f"groups has no entry for the trajectory {quoted(lacking[0])}; give it one")
+    return [_label(given[name]) for name in names]
+
+
+def _label(value: object) -> str:
+    text = str(value).strip()
+    if value is None or not text:
+        raise InputError("the name of a group is empty; give every trajectory a group")
+    return text
 
 
 @dataclass(frozen=True)

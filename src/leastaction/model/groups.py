@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 
 import numpy as np
 
-from leastaction.data.coerce import group_labels
 from leastaction.data.trajectories import Trajectories
 from leastaction.data.validation import listed
 from leastaction.errors import InputError
+from leastaction.estimation.groups import group_labels
 from leastaction.identifiers import quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import Kind
