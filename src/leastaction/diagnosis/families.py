@@ -73,9 +73,7 @@ def _difference(fit: Fit, other: Fit) -> float:
         physics, index = law.grid.physics(law.structure)
         return np.einsum("k,kip->pi", law.coefficients[index], physics.columns.strong(points))
 
-    physics, index = other.grid.physics(other.structure)
-    mass = physics.columns.mass_matrix(points, other.coefficients[index])
-    change = np.linalg.solve(mass, (sides(other) - sides(fit))[..., None])[..., 0]
+    change = np.linalg.solve(other.mass_matrix(points), (sides(other) - sides(fit))[..., None])[..., 0]
     free = [i for i in range(len(size)) if i not in fit.problem.prescribed]
     return float(np.max((np.sqrt(np.mean(change**2, axis=0)) / size)[free]))
 

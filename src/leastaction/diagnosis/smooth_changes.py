@@ -25,7 +25,6 @@ from leastaction.estimation.shapes import with_tangents
 from leastaction.findings import Finding, find
 from leastaction.identifiers import names_in_terms
 from leastaction.library import Term, make_term
-from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.selection.families import looks_imitated
 from leastaction.selection.significance import chi_square_cutoff
 
@@ -70,16 +69,14 @@ def doubts_about_the_form(fit: Fit, relevance: float, *, exact: bool = False) ->
     """
     bound = exact and (looks_imitated(fit) or _one_energy(fit))
     changes = [change for change in smooth_changes(fit) if bound or change.kind != _BOTH]
-    limits = {_BOTH: DIAGNOSIS.form_open / DIAGNOSIS.form_bound} if bound else {}
-    out: list[Finding] = []
     for change in changes:
         least = chi_square_cutoff(change.freedom, len(changes)) + fit.relevant_gain(relevance)
         if change.gain > least and change.shift > DIAGNOSIS.form_matters:
             figures = {"gain": change.gain, "freedom": change.freedom, "shift": change.shift}
-            out.append(find("form-imitated", kind=change.kind, **figures, family=[], numbers=[]))
-        elif change.open > limits.get(change.kind, DIAGNOSIS.form_open):
-            out.append(find("form-open", kind=change.kind, open=change.open))
-    return out[:1]
+            return [find("form-imitated", kind=change.kind, **figures, family=[], numbers=[])]
+        if change.open > DIAGNOSIS.form_open / (DIAGNOSIS.form_bound if change.kind == _BOTH else 1.0):
+            return [find("form-open", kind=change.kind, open=change.open)]
+    return []
 
 
 def _one_energy(fit: Fit) -> bool:
@@ -87,10 +84,9 @@ def _one_energy(fit: Fit) -> bool:
 
     Kinetic and potential energy may then change together and leave this motion as it is.
     """
-    problem = fit.problem
-    if fit.grid.forces is not None or any(problem.terms[k].kind == "dissipation" for k in fit.structure):
-        return False
-    return len(problem.coordinates) == len(problem.trajectories) == 1
+    problem, forces = fit.problem, fit.grid.forces
+    single = len(problem.coordinates) == len(problem.trajectories) == 1
+    return single and forces is None and all(problem.terms[k].kind == "lagrangian" for k in fit.structure)
 
 
 def smooth_changes(fit: Fit) -> list[SmoothChange]:
@@ -133,7 +129,9 @@ def _changes(fit: Fit, kinds: Mapping[str, list[Term]]) -> Iterator[SmoothChange
     quadratic = fit.score(candidates)
     scale = 1.0 / np.sqrt(np.clip(np.diag(quadratic.matrix), 1e-300, None))
     matrix, gradient = quadratic.matrix * np.outer(scale, scale), quadratic.gradient * scale
-    change, size = _accelerations(fit, candidates)
+    points, size = compared_accelerations(fit)
+    change = -np.linalg.solve(fit.mass_matrix(points), candidates.strong(points).transpose(2, 1, 0))
+    change[:, list(fit.problem.prescribed)] = 0.0  # they move as they do
     before, root = _explained(matrix[:n, :n], gradient[:n])
     for kind, changed in places.items():
         part = [*range(n), *changed]
@@ -152,13 +150,3 @@ def _explained(matrix: FloatArray, gradient: FloatArray) -> tuple[float, FloatAr
     kept = values > _DEPENDENT * values[-1]
     root = vectors[:, kept] / np.sqrt(values[kept])
     return float(np.sum((root.T @ gradient) ** 2)), root
-
-
-def _accelerations(fit: Fit, candidates: EulerLagrange) -> tuple[FloatArray, FloatArray]:
-    """(n_points, n_dof, n_candidates) change of q̈ with each coefficient, and (n_dof,) size of q̈."""
-    points, size = compared_accelerations(fit)
-    physics, index = fit.grid.physics(fit.structure)
-    mass = physics.columns.mass_matrix(points, fit.coefficients[index])
-    change = -np.linalg.solve(mass, candidates.strong(points).transpose(2, 1, 0))
-    change[:, list(fit.problem.prescribed)] = 0.0  # they move as they do
-    return change, size

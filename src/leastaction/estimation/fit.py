@@ -211,6 +211,11 @@ class Fit:
         values = self.coefficients if coefficients is None else coefficients
         return self.grid.regular(values, self.control_points)
 
+    def mass_matrix(self, points: Points) -> np.ndarray:
+        """(n_points, n_dof, n_dof) at some states."""
+        physics, index = self.grid.physics(self.structure)
+        return physics.columns.mass_matrix(points, self.coefficients[index])
+
     def mass_matrices(self) -> Iterator[np.ndarray]:
         """(n_points, n_dof, n_dof) along the curve, run by run."""
         physics, index = self.grid.physics(self.structure)
