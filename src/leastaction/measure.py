@@ -5,15 +5,15 @@ They are expressions like any other: print them, change them, or write your own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 from leastaction.errors import InputError
-from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.identifiers import check_coordinate_names
 
 if TYPE_CHECKING:
-    from leastaction.data.trajectories import Trajectory
-    from leastaction.estimation.linkage import Linkage
+    from leastaction.estimation.linkage import Linkage, linkage
 
 __all__ = ["Linkage", "camera", "imu", "linkage"]
 
@@ -109,69 +109,8 @@ def imu(
     return out
 
 
-def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tuple[str, str]]) -> Linkage:
-    """Find what ties tracked points in a plane, and propose coordinates with their measurement functions.
-
-    Tested are: points at rest, points on a straight line, constant distances from a fixed point, from another
-    point, or from a place beside another point that only translates, and links that turn together. Deviations
-    may be up to three times those that noise explains. Where two rods tie a point, it is placed where their
-    circles meet, as in a four-bar linkage.
-
-    Parameters
-    ----------
-    trajectories : Trajectory, Trajectories or iterable of Trajectory
-        With the tracks as columns.
-    bodies : iterable of (str, str)
-        Columns of each point: horizontal, vertical.
-
-    Returns
-    -------
-    Linkage
-
-    Raises
-    ------
-    InputError
-        If a body is not given by two columns of the data, or a column occurs twice.
-
-    Notes
-    -----
-    Both columns must have the same unit, and the camera must stand still. Small motions cannot tell a circle
-    from a line. A column with a measurement function is no coordinate; those of free points remain.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from leastaction import Trajectory
-    >>> t = np.linspace(0.0, 6.0, 300)
-    >>> angle, noise = np.cos(4.0 * t), 1e-3 * np.random.default_rng(0).standard_normal((300, 2))
-    >>> track = 0.5 * np.column_stack([np.sin(angle), np.cos(angle)]) + noise
-    >>> found = linkage(Trajectory(t, track, coordinates=["x", "y"]), [("x", "y")])
-    >>> found.coordinates, round(found.constraints[0].radii[0], 2)
-    (('theta',), 0.5)
-    """
-    from leastaction.data.trajectories import Trajectories
-    from leastaction.estimation.linkage import assembled
-
-    data = Trajectories.coerce(trajectories)
-    pairs: list[tuple[str, str]] = []
-    for body in bodies:
-        columns = check_coordinate_names(list(body))
-        if len(columns) != 2:
-            raise InputError(f"a body has the columns {quoted(columns)}; give two, horizontal and vertical")
-        pairs.append((columns[0], columns[1]))
-    names = [name for pair in pairs for name in pair]
-    for name in names:
-        if name not in data.coordinates or names.count(name) > 1:
-            how = "is not a column of the data" if name not in data.coordinates else "occurs twice"
-            raise InputError(f"bodies name {quoted(name)}, which {how}; give each point two columns")
-    if not names:
-        raise InputError("bodies is empty; give the two columns of each point")
-    return assembled(data, pairs)
-
-
-def __getattr__(name: str) -> type[Linkage]:
-    if name == "Linkage":
-        from leastaction.estimation.linkage import Linkage
-
-        return Linkage
+def __getattr__(name: str) -> Any:
+    """Linkages need NumPy and SciPy, which are imported when they are first used."""
+    if name in ("Linkage", "linkage"):
+        return getattr(import_module("leastaction.estimation.linkage"), name)
     raise AttributeError(f"module 'leastaction.measure' has no attribute {name!r}")

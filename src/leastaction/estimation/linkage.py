@@ -23,10 +23,12 @@ from scipy.linalg import eigh
 
 from leastaction.curve.knots import lay_knots
 from leastaction.data.coerce import arranged
-from leastaction.data.trajectories import Trajectories
+from leastaction.data.trajectories import Trajectories, Trajectory
+from leastaction.errors import InputError
 from leastaction.estimation.observations import RELATIVE_FLOOR
+from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["Constraint", "Linkage", "assembled"]
+__all__ = ["Constraint", "Linkage", "linkage"]
 
 _HOLDS = 9.0  # largest λ: tracks have systematic errors, too, here up to three times the noise
 _CLEARER = 1.5  # factor of λ by which a circle has to beat a line, and a centre beside an anchor the anchor
@@ -126,16 +128,68 @@ class _Placed(NamedTuple):
     translates: bool
 
 
-def assembled(trajectories: Trajectories, bodies: Sequence[tuple[str, str]]) -> Linkage:
-    """The linkage of points given by two columns each; noise is estimated from smooth curves."""
-    tracks = arranged(trajectories.without_rates(), [name for body in bodies for name in body])
+def linkage(trajectories: Trajectory | Iterable[Trajectory], bodies: Iterable[tuple[str, str]]) -> Linkage:
+    """Find what ties tracked points in a plane, and propose coordinates with their measurement functions.
+
+    Tested are: points at rest, points on a straight line, constant distances from a fixed point, from another
+    point, or from a place beside another point that only translates, and links that turn together. Deviations
+    may be up to three times those that noise explains. Where two rods tie a point, it is placed where their
+    circles meet, as in a four-bar linkage.
+
+    Parameters
+    ----------
+    trajectories : Trajectory, Trajectories or iterable of Trajectory
+        With the tracks as columns.
+    bodies : iterable of (str, str)
+        Columns of each point: horizontal, vertical.
+
+    Returns
+    -------
+    Linkage
+
+    Raises
+    ------
+    InputError
+        If a body is not given by two columns of the data, or a column occurs twice.
+
+    Notes
+    -----
+    Both columns must have the same unit, and the camera must stand still. Small motions cannot tell a circle
+    from a line. A column with a measurement function is no coordinate; those of free points remain.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from leastaction import Trajectory
+    >>> t = np.linspace(0.0, 6.0, 300)
+    >>> angle, noise = np.cos(4.0 * t), 1e-3 * np.random.default_rng(0).standard_normal((300, 2))
+    >>> track = 0.5 * np.column_stack([np.sin(angle), np.cos(angle)]) + noise
+    >>> found = linkage(Trajectory(t, track, coordinates=["x", "y"]), [("x", "y")])
+    >>> found.coordinates, round(found.constraints[0].radii[0], 2)
+    (('theta',), 0.5)
+    """
+    data = Trajectories.coerce(trajectories)
+    pairs: list[tuple[str, str]] = []
+    for body in bodies:
+        columns = check_coordinate_names(list(body))
+        if len(columns) != 2:
+            raise InputError(f"a body has the columns {quoted(columns)}; give two, horizontal and vertical")
+        pairs.append((columns[0], columns[1]))
+    names = [name for pair in pairs for name in pair]
+    for name in names:
+        if name not in data.coordinates or names.count(name) > 1:
+            how = "is not a column of the data" if name not in data.coordinates else "occurs twice"
+            raise InputError(f"bodies name {quoted(name)}, which {how}; give each point two columns")
+    if not names:
+        raise InputError("bodies is empty; give the two columns of each point")
+    tracks = arranged(data.without_rates(), names)
     tracks = Trajectories([run.changed(forces=None) for run in tracks])
     values = np.concatenate([run.q for run in tracks])
     floor = RELATIVE_FLOOR * np.nanstd(values, axis=0)
     variance = np.maximum(lay_knots(tracks, _DEGREE).smooth.noise_std, floor) ** 2
-    places = [slice(2 * k, 2 * k + 2) for k in range(len(bodies))]
-    points = zip(bodies, places, strict=True)
-    return _Assembly([_Body(body, values[:, at], variance[at]) for body, at in points]).found
+    n = len(pairs)
+    points = map(_Body, pairs, np.split(values, n, axis=1), np.split(variance, n))
+    return _Assembly(list(points)).found
 
 
 class _Assembly:
