@@ -54,18 +54,15 @@ class CandidateBorder:
         n, n_quad = at.control_points.shape[1], grid.weights.shape[1]
         root = np.sqrt(self.weights.physics)[:, None, None]
         length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
-        for part in at.parts():
-            for a in range(part.chunk.start, part.chunk.stop, length):
-                chunk = slice(a, min(a + length, part.chunk.stop))
-                inside = slice(chunk.start - part.chunk.start, chunk.stop - part.chunk.start)
-                columns = np.empty((chunk.stop - chunk.start, n, n_quad, size))
-                columns[..., 0] = part.right[inside, ..., 0]
-                strong = self.candidates.strong(points_at(grid, at.control_points, chunk))
-                by_interval(strong, columns[..., 1:])
-                columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
-                columns[..., :1] *= root
-                shape = (len(columns), n * n_quad, -1)
-                yield chunk, (root * part.jacobian[inside]).reshape(shape), columns.reshape(shape)
+        for chunk, jacobian, right in at.pieces(length):
+            columns = np.empty((len(right), n, n_quad, size))
+            columns[..., 0] = right[..., 0]
+            strong = self.candidates.strong(points_at(grid, at.control_points, chunk))
+            by_interval(strong, columns[..., 1:])
+            columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
+            columns[..., :1] *= root
+            shape = (len(columns), n * n_quad, -1)
+            yield chunk, (root * jacobian).reshape(shape), columns.reshape(shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -217,7 +217,7 @@ class Linearisation(Costs):
         rows = np.zeros((grid.n_ctrl, n, (grid.degree + 1) * n))
         border = np.zeros((grid.n_ctrl, n, k))
         moments = np.zeros((k, k))
-        for chunk, jacobian, right in self._pieces():
+        for chunk, jacobian, right in self._small_pieces():
             weighted = (weights.physics[:, None, None] * jacobian).reshape(len(jacobian), -1, rows.shape[2])
             flat = jacobian.reshape(weighted.shape)
             grid.add_gram(rows, flat.transpose(0, 2, 1) @ weighted, chunk)
@@ -249,7 +249,7 @@ class Linearisation(Costs):
         """(n_dof,) w_i tr(H⁻¹ ∫ J_iᵀJ_i dt), from the block rows of H⁻¹."""
         grid, n = self.observations.grid, self.observations.n_dof
         out = np.zeros(n)
-        for chunk, jacobian, _ in self._pieces():
+        for chunk, jacobian, _ in self._small_pieces():
             flat = jacobian.reshape(len(jacobian), -1, jacobian.shape[3])
             local = grid.local_gram(inverse_rows, chunk)
             for a in range(0, local.shape[1], n):  # each pair of different control points counts twice
@@ -283,15 +283,18 @@ class Linearisation(Costs):
             points = points_at(self.observations.grid, self.control_points, chunk)
             yield _equations(self.observations, self.physics, points, self.coefficients)[0]
 
-    def _pieces(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Knot intervals, J and [r, e] in pieces whose products stay in the processor's cache."""
+    def pieces(self, length: int) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Knot intervals, J and [r, e], at most ``length`` intervals at once."""
         for part in self.parts():
-            m, size = part.jacobian.shape[0], part.jacobian.shape[3]
-            length = max(16, min(_PIECE // size**2, m))
-            for a in range(0, m, length):
-                b = min(a + length, m)
+            for a in range(0, len(part.right), length):
+                b = min(a + length, len(part.right))
                 chunk = slice(part.chunk.start + a, part.chunk.start + b)
                 yield chunk, part.jacobian[a:b], part.right[a:b]
+
+    def _small_pieces(self) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Pieces whose products stay in the processor's cache."""
+        grid, n = self.observations.grid, self.observations.n_dof
+        return self.pieces(max(16, _PIECE // ((grid.degree + 1) * n) ** 2))
 
 
 def linearise(
