@@ -17,7 +17,9 @@ For an exact model, w grows without bound. On real hardware, or with knots that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +33,9 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 # of ∫ r²: smaller values count as zero, because products of their reciprocals overflow
 _NOTHING = 1e-150
-_FARTHEST = np.log(30.0)  # largest change of log w by extrapolation
+_FARTHEST = np.log(30.0)  # largest change of log w in a round
+_FARTHEST_DOWN = np.log(3.0)  # of a nearly exact equation
+_MEMORY = 2  # earlier rounds that correct a step of the weights
 _HALVINGS = 4  # of a step of the weights
 _MOST_STEPS = 100  # limit for a structure
 
@@ -106,9 +110,10 @@ def start_weights(
 
 
 def update_weights(observations: Measurements, fit: JointFit) -> Weights:
-    """One fixed-point update of w (and σ), each w limited to a factor of 30, or 3 for nearly exact equations.
+    """One fixed-point update of w (and σ), each w limited to a factor of 30.
 
-    The weight of an equation that vanishes identically does not change.
+    A nearly exact equation loses a factor of 3 at most, because the size of its error is mostly rounding. The
+    weight of an equation that vanishes identically does not change.
 
     Raises
     ------
@@ -125,9 +130,11 @@ def update_weights(observations: Measurements, fit: JointFit) -> Weights:
             continue
         slack[i] = max(rank - used[i], 1e-3)
         cost = max(at.equation[i] * weights.physics[i], 1e-300)
-        # for a nearly exact equation, the size of the error is mostly rounding
         left = max(slack[i], cost) > ESTIMATION.slack_left  # many samples may show an error without slack
-        new_physics[i] = weights.physics[i] * np.clip(slack[i] / cost, 1 / 30 if left else 1 / 3, 30)
+        ratio = (rank - used[i]) / cost  # negative where an equation uses more directions than its rank
+        change = np.log(ratio) if ratio > 1.0 else ratio - 1.0
+        change = np.clip(change, -_FARTHEST if left else -_FARTHEST_DOWN, _FARTHEST)
+        new_physics[i] = weights.physics[i] * np.exp(change)
         if at.terms[i] > 0.0:
             # an error this small has no effect, and steps towards zero would be cut off by the step limit
             # not while coefficients are held
@@ -158,7 +165,8 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, last = best.n_steps, None
+    steps, farthest = best.n_steps, _FARTHEST
+    rounds: list[_Proposed] = []
     tolerance = ESTIMATION.evidence_settled * shared(observations)
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
@@ -167,9 +175,9 @@ def fit_weights(
             update = update_weights(observations, best)
         except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
-        here = _Proposed(np.log(best.weights.physics), np.log(update.physics / best.weights.physics))
-        update = replace(update, physics=np.exp(here.place + _step(here, last, update.slack)))
-        last = here
+        place = np.log(best.weights.physics)
+        rounds = [*rounds[-_MEMORY:], _Proposed(place, np.log(update.physics) - place)]
+        update = replace(update, physics=np.exp(place + np.clip(_step(rounds), -farthest, farthest)))
         for halvings in range(_HALVINGS):
             # two equations may compete for the same error: then a whole step goes too far
             weights = _part_of_the_way(best.weights, update, 0.5**halvings)
@@ -187,6 +195,8 @@ def fit_weights(
                 break
         else:
             break
+        taken = float(np.abs(np.log(weights.physics) - place).max())
+        farthest = 1.5 * taken if halvings else min(max(2.0 * taken, farthest), _FARTHEST)
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
         settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
@@ -203,29 +213,23 @@ class _Proposed(NamedTuple):
     change: np.ndarray
 
 
-def _step(here: _Proposed, last: _Proposed | None, slack: np.ndarray) -> np.ndarray:
-    """Steps of the logarithms of the equations' weights.
+def _step(rounds: Sequence[_Proposed]) -> np.ndarray:
+    """Step of the logarithms of the equations' weights towards the fixed point of the update.
 
-    The fixed-point update needs many rounds where an equation has an error within the noise, and it
-    oscillates where equations compete for one error. Therefore its changes are extrapolated to zero along the
-    last step (Anderson 1965, J. ACM 12:547, with a memory of one).  Large growth is squared.  Weights of
-    nearly exact equations have no fixed point and are not extrapolated.
+    The update alone needs many rounds where an equation has an error within the noise, and it oscillates
+    where equations compete for one error.  Broyden's method (1965, Math. Comp. 19:577) corrects it by the
+    changes that the last rounds have seen.
     """
-    change = here.change
-    grown = np.where(change > np.log(1.5), change + np.minimum(change, np.log(10.0)), change)
-    if last is None:
-        return grown
-    taken, bend = here.place - last.place, change - last.change
-    share = float(bend @ change) / max(float(bend @ bend), 1e-300)
-    step = change - share * (taken + bend)
-    if float(step @ change) <= 0.0:
-        step = change
-    onward = taken * change > 0.0
-    step = np.where(onward & (grown > change), np.maximum(step, grown), step)
-    exact = slack <= ESTIMATION.slack_left
-    step = np.where(exact, np.where(onward, grown, np.clip(step, -np.abs(change), np.abs(change))), step)
-    farthest = np.maximum(_FARTHEST, grown)
-    return np.clip(step, -farthest, farthest)
+    change = rounds[-1].change
+    slope = np.eye(change.size)  # of −change
+    for last, new in pairwise(rounds):
+        taken, seen = new.place - last.place, last.change - new.change
+        slope += np.outer(seen - slope @ taken, taken) / max(float(taken @ taken), _NOTHING)
+    try:
+        step = np.linalg.solve(slope, change)
+    except np.linalg.LinAlgError:
+        return change
+    return step if float(step @ change) > 0.0 else change
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
