@@ -165,7 +165,7 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, farthest = best.n_steps, _FARTHEST
+    steps, farthest = best.n_steps, 2.0 * _FARTHEST
     rounds: list[_Proposed] = []
     tolerance = ESTIMATION.evidence_settled * shared(observations)
     for _ in range(max_rounds):
@@ -218,9 +218,11 @@ def _step(rounds: Sequence[_Proposed]) -> np.ndarray:
 
     The update alone needs many rounds where an equation has an error within the noise, and it oscillates
     where equations compete for one error.  Broyden's method (1965, Math. Comp. 19:577) corrects it by the
-    changes that the last rounds have seen.
+    changes that the last rounds have seen.  Large growth in the first round is squared.
     """
     change = rounds[-1].change
+    if len(rounds) == 1:
+        return np.where(change > np.log(1.5), change + np.minimum(change, np.log(10.0)), change)
     slope = np.eye(change.size)  # of −change
     for last, new in pairwise(rounds):
         taken, seen = new.place - last.place, last.change - new.change
