@@ -117,8 +117,9 @@ def open_tab(chromium: str, address: str, tmp_path: Path):
 def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     tab = open_tab()
     page = tab.page
-    path = page_helpers.driven_pendulum(tmp_path / "swing.csv")
+    path = page_helpers.driven_pendulum(tmp_path / "swing (2).csv")
     page.locator("input[type=file]").set_input_files(path)
+    tab.see("swing (2).csv")
     tab.see("What was measured")
     page.locator(".figure svg").first.wait_for()
     roles = page.locator(".role .q-field__native").all_inner_texts()
@@ -131,6 +132,9 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     tab.click("Find the Lagrangian")
     tab.see("How many terms?")
     tab.see("All checks passed")
+    tab.see("Forecast: held-out trials are off by")
+    statements = page.locator(".status").all_inner_texts()[0]
+    assert "(θ" in "".join(statements.split())  # the name of the coordinate as in the formulas
     assert page.locator(".formula math").count() == 2
     page.locator(".stick .limbs").first.wait_for()
     with page.expect_download() as report:

@@ -234,6 +234,28 @@ def test_the_result_shows_simple_numbers_and_symmetries():
     simulate(script)
 
 
+def test_the_verdict_states_the_forecast_of_held_out_trials():
+    model = page_helpers.spring()
+    tried = model.validate(model.diagnostics.trajectories)
+    off = replace(tried, traces=tuple(replace(trace, status="diverged") for trace in tried.traces))
+
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        for validation, expected in (
+            (None, "Forecast: not tested."),
+            (tried, "Forecast: held-out trials are off by"),
+            (off, "but its forecasts contradict it"),
+        ):
+            session.found = {0: Found(model, "fitted", validation)}
+            session.faults = {0: "it was cancelled"}
+            user.find(marker="step-candidates").click()
+            await asyncio.sleep(0.1)
+            user.find(marker="step-result").click()
+            await user.should_see(expected)
+
+    simulate(script)
+
+
 def test_faults_are_lines_in_the_page():
     async def script(user) -> None:
         session = await open_candidates(user, "single")

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import math
 import pickle
 import re
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 from string import Formatter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +30,9 @@ from leastaction.findings import (
     find,
     sentence,
     stated,
+    statements,
     status_of,
+    with_held_out,
 )
 from leastaction.model.term import FitSummary
 
@@ -440,3 +444,19 @@ def test_every_code_of_a_status_or_statement_exists():
 
 def test_nothing_is_stated_where_nothing_was_fitted():
     assert FitSummary().statements == {}
+
+
+@pytest.mark.parametrize(
+    ("shares", "diverged", "said"),
+    [
+        ((0.021, 0.0034), 0, "held-out trials are off by 2.1 % of the spread over 1.5 s"),
+        ((math.nan, 0.3), 0, "held-out trials are off by 30 % of the spread over 1.5 s"),
+        ((math.nan, math.nan), 0, "held-out trials are off by an unknown share of the spread over 1.5 s"),
+        ((math.inf, 0.1), 2, "2 of 9 forecasts of held-out trials diverge"),
+    ],
+)
+def test_held_out_trials_replace_the_statement_on_forecasts(shares, diverged, said):
+    forecast = SimpleNamespace(rms_over_std=shares, horizon=1.5, n_starts=9, n_diverged=diverged)
+    before = statements([])
+    assert with_held_out(before, forecast) == {**before, "forecast": said}
+    assert with_held_out(before, None) == before

@@ -71,7 +71,8 @@ class Page:
             self.theme = ui.button("\N{CIRCLE WITH LEFT HALF BLACK}", on_click=self._next_theme, color=None)
             self.theme.props("flat round dense").classes("theme")
         self._name_theme()
-        self.main = html.main().classes("content")
+        # Not another <main>: the page of NiceGUI is one.
+        self.main = html.div().classes("content")
         self.show(self.session.view)
         ui.run_javascript(_NAME_LOADING)
         self.session.worker.warm_up()

@@ -83,9 +83,9 @@ def drawn(markup: Markup, classes: str = "") -> ui.element:
     return ui.html(str(markup), sanitize=False).classes(classes)
 
 
-def math(markup: Markup, classes: str = "") -> ui.element:
-    """A formula within a line."""
-    return ui.html(str(markup), sanitize=False, tag="span").classes(classes)
+def math(markup: Markup, classes: str = "", tag: str = "span") -> ui.element:
+    """A formula within a line, or a sentence that contains some."""
+    return ui.html(str(markup), sanitize=False, tag=tag).classes(classes)
 
 
 def action(

@@ -14,12 +14,11 @@ from leastaction.app.parts import Stick, action, aside, drawn, fault, math, pane
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
+from leastaction.app.verdict_view import gravity, notes, status
 from leastaction.app.walk_view import WalkPanel
-from leastaction.errors import InputError
 from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
-from leastaction.report.law import unsmoothed
 from leastaction.report.tables import coefficient_groups, motion_rows, simple_rows, symmetry_rows
 from leastaction.report.text import percent, plain
 
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["show"]
 
 _MOST_DRAWN = 4
-_USABLE = "Simulations follow the data, but the equations hold only to a few per cent:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
@@ -110,8 +108,8 @@ class ResultView:
         if found.stage == "provisional":
             self._provisional()
         else:
-            _status(model)
-            _notes(model)
+            status(model, found.validation, notation)
+            notes(model, notation)
             self._remedies()
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
@@ -285,35 +283,6 @@ def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, st
     ]
 
 
-def _status(model: LagrangianModel) -> None:
-    if model.fit.status == "ok":
-        with html.p().classes("status ok"):
-            say("ok", "badge", "span")
-            say("All checks passed: the equations hold along the data.", "", "span")
-        for name, text in model.fit.statements.items():
-            say(f"{name.capitalize()}: {text}.")
-        return
-    usable = model.fit.status == "usable"
-    with html.div().classes(f"status {model.fit.status}"):
-        with html.p():
-            say(model.fit.status, "badge", "span")
-            say(_USABLE if usable else "Do not trust this model yet:", "", "span")
-        for name, text in model.fit.statements.items():
-            say(f"{name.capitalize()}: {text}.")
-        with html.ul():
-            for text in model.fit.sentences("warning", "page"):
-                say(text, "", "li")
-
-
-def _notes(model: LagrangianModel) -> None:
-    """The notes of the fit, folded."""
-    notes = model.fit.sentences("note", "page")
-    if notes:
-        with ui.expansion(f"Worth knowing ({len(notes)})").classes("formulas"), html.ul():
-            for text in notes:
-                say(text, "", "li")
-
-
 def _coefficients(found: Found, notation: Notation) -> None:
     model = found.model
     title("Coefficients")
@@ -379,17 +348,5 @@ def _small_motions(model: LagrangianModel, notation: Notation) -> None:
         ]
         table("Table of equilibria", captions.MOTION_HEAD, cells)
         left_out = next((system.left_out for _, system in model.small_motions if system is not None), ())
-        say(captions.motion_note([unsmoothed(text, notation.widths) for text in left_out]), "help")
-        _gravity(model)
-
-
-def _gravity(model: LagrangianModel) -> None:
-    """Gravity over length of links, or gravity where lengths are given; a wrong one is among the warnings."""
-    lengths = model.provenance.get("options", {}).get("lengths", {})
-    try:
-        ratios = model.gravity(lengths)
-    except InputError:  # no ratio for one of the lengths, which is a note of the fit
-        ratios = model.gravity()
-    for ratio in ratios:
-        if ratio.clock is None:
-            say(f"Gravity: {ratio}.", "help")
+        math(captions.motion_note(left_out, notation), "help", "p")
+        gravity(model, notation)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding, stated_error
+from leastaction.findings import STATED, Finding, stated_error, with_held_out, worst_share
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
 from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["in_symbols", "verdict"]
+__all__ = ["contradictions", "in_symbols", "terms_in", "verdict"]
 
 _HELD = 0.9
 """Share of held-out samples in the 95 % band below which forecasts contradict the standard errors."""
@@ -48,8 +48,8 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     """Content of the first section."""
     findings = model.fit.findings
     notes = [f for f in findings if f.severity == "note"]
-    words = _terms_in(model, findings)
-    against = _against(validation) if model.fit.status == "ok" else []
+    words = terms_in(model, findings)
+    against = contradictions(validation) if model.fit.status == "ok" else []
     said = {
         key: [_in_words(group, notation, words) for group in _alike(some)]
         for key, some in {
@@ -69,7 +69,7 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
         **said,
         "statements": [
             (name.capitalize(), in_symbols(text, notation, words))
-            for name, text in _statements(model, validation).items()
+            for name, text in with_held_out(model.fit.statements, validation).items()
         ],
         "forecast": validation is not None,
         "forecasts": _free_runs(model),
@@ -101,7 +101,7 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     return Markup("").join([*parts, escape(text[at:])])
 
 
-def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
+def terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
     """Terms that a sentence may name: of the law, of competing structures, and subjects of findings."""
     path = () if model.diagnostics is None else model.diagnostics.path
     texts = {t.written for t in (*model.terms, *model.dissipation)}
@@ -120,7 +120,7 @@ def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str])
     return in_symbols(f"{message}: {remedy}" if remedy else message, notation, terms)
 
 
-def _against(result: ForecastResult | None) -> list[str]:
+def contradictions(result: ForecastResult | None) -> list[str]:
     """Contradictions between a fit that is ok and forecasts of held-out trials."""
     if result is None:
         return []
@@ -132,23 +132,9 @@ def _against(result: ForecastResult | None) -> list[str]:
         share = percent(float(inside.min()))
         return [f"only {share} of the samples of held-out trials lie in the band that should hold 95 %"]
     ratios = (result.rms / result.expected_rms)[np.isfinite(result.rms)]
-    if not inside.size and _worst(result) > _FAR and ratios.size and ratios.max() > 2.0:
-        return [f"forecasts of held-out trials are off by {percent(_worst(result))} of the spread"]
+    if not inside.size and worst_share(result) > _FAR and ratios.size and ratios.max() > 2.0:
+        return [f"forecasts of held-out trials are off by {percent(worst_share(result))} of the spread"]
     return []
-
-
-def _statements(model: LagrangianModel, validation: ForecastResult | None) -> dict[str, str]:
-    """Structure, equations and forecast in words; held-out trials take precedence over fitted ones."""
-    if validation is None:
-        return model.fit.statements
-    off = _worst(validation)
-    words = f"held-out trials are off by {percent(off)} of the spread over {plain(validation.horizon)} s"
-    return {**model.fit.statements, "forecast": words}
-
-
-def _worst(result: ForecastResult) -> float:
-    shares = result.rms_over_std
-    return float(np.nanmax(shares)) if not np.isnan(shares).all() else math.nan
 
 
 def _free_runs(model: LagrangianModel) -> str:
@@ -170,7 +156,7 @@ def _forecast_facts(result: ForecastResult | None) -> list[dict[str, Any]]:
     return [
         {
             "name": "Forecast error",
-            "value": percent(_worst(result)),
+            "value": percent(worst_share(result)),
             "note": f"of the spread, over {plain(result.horizon)} s",
         }
     ]
