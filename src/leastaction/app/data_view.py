@@ -12,7 +12,7 @@ from nicegui import events, html, ui
 from leastaction.app import columns
 from leastaction.app.figures import data_figure
 from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
-from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
+from leastaction.app.parts import action, aside, choice, drawn, fault, panel, say, title
 from leastaction.app.session import EXAMPLES
 from leastaction.cli.text import counted
 from leastaction.findings import sentence
@@ -160,7 +160,8 @@ class DataView:
         if session.data is not None:
             with self.plots:
                 self._summary()
-            ui.timer(0.01, self.page.guarded(self._draw), once=True)
+                # Here, because the list whose change led here may be deleted by now.
+                ui.timer(0.01, self.page.guarded(self._draw), once=True)
 
     def _roles(self) -> None:
         session = self.session
@@ -178,13 +179,11 @@ class DataView:
                         if names.get(column, column) != column:
                             say(f"called {names[column]} in the formulas", "help", "span")
                         say(f"{session.columns.sample(column)} …", "help values", "span")
-                    select = ui.select(
-                        options if role in options else [*options, role],
-                        value=role,
-                        on_change=self.page.guarded(lambda e, c=column: self._set_role(c, e.value)),
+                    there = options if role in options else [*options, role]
+                    set_role = self.page.guarded(lambda new, c=column: self._set_role(c, new))
+                    choice(
+                        f"Meaning of {_plain(column)}", dict(zip(there, there, strict=True)), role, set_role
                     )
-                    select.props(f'outlined dense options-dense aria-label="Meaning of {_plain(column)}"')
-                    select.mark(f"role-{column}")
 
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
@@ -204,10 +203,10 @@ class DataView:
             with html.div().classes("heading"):
                 title("What was measured")
                 if len(data) > 1:
-                    options = dict(enumerate(labels(data.names)))
-                    select = ui.select(options, value=session.shown, label="trial shown")
-                    select.props("outlined dense options-dense").classes("trial")
-                    select.on_value_change(self.page.guarded(lambda e: self._show_trial(e.value)))
+                    with html.div().classes("trial"):
+                        say("trial shown", "help", "span")
+                        options = dict(enumerate(labels(data.names)))
+                        choice("Trial shown", options, session.shown, self.page.guarded(self._show_trial))
             with html.dl().classes("facts"):
                 for name, value in _facts(data):
                     with html.div():

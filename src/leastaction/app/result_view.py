@@ -237,7 +237,8 @@ class ResultView:
         with button:
             for name, what in FORMATS.items():
                 ask = self.page.guarded(lambda _=None, name=name: self._export(name))
-                with ui.item(on_click=ask).mark(f"export-{name}"), ui.item_section():
+                item = ui.item(on_click=ask).props("role=menuitem").mark(f"export-{name}")
+                with item, ui.item_section():
                     ui.item_label(name)
                     ui.item_label(what).props("caption")
 
