@@ -58,6 +58,11 @@ def table(header: str, *rows: str) -> _columns.Columns:
         ("frame,x,phi_deg,omega,x_dot", [TIME, COORDINATE, DEGREES, UNUSED, UNUSED]),
         ("trial,t,q,q_force", [TRIAL, TIME, COORDINATE, FORCE + "q"]),
         ("time,angle,torque", [TIME, ANGLE, FORCE + "angle"]),
+        (
+            "Time [s],Upper arm [deg],Lower arm [deg],Torque 1 (N m),Torque 2 (N m)",
+            [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Lower_arm"],
+        ),
+        ("t,theta1,theta2,tau3", [TIME, ANGLE, ANGLE, UNUSED]),
     ],
 )
 def test_roles_are_guessed(header, roles):

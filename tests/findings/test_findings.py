@@ -288,6 +288,17 @@ def test_remedies_speak_of_the_command_line_and_of_the_page():
     assert sentence(jumps, "page").endswith("mark theta as an angle")
     late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
     assert "use --force-delay 0.03" in sentence(late, "command line")
+    assert "under “Delay of the forces”" in sentence(late, "page")
+    missing = find("missing-term", "x", constant_force="x", free_terms=2, angles=["y"])
+    assert sentence(missing, "page").endswith(
+        "add it to the candidates; the term x in L is a constant force on that coordinate "
+        "(tick it under “Unknown constant force”); or, if y is an angle, mark it as one"
+    )
+    off = {"equation_error": 0.03, "residual_ratio": 1.0, "cause_named": False, "may_be_prescribed": True}
+    assert sentence(find("equations-off", "x", **off), "page").endswith("use “Moved by unmeasured forces”")
+    page = [row.on_page or row.remedy for row in CODES.values()]
+    python = [text for text in page if isinstance(text, str) and re.search(r"\w=[\[{(]|\b(la|model)\.", text)]
+    assert python == []  # the page has no arguments and no functions
     other = find("motion-in-noise", "x", motion=0.01, noise=0.1)
     assert sentence(other, "page") == sentence(other, "command line") == str(other)
 

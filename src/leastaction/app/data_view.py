@@ -12,10 +12,12 @@ from nicegui import events, html, ui
 from leastaction.app import columns
 from leastaction.app.figures import data_figure
 from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
-from leastaction.app.parts import action, aside, choice, drawn, fault, panel, say, title
+from leastaction.app.parts import action, aside, choice, drawn, fault, math, panel, say, title
 from leastaction.app.session import EXAMPLES
 from leastaction.cli.text import counted
 from leastaction.findings import sentence
+from leastaction.model.mathml import Notation
+from leastaction.report.verdict import in_symbols
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page
@@ -212,8 +214,9 @@ class DataView:
                     with html.div():
                         say(name, "", "dt")
                         say(value, "", "dd")
+            notation = Notation(data.coordinates, written=columns.written_names(session.moving))
             for finding in data.findings:
-                say(f"{sentence(finding, 'page')}.", "help").mark("read")
+                math(in_symbols(f"{sentence(finding, 'page')}.", notation), "help", "p").mark("read")
             if session.hint:
                 say(session.hint, "hint")
             wild = _not_radians(self.session)
@@ -245,9 +248,8 @@ class DataView:
             smooth, hint = None, self.page.words(error)
         if session.data is not data or self.figures.is_deleted:
             return
-        from leastaction.model.mathml import Notation
-
-        names = [Notation(data.coordinates).text(name) for name in data.coordinates]
+        notation = Notation(data.coordinates, written=columns.written_names(session.moving))
+        names = [notation.text(name) for name in data.coordinates]
         figures = []
         for i in range(min(data.n_dof, _MOST_DRAWN)):
             figures.append(await aside(data_figure, data[session.shown], smooth, i, names[i], units[i]))

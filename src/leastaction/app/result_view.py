@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from nicegui import html, ui
 
+from leastaction.app.columns import written_names
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, stick_kind, stick_words
@@ -14,7 +15,7 @@ from leastaction.app.parts import Stick, action, aside, drawn, fault, math, pane
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
-from leastaction.app.verdict_view import gravity, notes, status
+from leastaction.app.verdict_view import gravity, in_names, notes, status
 from leastaction.app.walk_view import WalkPanel
 from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
@@ -72,7 +73,8 @@ class ResultView:
         found = self.session.current
         for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
-        notation = Notation.of_fit(found.model.coordinates, found.model.fit.findings)
+        model = found.model
+        notation = Notation.of_fit(model.coordinates, model.fit.findings, written_names(self.session.moving))
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -110,7 +112,7 @@ class ResultView:
         else:
             status(model, found.validation, notation)
             notes(model, notation)
-            self._remedies()
+            self._remedies(notation)
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
                 if not terms:
@@ -195,7 +197,7 @@ class ResultView:
         text = await aside(self.session.write_report)
         ui.download.content(text.encode(), "report.html", "text/html")
 
-    def _remedies(self) -> None:
+    def _remedies(self, notation: Notation) -> None:
         """Buttons that change the choices and start the search again."""
         found = offers(self.session)
         if found:
@@ -203,7 +205,7 @@ class ResultView:
                 say("Search again with one change:", "help")
                 for offer in found:
                     ask = self.page.guarded(lambda _=None, offer=offer: self._again(offer))
-                    action(offer.words, ask, "quiet").props("icon=replay").mark("remedy")
+                    action(in_names(offer.words, notation), ask, "quiet").props("icon=replay").mark("remedy")
 
     def _compare(self, found: Found, notation: Notation) -> None:
         """A comparison with the kept model, and a button to keep the present one."""

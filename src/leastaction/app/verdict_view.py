@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from nicegui import html, ui
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from leastaction.model.mathml import Notation
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["gravity", "notes", "status"]
+__all__ = ["gravity", "in_names", "notes", "status"]
 
 _HEADINGS = {
     "ok": "All checks passed: the equations hold along the data.",
@@ -49,6 +50,19 @@ def notes(model: LagrangianModel, notation: Notation) -> None:
         with ui.expansion(f"Worth knowing ({len(texts)})").classes("formulas"), html.ul():
             for text in texts:
                 _sentence(model, notation, text, "li")
+
+
+def in_names(text: str, notation: Notation) -> str:
+    """A plain text with the names of coordinates as in figures.
+
+    Examples
+    --------
+    >>> from leastaction.model.mathml import Notation
+    >>> in_names("theta1, a_1: an angle", Notation(["theta1", "a_1"], written={"a_1": "a (1)"}))
+    'θ₁, a (1): an angle'
+    """
+    words = "|".join(sorted(map(re.escape, notation.coordinates), key=len, reverse=True))
+    return re.sub(rf"(?<!\w)(?:{words})(?!\w)", lambda found: notation.text(found[0]), text)
 
 
 def gravity(model: LagrangianModel, notation: Notation) -> None:

@@ -81,7 +81,7 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     """A sentence with its coordinates, velocities and terms as mathematics.
 
     Text in quotes or after an equals sign is code and is not changed. Neither is a name that is a word, such
-    as ``angle``.
+    as ``angle``. A coordinate with a plain name of its own (`Notation`) has this name.
 
     Examples
     --------
@@ -89,6 +89,8 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     True
     >>> print(in_symbols("angles=['theta']", Notation(["theta"])))
     angles=[&#39;theta&#39;]
+    >>> print(in_symbols("the force on a_1", Notation(["a_1"], written={"a_1": "arm (1)"})))
+    the force on arm (1)
     """
     names = [name for name in notation.coordinates if notation.text(name) != name or name in _LETTERS]
     rates = [f"{name}{ending}" for name in notation.coordinates for ending in ("_dot_dot", "_dot")]
@@ -96,7 +98,8 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     pattern = re.compile(rf"(?<![\w'\"=.])(?:{'|'.join(map(re.escape, words))})(?![\w'\"=(]|\*\*)")
     parts, at = [], 0
     for found in pattern.finditer(text):
-        parts += [escape(text[at : found.start()]), notation.term(found[0])]
+        name = notation.written.get(found[0])
+        parts += [escape(text[at : found.start()]), notation.term(found[0]) if name is None else escape(name)]
         at = found.end()
     return Markup("").join([*parts, escape(text[at:])])
 
