@@ -104,10 +104,10 @@ def discover(
         there (the trolley's mass) are not found. In the model, the force on such a coordinate is its
         acceleration.
     hidden : iterable of str
-        Coordinates that no sensor saw. Their names occur in the candidates, and the data have no samples of
+        Coordinates without a sensor. Their names occur in the candidates, and the data have no samples of
         them. Their motion is estimated together with the coefficients (``diagnostics.hidden_motion``). Offer
         few candidates, and fix by a known coefficient what the choice of such a coordinate leaves open (the
-        finding ``hidden-gauge`` says it). See :doc:`/hidden`.
+        finding ``hidden-gauge`` reports it). See :doc:`/hidden`.
     measure : iterable of str
         Columns that are functions of the coordinates, such as ``"u = {s}*(x + {l}*sin(theta)) + {u0}"``: a
         column, and an expression in coordinates, velocities ``x_dot``, accelerations ``x_ddot``, and

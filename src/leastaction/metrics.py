@@ -176,12 +176,13 @@ def cramer_rao_bound(
     observed: Trajectories | None = None,
     velocity_noise_std=None,
 ) -> CramerRaoBound:
-    """Return the Cramér–Rao bound for the coefficients of a system from noisy positions, and velocities.
+    """Return the Cramér–Rao bound for the coefficients of a system.
 
-    The measurements have independent Gaussian noise of known size. The terms of the true model are known, but
-    not their coefficients. The initial conditions are unknown and projected out. The motion depends on both
-    through the variational equations, which are exact and integrated piece by piece. Orthogonal
-    transformations join the pieces, so that the result is accurate for chaotic motions.
+    Positions are measured, and velocities if their noise is given, with independent Gaussian noise of known
+    size. The terms of the true model are known, but not their coefficients. The initial conditions are
+    unknown and projected out. The motion depends on both through the variational equations, which are exact
+    and integrated piece by piece. Orthogonal transformations join the pieces, so that the result is accurate
+    for chaotic motions.
 
     Parameters
     ----------

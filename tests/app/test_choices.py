@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import leastaction as la
 import page_helpers
@@ -30,10 +32,12 @@ from leastaction.app.columns import (
     UNUSED,
 )
 from leastaction.app.jobs import Motion
-from leastaction.app.motion import frames, hanging_angles
+from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_words
 from leastaction.app.remedies import proposed
 from leastaction.app.session import Walk
 from leastaction.findings import CODES, Finding
+from leastaction.library import format_expression
+from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
 from page_helpers import spring
@@ -54,6 +58,11 @@ def table(header: str, *rows: str) -> _columns.Columns:
         ("frame,x,phi_deg,omega,x_dot", [TIME, COORDINATE, DEGREES, UNUSED, UNUSED]),
         ("trial,t,q,q_force", [TRIAL, TIME, COORDINATE, FORCE + "q"]),
         ("time,angle,torque", [TIME, ANGLE, FORCE + "angle"]),
+        (
+            "Time [s],Upper arm [deg],Lower arm [deg],Torque 1 (N m),Torque 2 (N m)",
+            [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Lower_arm"],
+        ),
+        ("t,theta1,theta2,tau3", [TIME, ANGLE, ANGLE, UNUSED]),
     ],
 )
 def test_roles_are_guessed(header, roles):
@@ -399,10 +408,90 @@ def test_a_link_on_a_cart_leans_the_way_it_does(down, ahead):
     t = np.linspace(0.0, 6.0, 200)
     q = np.column_stack([0.3 * np.sin(t), down + 0.4 * np.cos(t)])
     shown = frames(Motion("one", True, t, q, q, 1.0), model, kind="cart")
-    rows, scale = np.array(shown["measured"]), shown["length"] / 0.5
-    bob = rows[:, 0] + shown["length"] * np.sin(rows[:, 1])
+    rows, scale = np.array(shown["measured"]), shown["lengths"][0] / 0.5
+    bob = rows[:, 0] + shown["lengths"][0] * np.sin(rows[:, 1])
     expected = scale * (q[:, 0] + ahead * 0.5 * np.sin(q[:, 1]))
     np.testing.assert_allclose(bob - bob.mean(), expected - expected.mean(), atol=0.02 * scale)
+
+
+def chain(masses, lengths, *, relative=False, gravity=9.81, cart=None, given=None):
+    """L of point masses at the ends of the links, perhaps on a cart of this mass."""
+    n = len(masses)
+    names = [*(["x"] if cart else []), *"abc"[:n]]
+    q, rates, _ = state_symbols(names)
+    angles, speeds = (list(itertools.accumulate(s[-n:])) if relative else s[-n:] for s in (q, rates))
+    law = (cart + sum(masses)) * rates[0] ** 2 / 2 if cart else sp.Integer(0)
+    for i, j in itertools.product(range(n), repeat=2):
+        beyond = sum(masses[max(i, j) :])
+        first, last = angles[min(i, j)], angles[max(i, j)]
+        between = last - first if relative else first - last
+        law += beyond * lengths[i] * lengths[j] * speeds[i] * speeds[j] * sp.cos(between) / 2
+    for i in range(n):
+        law += sum(masses[i:]) * lengths[i] * gravity * sp.cos(angles[i])
+        law += sum(masses[i:]) * lengths[i] * rates[0] * speeds[i] * sp.cos(angles[i]) if cart else 0
+    parts = [addend.as_coeff_Mul() for addend in sp.expand(law).as_ordered_terms()]
+    terms = [ModelTerm(format_expression(rest), float(number)) for number, rest in parts]
+    return la.LagrangianModel(names, terms, provenance={"options": {"lengths": given or {}}})
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("gravity", [9.81, 0])
+@pytest.mark.parametrize("cart", [None, 2.0])
+def test_links_are_drawn_to_scale(relative, gravity, cart):
+    """Positions in the drawing against positions from the geometry, whatever the angles are relative to."""
+    lengths = (0.5, 0.2, 0.4) if cart is None else (0.5, 0.2)
+    model = chain((0.3, 0.5, 0.2)[: len(lengths)], lengths, relative=relative, gravity=gravity, cart=cart)
+    n = model.n_dof
+    t = np.linspace(0.0, 3.0, 100)
+    q = np.sin(np.outer(t, np.arange(1, n + 1))) * 0.7
+    kind = "cart" if cart else "links"
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind=kind)
+    drawn = np.array(shown["lengths"]) / sum(shown["lengths"])
+    np.testing.assert_allclose(drawn, np.array(lengths) / sum(lengths), atol=2e-4)
+    assert shown["down"] == (gravity > 0)
+    turned = np.array(shown["measured"])[:, n - len(lengths) :]
+    angles = np.cumsum(q[:, -len(lengths) :], axis=1) if relative else q[:, -len(lengths) :]
+    off = turned - angles
+    np.testing.assert_allclose(off, np.broadcast_to(off[:1, :1], off.shape), atol=2e-4)
+    if gravity:
+        np.testing.assert_allclose(off, 0.0, atol=2e-4)
+    if cart:
+        scale = shown["lengths"][0] / lengths[0]
+        np.testing.assert_allclose(
+            np.ptp(np.array(shown["measured"])[:, 0]), scale * np.ptp(q[:, 0]), rtol=1e-3
+        )
+    words = stick_words(kind, model, shown)
+    expected = (
+        "the scale of the cart's position"
+        if cart
+        else "0.5 m, 0.2 m and 0.4 m, for g"
+        if gravity
+        else "1 : 0.4 : 0.8"
+    )
+    assert expected in words
+
+
+def test_given_lengths_are_drawn():
+    assert link_lengths(chain((1, 1), (0.5, 0.2), given={"a": 0.25}), [0, 0]).values == pytest.approx(
+        (0.25, 0.1)
+    )
+    both = link_lengths(chain((1, 1), (0.5, 0.2), given={"a": 0.5, "b": 0.3}), [0, 0])
+    assert (both.values, both.last_given) == ((0.5, 0.3), True)
+    # Two pendulums on a common spring are no chain.
+    texts = {"a_dot**2": 0.5, "b_dot**2": 0.5, "cos(a)": 9.0, "cos(b)": 9.0, "(a-b)**2": -1.0}
+    terms = [ModelTerm(text, value) for text, value in texts.items()]
+    assert link_lengths(la.LagrangianModel(["a", "b"], terms), [0, 0]) is None
+    options = {"options": {"lengths": {"a": 0.5, "b": 0.3}}}
+    assert link_lengths(la.LagrangianModel(["a", "b"], terms, provenance=options), [0, 0]).values == (
+        0.5,
+        0.3,
+    )
+    t = np.linspace(0.0, 1.0, 50)
+    q = np.outer(np.sin(t), [1.0, 1.0])
+    model = la.LagrangianModel(["a", "b"], terms)
+    shown = frames(Motion("one", True, t, q, q, 1.0), model)
+    assert shown["lengths"] == [49.0, 49.0]
+    assert "equally long" in stick_words("links", model, shown)
 
 
 def test_without_gravity_the_middle_of_the_motion_is_down():

@@ -234,6 +234,28 @@ def test_the_result_shows_simple_numbers_and_symmetries():
     simulate(script)
 
 
+def test_the_verdict_states_the_forecast_of_held_out_trials():
+    model = page_helpers.spring()
+    tried = model.validate(model.diagnostics.trajectories)
+    off = replace(tried, traces=tuple(replace(trace, status="diverged") for trace in tried.traces))
+
+    async def script(user) -> None:
+        session = await open_candidates(user, "single")
+        for validation, expected in (
+            (None, "Forecast: not tested."),
+            (tried, "Forecast: held-out trials are off by"),
+            (off, "but its forecasts contradict it"),
+        ):
+            session.found = {0: Found(model, "fitted", validation)}
+            session.faults = {0: "it was cancelled"}
+            user.find(marker="step-candidates").click()
+            await asyncio.sleep(0.1)
+            user.find(marker="step-result").click()
+            await user.should_see(expected)
+
+    simulate(script)
+
+
 def test_faults_are_lines_in_the_page():
     async def script(user) -> None:
         session = await open_candidates(user, "single")
@@ -311,10 +333,31 @@ def test_the_page_says_what_was_done_to_the_data():
         session.open_upload("run.csv", f"Zeit;Winkel\nms;°\n{rows}".encode("cp1252"))
         user.find(marker="step-data").click()
         await user.should_see("What was measured")
-        await user.should_see("the times in 'Zeit' were converted from ms to seconds")
+        await user.should_see("the times in &#39;Zeit&#39; were converted from ms to seconds")  # as HTML
         await user.should_see("Winkel was converted from deg to rad")
         await user.should_see("numbers were read with a decimal comma")
         await user.should_see("the text is not UTF-8 and was read as Windows-1252")
+
+    simulate(script)
+
+
+def test_coordinates_have_the_names_of_their_columns():
+    async def script(user) -> None:
+        session = session_of_page()
+        rows = "".join(f"{0.02 * k},{40 * np.sin(k / 9)},1.0\n" for k in range(60))
+        session.open_upload("run.csv", f"Time [s],Upper arm [deg],Torque 1\n{rows}".encode())
+        assert session.moving == ["Upper arm [deg]"]
+        user.find(marker="step-data").click()
+        await user.should_see("called Upper_arm in the formulas")
+        await user.should_see("Upper arm was converted from deg to rad")
+        model = LagrangianModel(
+            ["Upper_arm"], [ModelTerm("Upper_arm_dot**2", 0.5, 0.01), ModelTerm("cos(Upper_arm)", 9.8, 0.1)]
+        )
+        session.found, session.faults = {0: Found(model, "fitted")}, {0: "it was cancelled"}
+        user.find(marker="step-candidates").click()
+        await asyncio.sleep(0.1)
+        user.find(marker="step-result").click()
+        await user.should_see("Upper arm = 0")
 
     simulate(script)
 

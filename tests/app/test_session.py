@@ -200,7 +200,7 @@ def test_from_upload_to_download(session, tmp_path):
     path = page_helpers.driven_pendulum(tmp_path / "my run.csv")
     session.open_upload("my run.csv", path.read_bytes())
     assert list(session.roles.values()) == [TRIAL, TIME, ANGLE, FORCE + "theta"]
-    assert session.title == "my_run.csv"
+    assert session.title == "my run.csv"
     assert session.data is not None
     assert session.data.driven
     assert session.smooth().noise_std[0] > 0

@@ -343,6 +343,56 @@ def test_julia_and_modelica_agree(name):
         np.testing.assert_allclose(found["stored"], model.energy(q, v, **t), **close)
 
 
+@pytest.mark.parametrize("name", [*MODELS, "timed"])
+def test_parsers_of_julia_and_modelica_read_the_files(name):
+    tree_sitter = pytest.importorskip("tree_sitter")
+    grammar = pytest.importorskip("tree_sitter_julia")
+    modelica = pytest.importorskip("pymoca.parser")
+    model = timed() if name == "timed" else MODELS[name]()
+    reader = tree_sitter.Parser(tree_sitter.Language(grammar.language()))
+    source = export(model, "julia")
+    assert not reader.parse(source.encode()).root_node.has_error
+    assert reader.parse(source.replace("reshape([", "reshape((").encode()).root_node.has_error
+    package = modelica.parse(export(model, "modelica")).classes["LeastactionModel"]
+    assert list(package.classes) == ["mass_matrix", "right_side", "energy", "Motion"]
+    inputs = [
+        name for name, symbol in package.classes["energy"].symbols.items() if "input" in symbol.prefixes
+    ]
+    assert inputs == ["q", "qdot", *(["t"] if model.timed else [])]
+
+
+JULIA = shutil.which("julia")
+
+
+@pytest.mark.skipif(JULIA is None, reason="no Julia")
+@pytest.mark.parametrize("name", ["driven", "timed"])
+def test_julia_itself_agrees(name, tmp_path):
+    model = timed() if name == "timed" else MODELS[name]()
+    export(model, "julia", tmp_path / "model.jl")
+    (q, v, f), t = next(iter(states(model))), ", 0.7" if model.timed else ""
+    n = model.n_dof
+    script = f"""
+        include("model.jl")
+        using .LeastactionModel
+        q, v, f = {q.tolist()}, {v.tolist()}, {f.tolist()}
+        dx = zeros({2 * n})
+        state_derivative!(dx, [q; v], f, 0.7)
+        println(join([dx; acceleration(q, v{t}); energy(q, v{t}); vec(mass_matrix(q, v{t}))], " "))
+    """
+    (tmp_path / "script.jl").write_text(script, encoding="utf-8")
+    command = [JULIA, "--startup-file=no", "script.jl"]
+    run = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300, check=True)
+    t = {"t": 0.7} if model.timed else {}
+    expected = [
+        *v,
+        *model.acceleration(q, v, f, **t),
+        *model.acceleration(q, v, **t),
+        model.energy(q, v, **t),
+    ]
+    expected += model.mass_matrix(q, v, **t).ravel().tolist()
+    np.testing.assert_allclose([float(x) for x in run.stdout.split()], expected, rtol=1e-11, atol=1e-11)
+
+
 # -------------------------------------------------------------- chains of links: MJCF and URDF
 def chain_models():
     """The double pendulum measured from down; upright with joint friction; three links, relative angles."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import inspect
 import json
+import math
 import pickle
 import re
 from dataclasses import FrozenInstanceError
 from pathlib import Path
 from string import Formatter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +30,9 @@ from leastaction.findings import (
     find,
     sentence,
     stated,
+    statements,
     status_of,
+    with_held_out,
 )
 from leastaction.model.term import FitSummary
 
@@ -284,6 +288,17 @@ def test_remedies_speak_of_the_command_line_and_of_the_page():
     assert sentence(jumps, "page").endswith("mark theta as an angle")
     late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
     assert "use --force-delay 0.03" in sentence(late, "command line")
+    assert "under “Delay of the forces”" in sentence(late, "page")
+    missing = find("missing-term", "x", constant_force="x", free_terms=2, angles=["y"])
+    assert sentence(missing, "page").endswith(
+        "add it to the candidates; the term x in L is a constant force on that coordinate "
+        "(tick it under “Unknown constant force”); or, if y is an angle, mark it as one"
+    )
+    off = {"equation_error": 0.03, "residual_ratio": 1.0, "cause_named": False, "may_be_prescribed": True}
+    assert sentence(find("equations-off", "x", **off), "page").endswith("use “Moved by unmeasured forces”")
+    page = [row.on_page or row.remedy for row in CODES.values()]
+    python = [text for text in page if isinstance(text, str) and re.search(r"\w=[\[{(]|\b(la|model)\.", text)]
+    assert python == []  # the page has no arguments and no functions
     other = find("motion-in-noise", "x", motion=0.01, noise=0.1)
     assert sentence(other, "page") == sentence(other, "command line") == str(other)
 
@@ -440,3 +455,19 @@ def test_every_code_of_a_status_or_statement_exists():
 
 def test_nothing_is_stated_where_nothing_was_fitted():
     assert FitSummary().statements == {}
+
+
+@pytest.mark.parametrize(
+    ("shares", "diverged", "said"),
+    [
+        ((0.021, 0.0034), 0, "held-out trials are off by 2.1 % of the spread over 1.5 s"),
+        ((math.nan, 0.3), 0, "held-out trials are off by 30 % of the spread over 1.5 s"),
+        ((math.nan, math.nan), 0, "held-out trials are off by an unknown share of the spread over 1.5 s"),
+        ((math.inf, 0.1), 2, "2 of 9 forecasts of held-out trials diverge"),
+    ],
+)
+def test_held_out_trials_replace_the_statement_on_forecasts(shares, diverged, said):
+    forecast = SimpleNamespace(rms_over_std=shares, horizon=1.5, n_starts=9, n_diverged=diverged)
+    before = statements([])
+    assert with_held_out(before, forecast) == {**before, "forecast": said}
+    assert with_held_out(before, None) == before

@@ -144,9 +144,9 @@ def test_small_motions_in_a_table():
         assert f"at {lead:.0f}°".replace("-", "−") in shape
     assert {row["standing"] for row in others} == {"unstable"}
     assert len(others) == 3
-    note = motion_note(model.small_motions[0][1].left_out)
-    assert note.endswith("at rest: abs(theta2_dot).")
-    assert "dry friction" not in motion_note(())
+    note = motion_note(model.small_motions[0][1].left_out, Notation(names))
+    assert note.endswith(f"at rest: {Notation(names).term('abs(theta2_dot)')}.")
+    assert "dry friction" not in motion_note((), Notation(names)).lower()
     timed = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x*cos(t)", 1.0)])
     nowhere = LagrangianModel("x", [ModelTerm("x_dot**2", 0.5), ModelTerm("x**2", -1.0)])
     assert motion_rows(timed, Notation(["x"])) == motion_rows(nowhere, Notation(["x"])) == []

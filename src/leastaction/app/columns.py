@@ -38,6 +38,7 @@ __all__ = [
     "guess_roles",
     "peek",
     "read",
+    "written_names",
 ]
 
 UNUSED, TIME, TRIAL = "not used", "time (s)", "trial"
@@ -162,6 +163,20 @@ def coordinate_names(columns: Sequence[str]) -> dict[str, str]:
     return names
 
 
+def written_names(columns: Sequence[str]) -> dict[str, str]:
+    """Return name of the coordinate -> its column without the unit, where they differ.
+
+    Examples
+    --------
+    >>> written_names(["theta1", "Upper arm [deg]", "x [m]", "x [mm]"])
+    {'Upper_arm': 'Upper arm', 'x': 'x [m]', 'x_2': 'x [mm]'}
+    """
+    names = coordinate_names(columns)
+    short = {column: parted(column)[0].strip() for column in columns}
+    texts = {c: text if list(short.values()).count(text) == 1 else c for c, text in short.items()}
+    return {names[column]: text for column, text in texts.items() if text and text != names[column]}
+
+
 def moving_columns(roles: Mapping[str, str]) -> list[str]:
     """Columns that are coordinates of any kind, in the order of the file."""
     return [column for column, role in roles.items() if role in _MOVING]
@@ -280,7 +295,7 @@ def _driven(column: str, moving: Sequence[str], place: int) -> str | None:
     if by_name:
         return by_name[0]
     number = re.search(r"\d+", word)
-    if number:
+    if number and any(re.search(r"\d", _word(c)) for c in moving):
         same = [c for c in moving if re.findall(r"\d+", _word(c))[:1] == [number[0]]]
         return same[0] if same else None
     return moving[place] if place < len(moving) else None

@@ -12,10 +12,12 @@ from nicegui import events, html, ui
 from leastaction.app import columns
 from leastaction.app.figures import data_figure
 from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
-from leastaction.app.parts import action, aside, drawn, fault, panel, say, title
+from leastaction.app.parts import action, aside, choice, drawn, fault, math, panel, say, title
 from leastaction.app.session import EXAMPLES
 from leastaction.findings import sentence
 from leastaction.identifiers import counted
+from leastaction.model.mathml import Notation
+from leastaction.report.verdict import in_symbols
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page
@@ -160,7 +162,8 @@ class DataView:
         if session.data is not None:
             with self.plots:
                 self._summary()
-            ui.timer(0.01, self.page.guarded(self._draw), once=True)
+                # Here, because the list whose change led here may be deleted by now.
+                ui.timer(0.01, self.page.guarded(self._draw), once=True)
 
     def _roles(self) -> None:
         session = self.session
@@ -178,13 +181,11 @@ class DataView:
                         if names.get(column, column) != column:
                             say(f"called {names[column]} in the formulas", "help", "span")
                         say(f"{session.columns.sample(column)} …", "help values", "span")
-                    select = ui.select(
-                        options if role in options else [*options, role],
-                        value=role,
-                        on_change=self.page.guarded(lambda e, c=column: self._set_role(c, e.value)),
+                    there = options if role in options else [*options, role]
+                    set_role = self.page.guarded(lambda new, c=column: self._set_role(c, new))
+                    choice(
+                        f"Meaning of {_plain(column)}", dict(zip(there, there, strict=True)), role, set_role
                     )
-                    select.props(f'outlined dense options-dense aria-label="Meaning of {_plain(column)}"')
-                    select.mark(f"role-{column}")
 
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
@@ -204,17 +205,18 @@ class DataView:
             with html.div().classes("heading"):
                 title("What was measured")
                 if len(data) > 1:
-                    options = dict(enumerate(labels(data.names)))
-                    select = ui.select(options, value=session.shown, label="trial shown")
-                    select.props("outlined dense options-dense").classes("trial")
-                    select.on_value_change(self.page.guarded(lambda e: self._show_trial(e.value)))
+                    with html.div().classes("trial"):
+                        say("trial shown", "help", "span")
+                        options = dict(enumerate(labels(data.names)))
+                        choice("Trial shown", options, session.shown, self.page.guarded(self._show_trial))
             with html.dl().classes("facts"):
                 for name, value in _facts(data):
                     with html.div():
                         say(name, "", "dt")
                         say(value, "", "dd")
+            notation = Notation(data.coordinates, written=columns.written_names(session.moving))
             for finding in data.findings:
-                say(f"{sentence(finding, 'page')}.", "help").mark("read")
+                math(in_symbols(f"{sentence(finding, 'page')}.", notation), "help", "p").mark("read")
             if session.hint:
                 say(session.hint, "hint")
             wild = _not_radians(self.session)
@@ -246,9 +248,8 @@ class DataView:
             smooth, hint = None, self.page.words(error)
         if session.data is not data or self.figures.is_deleted:
             return
-        from leastaction.model.mathml import Notation
-
-        names = [Notation(data.coordinates).text(name) for name in data.coordinates]
+        notation = Notation(data.coordinates, written=columns.written_names(session.moving))
+        names = [notation.text(name) for name in data.coordinates]
         figures = []
         for i in range(min(data.n_dof, _MOST_DRAWN)):
             figures.append(await aside(data_figure, data[session.shown], smooth, i, names[i], units[i]))

@@ -14,7 +14,6 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from leastaction.app.candidates import Choice
@@ -186,8 +185,16 @@ def _texts(value: Any) -> list[str]:
 
 
 def plain_name(name: str) -> str:
-    """A safe file name: letters, digits and similar characters."""
-    return re.sub(r"[^\w.+-]+", "_", Path(name.replace("\\", "/")).name).strip("._")[:80] or "table"
+    r"""A safe file name: the given one without folders, and without characters that a system may refuse.
+
+    Examples
+    --------
+    >>> plain_name("C:\\data\\swing (2).csv"), plain_name("../../etc/a<b>?.csv"), plain_name("..")
+    ('swing (2).csv', 'a_b__.csv', 'table')
+    """
+    last = name.replace("\\", "/").rstrip("/").rpartition("/")[2]
+    safe = "".join(c if c.isprintable() and c not in '<>:"|?*' else "_" for c in last)
+    return safe.strip("._ ")[:60].rstrip(". ") or "table"
 
 
 def by_number(name: str) -> list[tuple[int, str]]:

@@ -24,10 +24,6 @@ _MOST_SESSIONS = 6
 _STEPS = {"data": "Data", "candidates": "Candidates", "result": "Result"}
 _VIEWS = {"data": data_view.show, "candidates": candidates_view.show, "result": result_view.show}
 _THEMES = {None: "Light or dark as the system", False: "Light", True: "Dark"}
-# Quasar's loading bar has a role but no accessible name.
-_NAME_LOADING = """document.querySelectorAll('.q-loading-bar').forEach((bar) => {
-  bar.setAttribute('aria-label', 'Waiting for the server');
-});"""
 _HERE = Path(__file__).parent
 
 _sessions: OrderedDict[str, Session] = OrderedDict()
@@ -71,9 +67,9 @@ class Page:
             self.theme = ui.button("\N{CIRCLE WITH LEFT HALF BLACK}", on_click=self._next_theme, color=None)
             self.theme.props("flat round dense").classes("theme")
         self._name_theme()
-        self.main = html.main().classes("content")
+        # Not another <main>: the page of NiceGUI is one.
+        self.main = html.div().classes("content")
         self.show(self.session.view)
-        ui.run_javascript(_NAME_LOADING)
         self.session.worker.warm_up()
 
     def show(self, view: str) -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
 from markupsafe import Markup
-from nicegui import html, run, ui
+from nicegui import events, html, run, ui
 
 __all__ = [
     "Stick",
     "action",
     "aside",
+    "choice",
     "drawn",
     "fault",
     "field",
@@ -25,6 +26,7 @@ __all__ = [
 
 
 R = TypeVar("R")
+V = TypeVar("V", bound=Hashable)
 
 
 async def aside(function: Callable[..., R], *arguments: Any) -> R:
@@ -73,6 +75,25 @@ def table(name: str, head: Sequence[tuple[str, str]], rows: Iterable[Sequence[st
     return box
 
 
+def choice(
+    name: str, options: Mapping[V, str], value: V, on_change: Callable[[V], Awaitable[Any] | Any]
+) -> ui.element:
+    """A list to choose from: the element of the browser, which keyboards and screen readers know."""
+    values = list(options)
+    box = html.select().classes("choice").props(f'aria-label="{name}"')
+    with box:
+        for key, text in options.items():
+            option = say(text, "", "option")
+            if key == value:
+                option.props("selected")
+
+    def changed(event: events.GenericEventArguments) -> Awaitable[Any] | Any:
+        return on_change(values[int(event.args)])
+
+    box.on("change", changed, js_handler="(event) => emit(event.target.selectedIndex)")
+    return box
+
+
 def fault(text: str) -> ui.label:
     """One line with an error and its cure."""
     return say(text, "fault").props("role=alert")
@@ -83,9 +104,9 @@ def drawn(markup: Markup, classes: str = "") -> ui.element:
     return ui.html(str(markup), sanitize=False).classes(classes)
 
 
-def math(markup: Markup, classes: str = "") -> ui.element:
-    """A formula within a line."""
-    return ui.html(str(markup), sanitize=False, tag="span").classes(classes)
+def math(markup: Markup, classes: str = "", tag: str = "span") -> ui.element:
+    """A formula within a line, or a sentence that contains some."""
+    return ui.html(str(markup), sanitize=False, tag=tag).classes(classes)
 
 
 def action(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from nicegui import html, ui
 
+from leastaction.app.columns import written_names
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, stick_kind, stick_words
@@ -14,12 +15,11 @@ from leastaction.app.parts import Stick, action, aside, drawn, fault, math, pane
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
+from leastaction.app.verdict_view import gravity, in_names, notes, status
 from leastaction.app.walk_view import WalkPanel
-from leastaction.errors import InputError
 from leastaction.exporters.formats import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
-from leastaction.report.law import unsmoothed
 from leastaction.report.tables import coefficient_groups, motion_rows, simple_rows, symmetry_rows
 from leastaction.report.text import percent, plain
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["show"]
 
 _MOST_DRAWN = 4
-_USABLE = "Simulations follow the data, but the equations hold only to a few per cent:"
 _TAGS = {"ψ": "friction", "": "shape parameter"}
 
 
@@ -74,7 +73,8 @@ class ResultView:
         found = self.session.current
         for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
-        notation = Notation.of_fit(found.model.coordinates, found.model.fit.findings)
+        model = found.model
+        notation = Notation.of_fit(model.coordinates, model.fit.findings, written_names(self.session.moving))
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -110,9 +110,9 @@ class ResultView:
         if found.stage == "provisional":
             self._provisional()
         else:
-            _status(model)
-            _notes(model)
-            self._remedies()
+            status(model, found.validation, notation)
+            notes(model, notation)
+            self._remedies(notation)
         with panel("equations"):
             for name, terms in (("L", model.terms), ("ψ", model.dissipation)):
                 if not terms:
@@ -197,7 +197,7 @@ class ResultView:
         text = await aside(self.session.write_report)
         ui.download.content(text.encode(), "report.html", "text/html")
 
-    def _remedies(self) -> None:
+    def _remedies(self, notation: Notation) -> None:
         """Buttons that change the choices and start the search again."""
         found = offers(self.session)
         if found:
@@ -205,7 +205,7 @@ class ResultView:
                 say("Search again with one change:", "help")
                 for offer in found:
                     ask = self.page.guarded(lambda _=None, offer=offer: self._again(offer))
-                    action(offer.words, ask, "quiet").props("icon=replay").mark("remedy")
+                    action(in_names(offer.words, notation), ask, "quiet").props("icon=replay").mark("remedy")
 
     def _compare(self, found: Found, notation: Notation) -> None:
         """A comparison with the kept model, and a button to keep the present one."""
@@ -239,7 +239,8 @@ class ResultView:
         with button:
             for name, what in FORMATS.items():
                 ask = self.page.guarded(lambda _=None, name=name: self._export(name))
-                with ui.item(on_click=ask).mark(f"export-{name}"), ui.item_section():
+                item = ui.item(on_click=ask).props("role=menuitem").mark(f"export-{name}")
+                with item, ui.item_section():
                     ui.item_label(name)
                     ui.item_label(what).props("caption")
 
@@ -283,35 +284,6 @@ def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, st
     return rows + [
         (notation.term(text), here.get(text, "–"), there.get(text, "–")) for text in {**here, **there}
     ]
-
-
-def _status(model: LagrangianModel) -> None:
-    if model.fit.status == "ok":
-        with html.p().classes("status ok"):
-            say("ok", "badge", "span")
-            say("All checks passed: the equations hold along the data.", "", "span")
-        for name, text in model.fit.statements.items():
-            say(f"{name.capitalize()}: {text}.")
-        return
-    usable = model.fit.status == "usable"
-    with html.div().classes(f"status {model.fit.status}"):
-        with html.p():
-            say(model.fit.status, "badge", "span")
-            say(_USABLE if usable else "Do not trust this model yet:", "", "span")
-        for name, text in model.fit.statements.items():
-            say(f"{name.capitalize()}: {text}.")
-        with html.ul():
-            for text in model.fit.sentences("warning", "page"):
-                say(text, "", "li")
-
-
-def _notes(model: LagrangianModel) -> None:
-    """The notes of the fit, folded."""
-    notes = model.fit.sentences("note", "page")
-    if notes:
-        with ui.expansion(f"Worth knowing ({len(notes)})").classes("formulas"), html.ul():
-            for text in notes:
-                say(text, "", "li")
 
 
 def _coefficients(found: Found, notation: Notation) -> None:
@@ -379,17 +351,5 @@ def _small_motions(model: LagrangianModel, notation: Notation) -> None:
         ]
         table("Table of equilibria", captions.MOTION_HEAD, cells)
         left_out = next((system.left_out for _, system in model.small_motions if system is not None), ())
-        say(captions.motion_note([unsmoothed(text, notation.widths) for text in left_out]), "help")
-        _gravity(model)
-
-
-def _gravity(model: LagrangianModel) -> None:
-    """Gravity over length of links, or gravity where lengths are given; a wrong one is among the warnings."""
-    lengths = model.provenance.get("options", {}).get("lengths", {})
-    try:
-        ratios = model.gravity(lengths)
-    except InputError:  # no ratio for one of the lengths, which is a note of the fit
-        ratios = model.gravity()
-    for ratio in ratios:
-        if ratio.clock is None:
-            say(f"Gravity: {ratio}.", "help")
+        math(captions.motion_note(left_out, notation), "help", "p")
+        gravity(model, notation)

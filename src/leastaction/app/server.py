@@ -221,6 +221,8 @@ def install(keys: Keys) -> None:
 def serve(port: int, keys: Keys, show: bool) -> None:
     """Run until interrupted."""
     install(keys)
+    # The views say what they wait for; Quasar's bar for requests has no accessible name.
+    app.config.quasar_config.setdefault("loadingBar", {})["skipHijack"] = True
     ui.run(
         root,
         host=HOST,

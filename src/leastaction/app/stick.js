@@ -73,12 +73,11 @@ export default {
       if (kind === "plane") return [[row[0], -row[1]]];
       if (kind === "blocks") return row.map((x, k) => [x + 260 * (k - (row.length - 1) / 2), 0]);
       const angles = kind === "cart" ? row.slice(1) : row;
-      const length = angles.length === 1 && this.frames.length ? this.frames.length : 98 / angles.length;
       const points = [[kind === "cart" ? row[0] : 0, 0]];
-      for (const a of angles) {
-        const [x, y] = points[points.length - 1];
-        points.push([x + length * Math.sin(a), y + length * Math.cos(a)]);
-      }
+      angles.forEach((a, k) => {
+        const [x, y] = points[k];
+        points.push([x + this.frames.lengths[k] * Math.sin(a), y + this.frames.lengths[k] * Math.cos(a)]);
+      });
       return points;
     },
     shape(side) {

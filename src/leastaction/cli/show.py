@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from leastaction.cli.text import in_options, one_line
-from leastaction.findings import STATED, alike, sentence
-from leastaction.findings.wording import fill
+from leastaction.findings import STATED, alike, sentence, with_held_out
 from leastaction.identifiers import counted
 
 if TYPE_CHECKING:
@@ -241,10 +240,7 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
     status = model.fit.status.upper() if doubts else "ok"
     color = "yellow" if doubts else "green"
     say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
-    statements = model.fit.statements
-    if forecast is not None:
-        statements["forecast"] = _held_out(forecast)
-    for name, text in statements.items():
+    for name, text in with_held_out(model.fit.statements, forecast).items():
         say(f"{name}: {one_line(text)}")
     for text in model.fit.sentences("warning", "command line"):
         say(f"WARNING: {one_line(text)}", bold=True, fg="yellow")
@@ -261,14 +257,6 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
         say(f"left out before the fit: {total} ({parts}); the report names them")
     for note in _notes(model):
         say(f"note: {one_line(note)}")
-
-
-def _held_out(forecast: ForecastResult) -> str:
-    off = max((share for share in forecast.rms_over_std.tolist() if share == share), default=math.nan)
-    return fill(
-        "held-out trials are off by {off:.2g%} of the spread over {horizon:g} s",
-        {"off": off, "horizon": forecast.horizon},
-    )
 
 
 def _notes(model: LagrangianModel) -> Iterator[str]:

@@ -125,7 +125,7 @@ class AdamOptions:
 
     @classmethod
     def of(cls, options: AdamOptions | Mapping[str, object] | None) -> AdamOptions:
-        """Complete a mapping of names to values."""
+        """Return options with the values of a mapping, and defaults for all others."""
         if options is None or isinstance(options, AdamOptions):
             return options or cls()
         known = [field.name for field in fields(cls)]

@@ -45,6 +45,8 @@ def write_julia(model: LagrangianModel) -> str:
         *(f"# {line}" for line in about(model, "q[{i}]", 1)),
         "module LeastactionModel",
         "",
+        "using LinearAlgebra",
+        "",
         "export acceleration, energy, mass_matrix, state_derivative!",
         "",
         f"const N_DOF = {n}",

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python, sympy
+from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
@@ -17,7 +17,7 @@ __all__ = ["export"]
 _Path: TypeAlias = "str | os.PathLike[str] | None"
 
 _PLAIN = {
-    "sympy": sympy.write,
+    "sympy": python.write_sympy,
     "latex": lambda model: f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n",
     "python": python.write,
     "c": c.write,
@@ -62,9 +62,9 @@ def export(model, format, path=None):
                     ``state_derivative(t, x, forces=None)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)`` of
                     one state, to be mapped, differentiated and compiled; double precision must be enabled
                     in JAX
-    ``"julia"``     a module ``LeastactionModel`` that needs no package: ``acceleration(q, qdot, forces)``,
-                    ``energy(q, qdot)``, ``mass_matrix(q, qdot)``, and ``state_derivative!(dx, x, p, t)`` for
-                    ``ODEProblem``
+    ``"julia"``     a module ``LeastactionModel`` that needs only `LinearAlgebra`: ``acceleration(q, qdot,
+                    forces)``, ``energy(q, qdot)``, ``mass_matrix(q, qdot)``, and ``state_derivative!(dx, x,
+                    p, t)`` for ``ODEProblem``
     ``"modelica"``  a package ``LeastactionModel`` with the functions ``mass_matrix``, ``right_side`` and
                     ``energy``, and the model ``Motion`` with ``forces`` as inputs
     ``"mjcf"``      a MuJoCo model, if the law is that of a chain of links in a plane: masses, centres,
@@ -92,9 +92,10 @@ def export(model, format, path=None):
     MATLAB. An FMU and Modelica's ``Motion`` use the time of the simulation, and the script for SymPy has a
     symbol ``t``.
 
-    If the mass matrix is exactly singular, the accelerations are NaN (MATLAB also warns, an FMU rejects the
-    step). If a function is undefined (logarithm of a negative number), C and CasADi return NaN, Python raises
-    the exception of `math`, and MATLAB, Julia and Modelica stop with their own message.
+    If the mass matrix is exactly singular, the accelerations are not finite; MATLAB also warns, an FMU
+    rejects the step, and Julia and Modelica stop with their own message. If a function is undefined
+    (logarithm of a negative number), C, CasADi and JAX return NaN, Python raises the exception of `math`, and
+    MATLAB, Julia and Modelica stop with their own message.
 
     Parameters
     ----------

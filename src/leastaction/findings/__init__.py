@@ -15,7 +15,7 @@ from leastaction.findings.finding import (
 )
 from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import alike, find, sentence
-from leastaction.findings.stated import stated_error, statements
+from leastaction.findings.stated import stated_error, statements, with_held_out, worst_share
 from leastaction.findings.templates import REASONS, because
 from leastaction.findings.wording import Audience
 
@@ -40,4 +40,6 @@ __all__ = [
     "stated_error",
     "statements",
     "status_of",
+    "with_held_out",
+    "worst_share",
 ]

@@ -112,7 +112,8 @@ class Finding:
         Names the kind of finding, in kebab case, e.g. ``"missing-term"``. Codes keep their meaning from one
         version to the next; :doc:`/report` lists them.
     severity : {"warning", "note"}
-        A warning makes the model doubtful, a note does not.
+        A warning makes the model doubtful, or usable if it only says how exactly the equations hold and
+        simulations follow the data. A note changes nothing.
     subject : tuple of str
         The coordinates or terms concerned; empty: the fit as a whole.
     values : mapping of str to number, str or tuple

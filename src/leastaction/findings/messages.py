@@ -7,36 +7,11 @@ A text is a template over ``subject`` and the figures, or a function of both whe
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from leastaction.findings import stated, templates
-from leastaction.findings.wording import Message, fill
+from leastaction.findings.wording import Message
 
 __all__ = ["CODES"]
-
-
-def _hardly_determined(f: dict[str, Any]) -> str:
-    text = "these data barely determine {subject}"
-    if f["scale_open"]:
-        text += " (all coefficients can grow together: the scale of L is undetermined)"
-    elif f["combination"]:
-        text += " (the combination {combination} is uncertain by {open:.0f%})"
-    return fill(text, f)
-
-
-def _competing_remedy(f: dict[str, Any]) -> str:
-    at = [f"{name} = {value:.2g}" for name, value in zip(f["at_names"], f["at_values"], strict=True)]
-    where = f", e.g. through {', '.join(at)}" if at else ""
-    return f"record motions in which they differ{where}, or remove one of them from the candidates"
-
-
-def _slow_force(f: dict[str, Any]) -> str:
-    return fill(
-        "the estimated slow force on {subject} (time scale {seconds:g} s) lies between {lowest:.3g} and "
-        "{highest:.3g}, ± {standard_error:.2g}"
-        + (": not distinguishable from zero" if f["hardly_any"] else ""),
-        f,
-    )
 
 
 CODES: dict[str, Message] = {
@@ -49,13 +24,15 @@ CODES: dict[str, Message] = {
         templates.equations_off,
         templates.equations_off_remedy,
         on_command_line=partial(templates.equations_off_remedy, prescribed="--prescribed {subject}"),
+        on_page=partial(templates.equations_off_remedy, prescribed="“Moved by unmeasured forces”"),
     ),
     # a likely cause
     "missing-term": Message(
         "warning",
         templates.missing_term,
         templates.missing_term_remedy,
-        on_command_line=partial(templates.missing_term_remedy, on_command_line=True),
+        on_command_line=partial(templates.missing_term_remedy, audience="command line"),
+        on_page=partial(templates.missing_term_remedy, audience="page"),
     ),
     "time-dependent": Message(
         "warning",
@@ -80,6 +57,7 @@ CODES: dict[str, Message] = {
         templates.late_forces,
         "estimate the delay with la.delay.estimate",
         on_command_line="use --force-delay {delay:.2g}, or the delay stated for the device",
+        on_page="give it, or the delay stated for the device, under “Delay of the forces”",
     ),
     "slight-friction": Message(
         "note",
@@ -92,6 +70,7 @@ CODES: dict[str, Message] = {
         templates.late_forces,
         "too small to affect the verdict; la.delay.estimate measures it",
         on_command_line="too small to affect the verdict; --force-delay {delay:.2g} corrects it",
+        on_page="too small to affect the verdict; “Delay of the forces” corrects it",
     ),
     "scaled-forces": Message(
         "warning",
@@ -111,7 +90,7 @@ CODES: dict[str, Message] = {
         "the motion better (-2 log likelihood lower by {gain:.0f} with {freedom} more parameters) and "
         "changes the accelerations by {shift:.1f%}",
         templates.imitated_remedy,
-        on_command_line=partial(templates.imitated_remedy, on_command_line=True),
+        on_command_line=partial(templates.imitated_remedy, audience="command line"),
     ),
     "form-open": Message(
         "warning",
@@ -125,7 +104,7 @@ CODES: dict[str, Message] = {
         "{free_terms} terms instead of {instead_of}, and its accelerations differ by {shift:.1f%}; the terms "
         "found seem to imitate it",
         templates.imitated_remedy,
-        on_command_line=partial(templates.imitated_remedy, on_command_line=True),
+        on_command_line=partial(templates.imitated_remedy, audience="command line"),
     ),
     # shape parameters
     "shape-undetermined": Message("warning", templates.undetermined, templates.undetermined_remedy),
@@ -141,6 +120,7 @@ CODES: dict[str, Message] = {
         "the shape parameter {subject} did not converge ({value:.3g})",
         "bound it around the value that you expect: shapes={{'{subject}': (low, high)}}",
         on_command_line="bound it around the value that you expect: --shape {subject}=LOW..HIGH",
+        on_page="write the value that you expect in its place, or offer other candidates",
     ),
     # coordinates without a sensor
     "hidden-coordinate": Message("note", templates.hidden_coordinate),
@@ -225,12 +205,13 @@ CODES: dict[str, Message] = {
     # the structure and its coefficients
     "hardly-determined": Message(
         "warning",
-        _hardly_determined,
+        templates.hardly_determined,
         "record larger or more varied motions, or fix one of the coefficients with known={{...}}",
         on_command_line="record larger or more varied motions, or fix one of the coefficients with --known",
+        on_page="record larger or more varied motions, or give one of the “Known coefficients”",
     ),
     "competing-structures": Message(
-        "warning", "these data cannot distinguish {subject} from {others}", _competing_remedy
+        "warning", "these data cannot distinguish {subject} from {others}", templates.competing_remedy
     ),
     "slight-terms": Message(
         "note",
@@ -249,6 +230,7 @@ CODES: dict[str, Message] = {
         "can be multiplied by a common factor",
         "give one of these coefficients with known={{...}}",
         on_command_line="give one of these coefficients with --known",
+        on_page="give one of these coefficients under “Known coefficients”",
     ),
     "mass-matrix-not-finite": Message(
         "warning",
@@ -327,6 +309,8 @@ CODES: dict[str, Message] = {
         "coefficient or force for each mode fixes its scale",
         on_command_line="natural frequencies, damping ratios and mode shapes are not affected; --known or "
         "--forces for each mode fixes its scale",
+        on_page="natural frequencies, damping ratios and mode shapes are not affected; a known coefficient "
+        "or force for each mode fixes its scale",
     ),
     "groups-differ": Message("note", templates.groups_differ),
     "groups-alike": Message("note", "no coefficient differs significantly between the groups {groups}"),
@@ -339,7 +323,7 @@ CODES: dict[str, Message] = {
         "note",
         "no candidate holds a sine or cosine of {subject}",
         templates.perhaps_angle_remedy,
-        on_command_line=partial(templates.perhaps_angle_remedy, on_command_line=True),
+        on_command_line=partial(templates.perhaps_angle_remedy, audience="command line"),
         on_page="if this is an angle, mark it as one",
     ),
     "zero-offset": Message("note", templates.zero_offset),
@@ -394,6 +378,6 @@ CODES: dict[str, Message] = {
         "note",
         "the length of {subject} was not used, because L lacks the potential or coupling that determines g",
     ),
-    "slow-force": Message("note", _slow_force),
+    "slow-force": Message("note", templates.slow_force),
     "rate-noise": Message("note", "{quantity} of {subject}: noise {noise:.3g}"),
 }

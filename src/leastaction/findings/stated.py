@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, Protocol, SupportsFloat
 
 from leastaction.findings.finding import Finding
 from leastaction.findings.wording import fill
 
-__all__ = ["STRUCTURES", "failed", "followed", "reach", "stated_error", "statements"]
+__all__ = [
+    "STRUCTURES",
+    "failed",
+    "followed",
+    "reach",
+    "stated_error",
+    "statements",
+    "with_held_out",
+    "worst_share",
+]
 
 STRUCTURES = {
     "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
@@ -52,6 +62,37 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
         forecast = reach(far) + " (by its intervals, not tested)"
     equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
     return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
+
+
+class HeldOut(Protocol):
+    """What a statement on held-out trials needs; a `ForecastResult` has it."""
+
+    @property
+    def rms_over_std(self) -> Iterable[SupportsFloat]: ...
+    @property
+    def horizon(self) -> float: ...
+    @property
+    def n_starts(self) -> int: ...
+    @property
+    def n_diverged(self) -> int: ...
+
+
+def worst_share(forecast: HeldOut) -> float:
+    """Return the largest error of a coordinate over its spread; NaN if none was measured."""
+    return max((share for share in map(float, forecast.rms_over_std) if share == share), default=math.nan)
+
+
+def with_held_out(said: Mapping[str, str], forecast: HeldOut | None) -> dict[str, str]:
+    """Return the statements of a fit with the errors of held-out trials, if these were forecast."""
+    if forecast is None:
+        return dict(said)
+    if forecast.n_diverged:
+        starts = "forecast" if forecast.n_starts == 1 else "forecasts"
+        text = f"{forecast.n_diverged} of {forecast.n_starts} {starts} of held-out trials diverge"
+    else:
+        figures = {"off": worst_share(forecast), "horizon": forecast.horizon}
+        text = fill("held-out trials are off by {off:.2g%} of the spread over {horizon:.3g} s", figures)
+    return {**said, "forecast": text}
 
 
 def _values(found: Iterable[Finding], *codes: str) -> dict[str, Any] | None:

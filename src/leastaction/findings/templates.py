@@ -6,13 +6,14 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from leastaction.findings.wording import fill
+from leastaction.findings.wording import Audience, fill
 
 __all__ = [
     "REASONS",
     "UNITS",
     "another_structure",
     "because",
+    "competing_remedy",
     "converted_units",
     "correlated",
     "equations_off",
@@ -20,6 +21,7 @@ __all__ = [
     "friction",
     "gravity_remedy",
     "groups_differ",
+    "hardly_determined",
     "hidden_coordinate",
     "hidden_motion_open",
     "imitated_remedy",
@@ -28,6 +30,7 @@ __all__ = [
     "missing_term_remedy",
     "perhaps_angle_remedy",
     "rate_scaled",
+    "slow_force",
     "smoothed",
     "time_dependent",
     "time_dependent_remedy",
@@ -161,14 +164,17 @@ def missing_term(f: dict[str, Any]) -> str:
     return f"{lacking} (with {it}, {f['free_terms']} free {terms}{instead} {explain} the motion{better}{by})"
 
 
-def missing_term_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+def missing_term_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
     """How to add the missing terms."""
     it = "it" if len(f["subject"]) == 1 else "them"
-    how, offset = "", "force_offset=['{constant_force}']"
-    if on_command_line:
-        how, offset = f", {_term_options(f['subject'])}", "--force-offset {constant_force}"
+    how = f", {_term_options(f['subject'])}" if audience == "command line" else ""
+    offset = {
+        "python": "force_offset=['{constant_force}']",
+        "command line": "--force-offset {constant_force}",
+        "page": "tick it under “Unknown constant force”",
+    }[audience]
     force = f"; the term {{constant_force}} in L is a constant force on that coordinate ({offset})"
-    angles = f"; or, {_declared(f['angles'], on_command_line)}" if f.get("angles") else ""
+    angles = f"; or, {_declared(f['angles'], audience)}" if f.get("angles") else ""
     return f"add {it} to the candidates{how}" + (fill(force, f) if f["constant_force"] else "") + angles
 
 
@@ -190,8 +196,9 @@ def _term_options(terms: Iterable[str]) -> str:
     return " ".join(f'--term "{term}"' for term in terms)
 
 
-def imitated_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+def imitated_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
     """Which candidates to add, if that is known."""
+    on_command_line = audience == "command line"
     if not f.get("family"):
         example = "--term 'exp(-{a}*x)'" if on_command_line else "exp(-{a}*x)"
         return f"offer other candidates; write unknown numbers in braces, as in {example}"
@@ -237,6 +244,33 @@ def wrong_known_remedy(f: dict[str, Any]) -> str:
     return f"correct it, or leave it free{units}"
 
 
+def hardly_determined(f: dict[str, Any]) -> str:
+    """State that the data barely determine terms."""
+    text = "these data barely determine {subject}"
+    if f["scale_open"]:
+        text += " (all coefficients can grow together: the scale of L is undetermined)"
+    elif f["combination"]:
+        text += " (the combination {combination} is uncertain by {open:.0f%})"
+    return fill(text, f)
+
+
+def competing_remedy(f: dict[str, Any]) -> str:
+    """How to distinguish competing structures."""
+    at = [f"{name} = {value:.2g}" for name, value in zip(f["at_names"], f["at_values"], strict=True)]
+    where = f", e.g. through {', '.join(at)}" if at else ""
+    return f"record motions in which they differ{where}, or remove one of them from the candidates"
+
+
+def slow_force(f: dict[str, Any]) -> str:
+    """State the range of an estimated slow force."""
+    return fill(
+        "the estimated slow force on {subject} (time scale {seconds:g} s) lies between {lowest:.3g} and "
+        "{highest:.3g}, ± {standard_error:.2g}"
+        + (": not distinguishable from zero" if f["hardly_any"] else ""),
+        f,
+    )
+
+
 def undetermined(f: dict[str, Any]) -> str:
     """State that the data do not determine a shape parameter."""
     if "low" in f:
@@ -253,13 +287,16 @@ def undetermined_remedy(f: dict[str, Any]) -> str:
     return f"record motions of a different amplitude, use {simpler}, or fix the parameter{other}"
 
 
-def perhaps_angle_remedy(f: dict[str, Any], on_command_line: bool = False) -> str:
+def perhaps_angle_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
     """How to declare coordinates that may be angles."""
-    return _declared(f["subject"], on_command_line)
+    return _declared(f["subject"], audience)
 
 
-def _declared(names: Sequence[str], on_command_line: bool) -> str:
-    how = f"--angles {','.join(names)}" if on_command_line else f"angles={[*names]}"
+def _declared(names: Sequence[str], audience: Audience) -> str:
+    if audience == "page":
+        what = "is an angle, mark it as one" if len(names) == 1 else "are angles, mark them as such"
+        return f"if {' and '.join(names)} {what}"
+    how = f"--angles {','.join(names)}" if audience == "command line" else f"angles={[*names]}"
     what = "is an angle, declare it" if len(names) == 1 else "are angles, declare them"
     return f"if {' and '.join(names)} {what}: {how}"
 

@@ -222,6 +222,10 @@ class Resting:
         forces : array_like, shape (n_dof,), optional
             Constant forces that act there; none by default.
 
+        Returns
+        -------
+        Linearisation
+
         Raises
         ------
         InputError

@@ -8,8 +8,9 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 from markupsafe import Markup
@@ -42,19 +43,33 @@ class Notation:
         ``theta1`` becomes θ₁; names that would look alike are not changed.
     widths : sequence of float
         Widths ε of smoothed absolute values: √(u² + ε²) is written as abs(u), as the user wrote it.
+    written : mapping of str to str
+        Names of coordinates in plain text, such as ``Upper arm`` for ``Upper_arm``.
     """
 
-    def __init__(self, coordinates: Sequence[str], widths: Sequence[float] = ()) -> None:
+    def __init__(
+        self,
+        coordinates: Sequence[str],
+        widths: Sequence[float] = (),
+        written: Mapping[str, str] = MappingProxyType({}),
+    ) -> None:
         self.coordinates = tuple(coordinates)
         self.widths = tuple(widths)
+        self.written = dict(written)
         self._parts = split_names(self.coordinates)
 
     @classmethod
-    def of_fit(cls, coordinates: Sequence[str], findings: Iterable[Finding]) -> Notation:
+    def of_fit(
+        cls,
+        coordinates: Sequence[str],
+        findings: Iterable[Finding],
+        written: Mapping[str, str] = MappingProxyType({}),
+    ) -> Notation:
         """With the widths that a fit has smoothed its candidates by."""
         found = [f.values.get("widths") for f in findings if f.code == "friction-smoothed"]
         lists = [widths for widths in found if isinstance(widths, (list, tuple))]
-        return cls(coordinates, [float(w) for widths in lists for w in widths if isinstance(w, (int, float))])
+        all_widths = [float(w) for widths in lists for w in widths if isinstance(w, (int, float))]
+        return cls(coordinates, all_widths, written)
 
     def text(self, coordinate: str, derivative: int = 0) -> str:
         """Name of a coordinate, or of its derivative, as plain text for figures.
@@ -67,7 +82,7 @@ class Notation:
         >>> notation.text("theta1"), notation.text("theta1", 1), notation.text("x_cart", 2)
         ('θ₁', 'dθ₁/dt', 'd²x_cart/dt²')
         """
-        name = written_name(*self._parts[coordinate])
+        name = self.written.get(coordinate) or written_name(*self._parts[coordinate])
         return (name, f"d{name}/dt", f"d²{name}/dt²")[derivative]
 
     def symbol(self, coordinate: str, derivative: int = 0) -> Markup:

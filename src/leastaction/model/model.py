@@ -328,8 +328,8 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
             Length of the data from which the initial state is found. By default half of the horizon, or less
             in a short trial, but at least 8 sampling intervals.
         tolerance : float
-            A forecast is valid until the error of a coordinate exceeds `tolerance` of its standard deviation
-            plus three times the noise.
+            A forecast is valid until the error of a coordinate exceeds `tolerance` times its standard
+            deviation plus three times the noise.
         groups : iterable, or mapping of str, optional
             The group of each trajectory, as for `discover`. By default, all belong to the first one.
 

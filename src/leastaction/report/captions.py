@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from leastaction.model.constants import SimpleConstants
 from leastaction.model.diagnostics import PathPoint
@@ -188,15 +189,16 @@ def symmetry_note(symmetries: Sequence[Symmetry]) -> str:
     return " ".join(text for present, text in parts if present)
 
 
-def motion_note(left_out: Sequence[str]) -> str:
-    """Explanation of the table of small motions."""
-    text = (
+def motion_note(left_out: Sequence[str], notation: Notation) -> Markup:
+    """Explanation of the table of small motions; `left_out` are terms of dry friction."""
+    text = Markup(
         "In brackets: the standard error of the last digits, from that of the coefficients. Frequencies, "
         "damping ratios and shapes do not depend on the scale of L. A shape lists deviations relative to the "
         "largest, each in the unit of its coordinate; an angle is the phase by which a coordinate leads."
     )
     if left_out:
-        text += f" Dry friction is left out, because it has no derivative at rest: {listed(left_out)}."
+        terms = Markup(", ").join(map(notation.term, left_out))
+        text += Markup(" Dry friction is left out, because it has no derivative at rest: {}.").format(terms)
     return text
 
 

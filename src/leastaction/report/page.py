@@ -159,9 +159,7 @@ def _motions(model: LagrangianModel, notation: Notation) -> dict[str, Any]:
         "motion_summary": captions.motion_summary(model.small_motions, notation),
         "motion_title": captions.MOTION_TITLE,
         "motion_head": captions.MOTION_HEAD,
-        "motion_note": captions.motion_note(
-            [law.unsmoothed(text, notation.widths) for text in (systems[0].left_out if systems else ())]
-        ),
+        "motion_note": captions.motion_note(systems[0].left_out if systems else (), notation),
         "no_motions": captions.NO_MOTIONS,
     }
 

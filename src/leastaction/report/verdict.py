@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from leastaction.findings import STATED, Finding, alike, stated_error
+from leastaction.findings import STATED, Finding, alike, stated_error, with_held_out, worst_share
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import as_float
 from leastaction.report.text import percent, plain, plural
 from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["in_symbols", "verdict"]
+__all__ = ["contradictions", "in_symbols", "terms_in", "verdict"]
 
 _HELD = 0.9
 """Share of held-out samples in the 95 % band below which forecasts contradict the standard errors."""
@@ -47,8 +47,8 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
     """Content of the first section."""
     findings = model.fit.findings
     notes = [f for f in findings if f.severity == "note"]
-    words = _terms_in(model, findings)
-    against = _against(validation) if model.fit.status == "ok" else []
+    words = terms_in(model, findings)
+    against = contradictions(validation) if model.fit.status == "ok" else []
     said = {
         key: [_in_words(group, notation, words) for group in alike(some)]
         for key, some in {
@@ -68,7 +68,7 @@ def verdict(model: LagrangianModel, validation: ForecastResult | None, notation:
         **said,
         "statements": [
             (name.capitalize(), in_symbols(text, notation, words))
-            for name, text in _statements(model, validation).items()
+            for name, text in with_held_out(model.fit.statements, validation).items()
         ],
         "forecast": validation is not None,
         "forecasts": _free_runs(model),
@@ -80,7 +80,7 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     """A sentence with its coordinates, velocities and terms as mathematics.
 
     Text in quotes or after an equals sign is code and is not changed. Neither is a name that is a word, such
-    as ``angle``.
+    as ``angle``. A coordinate with a plain name of its own (`Notation`) has this name.
 
     Examples
     --------
@@ -88,6 +88,8 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     True
     >>> print(in_symbols("angles=['theta']", Notation(["theta"])))
     angles=[&#39;theta&#39;]
+    >>> print(in_symbols("the force on a_1", Notation(["a_1"], written={"a_1": "arm (1)"})))
+    the force on arm (1)
     """
     names = [name for name in notation.coordinates if notation.text(name) != name or name in _LETTERS]
     rates = [f"{name}{ending}" for name in notation.coordinates for ending in ("_dot_dot", "_dot")]
@@ -95,12 +97,13 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     pattern = re.compile(rf"(?<![\w'\"=.])(?:{'|'.join(map(re.escape, words))})(?![\w'\"=(]|\*\*)")
     parts, at = [], 0
     for found in pattern.finditer(text):
-        parts += [escape(text[at : found.start()]), notation.term(found[0])]
+        name = notation.written.get(found[0])
+        parts += [escape(text[at : found.start()]), notation.term(found[0]) if name is None else escape(name)]
         at = found.end()
     return Markup("").join([*parts, escape(text[at:])])
 
 
-def _terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
+def terms_in(model: LagrangianModel, findings: Iterable[Finding]) -> set[str]:
     """Terms that a sentence may name: of the law, of competing structures, and subjects of findings."""
     path = () if model.diagnostics is None else model.diagnostics.path
     texts = {t.written for t in (*model.terms, *model.dissipation)}
@@ -113,7 +116,7 @@ def _in_words(findings: list[Finding], notation: Notation, terms: Iterable[str])
     return in_symbols(f"{message}: {remedy}" if remedy else message, notation, terms)
 
 
-def _against(result: ForecastResult | None) -> list[str]:
+def contradictions(result: ForecastResult | None) -> list[str]:
     """Contradictions between a fit that is ok and forecasts of held-out trials."""
     if result is None:
         return []
@@ -125,23 +128,9 @@ def _against(result: ForecastResult | None) -> list[str]:
         share = percent(float(inside.min()))
         return [f"only {share} of the samples of held-out trials lie in the band that should hold 95 %"]
     ratios = (result.rms / result.expected_rms)[np.isfinite(result.rms)]
-    if not inside.size and _worst(result) > _FAR and ratios.size and ratios.max() > 2.0:
-        return [f"forecasts of held-out trials are off by {percent(_worst(result))} of the spread"]
+    if not inside.size and worst_share(result) > _FAR and ratios.size and ratios.max() > 2.0:
+        return [f"forecasts of held-out trials are off by {percent(worst_share(result))} of the spread"]
     return []
-
-
-def _statements(model: LagrangianModel, validation: ForecastResult | None) -> dict[str, str]:
-    """Structure, equations and forecast in words; held-out trials take precedence over fitted ones."""
-    if validation is None:
-        return model.fit.statements
-    off = _worst(validation)
-    words = f"held-out trials are off by {percent(off)} of the spread over {plain(validation.horizon)} s"
-    return {**model.fit.statements, "forecast": words}
-
-
-def _worst(result: ForecastResult) -> float:
-    shares = result.rms_over_std
-    return float(np.nanmax(shares)) if not np.isnan(shares).all() else math.nan
 
 
 def _free_runs(model: LagrangianModel) -> str:
@@ -163,7 +152,7 @@ def _forecast_facts(result: ForecastResult | None) -> list[dict[str, Any]]:
     return [
         {
             "name": "Forecast error",
-            "value": percent(_worst(result)),
+            "value": percent(worst_share(result)),
             "note": f"of the spread, over {plain(result.horizon)} s",
         }
     ]

@@ -250,7 +250,7 @@ def measure(
 
 
 class SamplingOptions(TypedDict, total=False):
-    """How the recordings of `generate` are less than complete and regular.
+    """Missing samples and irregular times in the recordings of `generate`.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ _NEW = 1e-3
 
 
 def compact_library(system: str | MechanicalSystem) -> Library:
-    """Return the 10 to 20 candidates of a system as a `Library`.
+    """Return the 11 to 24 candidates of a system as a `Library`.
 
     The true dissipation terms, if the system has any, are the library's dissipation terms.
 
@@ -41,8 +41,9 @@ def compact_library(system: str | MechanicalSystem) -> Library:
 def large_library(system: str | MechanicalSystem) -> Library:
     """Return 50 to 120 generated candidates of a system as a `Library`.
 
-    They are velocity monomials times products of simple functions of the coordinates, and potentials; for the
-    systems of `further_names` those of `Library.mechanical` beside the compact library.
+    For the seven systems of `names`, they are products of velocities with simple functions of the
+    coordinates, and potentials. For those of `further_names`, they are those of `Library.mechanical` and of
+    the compact library.
     The true Lagrangian is in their span; `truth_for` gives its coefficients. For the double pendulum these
     are 51 terms, where θ̇₁θ̇₂cos(θ₁−θ₂) appears as two products.
 

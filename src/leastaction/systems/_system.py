@@ -37,7 +37,7 @@ class MechanicalSystem:
     known : dict
         Terms whose coefficient must be given to a discovery (passive systems); ``{}`` for active systems.
     library : tuple of str
-        10 to 20 candidate terms including the true ones. None is null or depends on the others.
+        11 to 24 candidate terms including the true ones. None is null or depends on the others.
     initial : callable
         ``initial(rng) -> (q0, qdot0)``, each of shape (n_dof,).
     forcing : callable or None

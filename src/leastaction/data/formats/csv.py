@@ -270,7 +270,8 @@ def write_csv(path: StrPath, trajectories: Trajectory | Iterable[Trajectory]) ->
     """Write trajectories to a CSV file that `read_csv` reads back exactly.
 
     The columns are ``trial``, ``t``, the coordinates, ``<coordinate>_force`` if any force is not zero, and
-    ``<coordinate>_dot``, ``<coordinate>_ddot`` where they were measured. With the suffix ``.gz``: compressed.
+    ``<coordinate>_dot``, ``<coordinate>_ddot`` where they were measured. A file with the suffix
+    ``.gz`` is compressed.
 
     Parameters
     ----------
