@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from leastaction.findings.finding import Finding
+from leastaction.findings.finding import Audience, Finding, Text, fill
 from leastaction.findings.messages import CODES
-from leastaction.findings.wording import Audience, Text, fill
 
 __all__ = ["find", "sentence"]
 
