@@ -1,4 +1,4 @@
-"""Arms: base parameters, identification from simulated logs, files; exciting motions; payloads."""
+"""Arms: base parameters, identification from simulated logs, files; reports; exciting motions; payloads."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
 from leastaction.mechanics.rigid_bodies import Motion
+from leastaction.report.axes import Axes
+from leastaction.report.figures_arm import ArmFigures, density, sides
+from page_helpers import Page
 
 PI = np.pi
 WRIST = arms.KinematicTree.from_dh(
@@ -554,7 +557,10 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
     assert done.exit_code == 0, done.output
     assert "Izz[link1]" in done.output
     assert "below 5 Hz" in done.output
-    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "inverse_dynamics.py"]
+    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "inverse_dynamics.py", "report.html"]
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert "The model predicts held-out torques to" in report
+    assert "--hold-out 25%" in report
     assert arms.load(out / "arm.json").can_exist.all()
     for wrong, words in [
         ([], "--convention is missing"),
@@ -579,7 +585,12 @@ def test_the_command_reads_currents_and_a_mujoco_model_without_its_meshes(found,
     done = CliRunner().invoke(program, [*given, "q1=1, q3=1"])
     assert done.exit_code == 0, done.output
     assert "torque per unit of the log: q2 " in done.output
-    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "arm.xml", "inverse_dynamics.py"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "arm.json",
+        "arm.xml",
+        "inverse_dynamics.py",
+        "report.html",
+    ]
     tree, q = arms.read_mjcf(out / "arm.xml"), log.q[::100]
     masses = arms.ArmModel.of_tree(tree, tree.dynamics).mass_matrix(q)
     assert np.linalg.norm(masses - true.mass_matrix(q)) < 0.05 * np.linalg.norm(masses)
@@ -612,6 +623,127 @@ def test_links_without_inertia_are_named(found):
     (note,) = [note for note in found[1].bodies().facts.notes if "no inertia" in note]
     assert "link1, link2, link3" in note
     assert "with_inertias" in note
+
+
+# ------------------------------------------------------------------------------------------- reports of arms
+@pytest.fixture(scope="module")
+def halves(found) -> tuple[Trajectories, Trajectories]:
+    """A log of the found arm, and its end."""
+    log = recorded(found[0], np.random.default_rng(8), 8.0, 200.0)
+    return Trajectories([log]).hold_out("25%")
+
+
+@pytest.fixture(scope="module")
+def page(found, halves, tmp_path_factory) -> Page:
+    path = tmp_path_factory.mktemp("report") / "arm.html"
+    assert la.write_arm_report(found[1], path, halves[0], held_out=halves[1]) == path
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_the_report_is_self_contained_and_complete(found, halves, page):
+    model = found[1]
+    assert not {"script", "link", "img", "iframe"} & {tag for tag, _ in page.tags}
+    identifiers = page.attributes("id")
+    assert len(identifiers) == len(set(identifiers))
+    assert {link.removeprefix("#") for link in page.attributes("href")} <= set(identifiers)
+    sections = [str(node.attributes["id"]) for node in page.root.one("main").all("section")]
+    assert " ".join(sections) == "verdict facts torques spectra friction arm parameters data reproduce"
+    for figure in ("torque", "error", "spectrum", "friction"):
+        assert {f"{figure}{i}-t" for i in range(3)} <= set(identifiers)
+    rows = [row for body in page.by_id("parameters").all("tbody") for row in body.all("tr")]
+    assert sum("group" not in (row.attributes.get("class") or "") for row in rows) == len(model.coefficients)
+    far = model.bodies().validate(halves[1]).overall
+    assert f"off by {100 * far[0]:.2g} % of their rms below 5 Hz" in page.by_id("verdict").text.replace(
+        "\u202f", " "
+    )
+
+
+def test_the_report_says_what_is_wrong_with_a_model(found, halves, tmp_path):
+    model = found[1]
+    turned = np.where([term.kind == "rotor" for term in model.terms], -9.0, 1.0) * model.coefficients
+    parts = (model.tree, model.base, turned, model.covariance, model.reference, model.facts)
+    path = la.write_arm_report(arms.ArmModel(*parts), tmp_path / "arm.html", *halves[:1])
+    verdict = Page(path.read_text(encoding="utf-8")).by_id("verdict").text
+    assert "Not physical: rotor[" in verdict
+    assert "Consistency: if links must be able to exist" in verdict
+    assert "Held-out" not in verdict
+
+
+def test_names_of_links_are_escaped_in_the_report(found, halves, tmp_path):
+    model, hostile = found[1], "</title><script>alert(1)</script>"
+    joints = tuple(replace(joint, link=f"{hostile}{k}") for k, joint in enumerate(model.tree.joints))
+    tree = arms.KinematicTree(joints, model.tree.gravity, hostile)
+    parts = (tree, model.base, model.coefficients, model.covariance, model.reference, model.facts)
+    path = la.write_arm_report(arms.ArmModel(*parts), tmp_path / "arm.html", halves[0], command=hostile)
+    text = path.read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert hostile in Page(text).by_id("reproduce").text
+
+
+def test_the_end_of_a_log_is_drawn_beside_its_begin_and_another_log_alone(found, halves):
+    model = found[1]
+    runs = [model.predict(part) for part in halves]
+    assert [colour for _, colour in ArmFigures(model, model, *runs).shown] == ["fit", "forecast"]
+    assert [colour for _, colour in ArmFigures(model, model, runs[0], runs[0]).shown] == ["forecast"]
+    assert [colour for _, colour in ArmFigures(model, model, runs[0], ()).shown] == ["fit"]
+
+
+def test_shares_from_the_log_fall_with_its_errors(found):
+    model = found[1]
+    parts = (model.tree, model.base, model.coefficients)
+    shares = [
+        ArmFigures(
+            arms.ArmModel(*parts, k * model.covariance, model.reference, model.facts), model, (), ()
+        ).from_log
+        for k in (1.0, 1e4, 1e8)
+    ]
+    assert all(((share >= 0.0) & (share <= 1.0)).all() for share in shares)
+    assert (np.diff([share.sum() for share in shares]) < -0.5).all()
+    assert shares[0][2, 1] > 0.999  # mx of the last link is a base parameter
+    assert shares[0][0, 0] < 1e-6  # the first joint is vertical: no torque depends on the mass of its link
+
+
+def test_predictions_do_not_depend_on_the_memory_that_they_use(found, halves, monkeypatch):
+    model = found[1]
+    (whole,) = model.predict(halves[1])
+    monkeypatch.setattr("leastaction.arms.model._CHUNK", 17)
+    (parts,) = model.predict(halves[1])
+    np.testing.assert_allclose(parts.predicted, whole.predicted, rtol=1e-10, atol=1e-12)
+    single = model.torques(whole.q, whole.qdot, whole.qddot)
+    np.testing.assert_allclose(
+        single,
+        np.tensordot(model.coefficients, model.columns(whole.q, whole.qdot, whole.qddot), 1).T,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+
+
+def test_the_density_of_noise_is_its_variance_over_the_band(rng):
+    t = np.arange(0.0, 60.0, 0.004)
+    f, amplitude = density(t, rng.normal(0.0, 3.0, t.size))
+    assert f[-1] < 125.0
+    np.testing.assert_allclose(np.median(amplitude[f > 5.0]) ** 2 * 125.0, 9.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (3.0, 2.0, -5.0), (0.0, 0.0, 0.0)])
+def test_the_drawing_has_gravity_downwards_and_one_scale(gravity):
+    for _, along, up in sides(np.array(gravity)):
+        assert abs(along @ up) < 1e-12
+        assert np.linalg.norm(along) == pytest.approx(1.0)
+        assert np.array(gravity) @ up == pytest.approx(-np.linalg.norm(gravity))
+    axes = Axes((520.0, 300.0))
+    axes.line(np.array([0.0, 0.1]), np.array([-2.0, 1.0]), "fit")
+    axes.same_scale()
+    frame = axes.frame()
+    across, down = np.diff(frame.x(np.array([0.0, 1.0]))), np.diff(frame.y(np.array([0.0, 1.0])))
+    assert across[0] == pytest.approx(-down[0], rel=1e-6)
+
+
+def test_the_report_refuses_other_objects_in_one_line(found, halves, tmp_path):
+    for model, command, words in [(halves[0], None, "expected an ArmModel"), (found[1], 3, "expected text")]:
+        with pytest.raises(la.InputError, match=words):
+            la.write_arm_report(model, tmp_path / "arm.html", halves[0], command=command)
+    assert list(tmp_path.iterdir()) == []
 
 
 # ------------------------ exciting motions: gradients, limits, and what they are worth for an identification

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from leastaction.cli.discover import command_line
 from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say
@@ -85,9 +86,11 @@ Example:
     required=True,
     metavar="DIR",
     shell_complete=complete_folder,
-    help="Directory for arm.json, inverse_dynamics.py, and arm.urdf or arm.xml.",
+    help="Directory for arm.json, report.html, inverse_dynamics.py, and arm.urdf or arm.xml.",
 )
+@click.pass_context
 def arm(
+    ctx: click.Context,
     data: Callable[..., DataOptions],
     gains: str | None,
     hold_out: str | None,
@@ -99,15 +102,16 @@ def arm(
     """Identify the inertial parameters and the friction of a robot arm.
 
     DATA are logs of joint angles and, by --forces, joint torques. Prints the combinations of parameters that
-    the log determines, with standard errors, and writes the arm: arm.json, Python code of its inverse
-    dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links that
-    are written can exist, and agree with the data as closely as possible. Give logged velocities with
-    --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log scatter.
+    the log determines, with standard errors, and writes the arm: arm.json, a report with figures, Python
+    code of its inverse dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo
+    model. The links that are written can exist, and agree with the data as closely as possible. Give logged
+    velocities with --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log
+    scatter.
     """
-    from leastaction import arms
+    from leastaction import arms, write_arm_report
 
     robots = (*(("arm.urdf",) if urdf else ()), *(("arm.xml",) if mjcf else ()))
-    folder = check_folder(output, ("arm.json", "inverse_dynamics.py", *robots))
+    folder = check_folder(output, ("arm.json", "report.html", "inverse_dynamics.py", *robots))
     tree = _tree(urdf, mjcf, **geometry)
     options = data(default=tree.coordinates)
     if not options.forces:
@@ -119,7 +123,8 @@ def arm(
         found = arms.identify(fitted, tree, recording=recording)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
-    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
+    report = partial(write_arm_report, found, log=fitted, held_out=rest, command=command_line(ctx))
+    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save, "report.html": report}
     if not any(term.kind == "load" for term in solid.terms):
         writers["inverse_dynamics.py"] = solid.to_python
     if urdf is not None:

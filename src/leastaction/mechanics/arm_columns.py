@@ -39,6 +39,7 @@ __all__ = [
     "ArmColumns",
     "ArmTerm",
     "JointScales",
+    "dry_history",
     "inertial_terms",
     "joint_terms",
     "presliding",
@@ -168,6 +169,16 @@ def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np
     share = (width / size) ** 2
     sign = v / size
     return sign, -sign * share, share / size
+
+
+def dry_history(terms: Iterable[ArmTerm], q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    """(2, n_times, 1, n_dof): dry friction of each joint along a motion, as a history of `ArmColumns`."""
+    out = np.zeros((2, len(q), 1, q.shape[1]))
+    for term in terms:
+        if term.kind == "dry":
+            i, way = term.place, term.distance
+            out[:, :, 0, i] = presliding(q[:, i], way) if way else smooth_sign(qdot[:, i], term.width)[:2]
+    return out
 
 
 class _Local(NamedTuple):
