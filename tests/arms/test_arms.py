@@ -625,6 +625,157 @@ def test_links_without_inertia_are_named(found):
     assert "with_inertias" in note
 
 
+# ----------------------------------------------- columns by the names that loggers give them, and bags of ROS
+NAMED = arms.KinematicTree.from_joints(
+    [{"name": f"panda_joint{k}", "axis": (0, k % 2, 1 - k % 2), "origin": (0.1, 0, 0.3)} for k in (1, 2, 3)]
+)
+ORDER = (2, 0, 1)  # in which ROS may list the joints
+EPOCH = 1_700_000_000
+
+
+def ros_names(log: la.Trajectory) -> dict[str, list]:
+    """A message in columns, with the joints in another order, a gripper, and stamps in ns."""
+    names = [log.coordinates[i] for i in ORDER]
+    table = {"%time": [EPOCH * 10**9 + round(1e9 * t) for t in log.t]}
+    for k, name in enumerate([*names, "panda_finger_joint1"]):
+        table[f"field.name{k}"] = [name] * log.n_times
+    for word, values in (("position", log.q), ("velocity", 0.0 * log.q), ("effort", log.forces)):
+        for k, i in enumerate(ORDER):
+            table[f"field.{word}{k}"] = values[:, i].tolist()
+        table[f"field.{word}3"] = [0.04] * log.n_times
+    return table
+
+
+def topics(log: la.Trajectory) -> dict[str, list]:
+    table = {"__time": (EPOCH + log.t).tolist()}
+    for k, name in enumerate(log.coordinates):
+        for word, values in (("effort", log.forces), ("position", log.q)):
+            table[f"/joint_states/{name}/{word}"] = values[:, k].tolist()
+    return table
+
+
+def libfranka(log: la.Trajectory) -> dict[str, list]:
+    table = {"time": np.rint(1e3 * log.t).astype(int).tolist(), "success_rate": [1.0] * log.n_times}
+    kinds = {"state.q": log.q, "state.q_d": 9.0 + log.q, "state.dq": 0.0 * log.q, "state.tau_J": log.forces}
+    kinds |= {"state.tau_ext_hat_filtered": 7.0 * log.q, "cmd.tau_J_d": 8.0 * log.q}
+    return table | {f" {n}[{k}]": v[:, k].tolist() for n, v in kinds.items() for k in range(v.shape[1])}
+
+
+def rtde(log: la.Trajectory) -> dict[str, list]:
+    table = {"timestamp": log.t.tolist()}
+    kinds = {
+        "target_q": 9.0 + log.q,
+        "actual_q": log.q,
+        "actual_current": log.forces,
+        "actual_TCP_force": log.q,
+    }
+    return table | {f"{n}_{k}": v[:, k].tolist() for n, v in kinds.items() for k in range(v.shape[1])}
+
+
+def table_text(table: dict[str, list], separator: str = ",") -> str:
+    lines = [
+        separator.join(table),
+        *(separator.join(map(str, row)) for row in zip(*table.values(), strict=True)),
+    ]
+    return "\n".join(lines)
+
+
+@pytest.fixture(scope="module")
+def short_log() -> la.Trajectory:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 2.0, 0.004)
+    return la.Trajectory(t, rng.normal(size=(500, 3)), rng.normal(size=(500, 3)), NAMED.coordinates)
+
+
+@pytest.mark.parametrize(
+    ("columns", "separator", "currents"),
+    [(ros_names, ",", False), (topics, ",", False), (libfranka, ",", False), (rtde, " ", True)],
+)
+def test_columns_of_common_loggers_are_recognised(short_log, file, columns, separator, currents):
+    path = file(table_text(columns(short_log), separator))
+    (read,) = arms.read_log(path, NAMED, currents=currents)
+    np.testing.assert_allclose(read.q, short_log.q)
+    np.testing.assert_allclose(read.forces, short_log.forces)
+    np.testing.assert_allclose(np.diff(read.t), np.diff(short_log.t), atol=1e-6)
+    found = arms.log_columns(path, NAMED)
+    assert found.currents is currents
+    assert "\n" not in str(found)
+    assert str(found).startswith("time = ")
+
+
+def test_joints_of_another_name_are_taken_by_number(short_log, file):
+    path = file(table_text(topics(short_log)))
+    other = NAMED.renamed(["a", "b", "c"])
+    (read,) = arms.read_log(path, other)
+    assert read.coordinates == ("a", "b", "c")
+    np.testing.assert_allclose(read.q, short_log.q)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (lambda log: {"t": log.t, "x": log.q[:, 0]}, "no columns seem to be the positions"),
+        (lambda log: rtde(log), "seem to be motor currents; pass currents=True"),
+        (lambda log: {k: v for k, v in topics(log).items() if "effort" not in k}, "neither torques nor"),
+        (
+            lambda log: topics(log) | {k.replace("states", "other"): v for k, v in topics(log).items()},
+            "may be '/joint_states/panda_joint1/effort', '/joint_other/panda_joint1/effort'",
+        ),
+        (
+            lambda log: {k: ["x"] * 500 if "name" in k else v for k, v in ros_names(log).items()},
+            "has the joints x, x, x, x, and the arm",
+        ),
+    ],
+)
+def test_unclear_columns_are_refused_in_one_line(short_log, file, table, words):
+    with pytest.raises(la.InputError, match=re.escape(words)) as caught:
+        arms.read_log(file(table_text(table(short_log))), NAMED)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["MCAP", "SQLITE3"])
+def test_a_bag_of_ros_is_a_log(short_log, tmp_path, kind):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types, message = get_typestore(Stores.ROS2_HUMBLE), "sensor_msgs/msg/JointState"
+    names = [short_log.coordinates[i] for i in ORDER]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[kind]) as writer:
+        connection = writer.add_connection("/joint_states", message, typestore=types)
+        for t, q, forces in zip(short_log.t, short_log.q, short_log.forces, strict=True):
+            nanoseconds = round(1e9 * t)
+            time = types.types["builtin_interfaces/msg/Time"](
+                EPOCH + nanoseconds // 10**9, nanoseconds % 10**9
+            )
+            header = types.types["std_msgs/msg/Header"](time, "")
+            state = types.types[message](header, names, q[[*ORDER]], np.zeros(3), forces[[*ORDER]])
+            writer.write(connection, EPOCH * 10**9 + nanoseconds + 10**6, types.serialize_cdr(state, message))
+    (read,) = arms.read_log(tmp_path / "bag", NAMED)
+    np.testing.assert_array_equal(read.q, short_log.q)
+    np.testing.assert_array_equal(read.forces, short_log.forces)
+    np.testing.assert_allclose(read.t, short_log.t, atol=1e-9)
+
+
+def test_the_command_recognises_columns_and_refuses_currents_without_a_gain(found, file, tmp_path):
+    log = recorded(found[0], np.random.default_rng(6), 5.0, 200.0)
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    given = ["--dh", str(table), "--convention", "modified", "--output", str(tmp_path / "out")]
+    currents = file(table_text(rtde(log), " "), "rtde.csv")
+    runner = CliRunner()
+    refused = runner.invoke(program, ["arm", str(currents), *given])
+    assert refused.exit_code == 2
+    assert "seem to be motor currents" in refused.output
+    assert len(refused.output.strip().splitlines()) == 1
+    done = runner.invoke(program, ["arm", str(file(table_text(libfranka(log)))), *given])
+    assert done.exit_code == 0, done.output
+    assert "columns: time = time in ms; q1 = position state.q[0], velocity state.dq[0]" in done.output
+    none = runner.invoke(program, ["arm", str(file("t,x\n0,1\n1,2\n")), *given])
+    assert none.exit_code == 2
+    assert "--forces is missing, and" in none.output
+    assert len(none.output.strip().splitlines()) == 1
+
+
 # ------------------------------------------------------------------------------------------- reports of arms
 @pytest.fixture(scope="module")
 def halves(found) -> tuple[Trajectories, Trajectories]:

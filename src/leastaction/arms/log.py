@@ -10,19 +10,34 @@ inertias of the tree.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, inertial_prior
+from leastaction.data.formats.atomic import StrPath
+from leastaction.data.formats.bags import is_bag
+from leastaction.data.formats.columns import JointColumns, joint_columns
+from leastaction.data.formats.dispatch import listed_paths, peek
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
+from leastaction.identifiers import TIME
+from leastaction.io import read
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
-__all__ = ["FitFacts", "contact_notes", "load_notes", "prepared", "scale_notes"]
+__all__ = [
+    "FitFacts",
+    "contact_notes",
+    "load_notes",
+    "log_columns",
+    "prepared",
+    "read_log",
+    "scale_notes",
+]
 
 _FEWEST = 200  # samples
 _MOST_TURNS = 12.0 * np.pi  # rad; a joint that spans more is in degrees
@@ -31,6 +46,66 @@ _STILL = 1e-3  # rad or m: a joint that spans less stands still
 _SLOW = 0.02  # of the mean square velocity; in slower motion, positions do not determine the time
 _AGREES = 0.02  # of a tick: if half of the time stamps scatter by less, they are kept
 _ON_TICK = 0.1  # of a tick: half of the samples must be nearer to one
+
+
+def read_log(
+    path: StrPath | Iterable[StrPath], tree: KinematicTree, *, currents: bool = False
+) -> Trajectories:
+    """Read a log of joint angles and torques, whose columns are recognised by their names.
+
+    Known are joint states of ROS and ROS 2 in tables, libfranka, the RTDE of Universal Robots, and bags of
+    ROS 2 (``.mcap``, ``.db3`` or their directory; needs ``pip install 'leastaction[ros]'``). For other logs,
+    `leastaction.read` takes the names of columns.
+
+    Parameters
+    ----------
+    path : path, or iterable of paths
+        Several files are runs of one arm, with the same columns.
+    tree : KinematicTree
+        Its joints are found by name, or else by number: the first joint has the lowest.
+    currents : bool
+        Whether the log may hold motor currents in place of torques. Give a gain to `identify` then:
+        ``Recording(gains=...)``.
+
+    Returns
+    -------
+    Trajectories
+        `log_columns` says which columns they are.
+
+    Raises
+    ------
+    InputError
+        If the columns are not recognised, or the log has currents, or neither torques nor currents.
+    """
+    columns = log_columns(path, tree)
+    if not columns.torques:
+        raise InputError(
+            f"{listed_paths(path)[0]} seems to have neither torques nor motor currents; name their columns: "
+            "leastaction.read(path, coordinates, forces=...)"
+        )
+    if columns.currents and not currents:
+        raise InputError(
+            f"{', '.join(columns.torques.values())} seem to be motor currents; pass currents=True, and the "
+            "torque per ampere of at least one joint to identify: recording=Recording(gains={...})"
+        )
+    return read(
+        path,
+        columns.positions,
+        columns.time,
+        columns.torques,
+        velocities=columns.velocities or None,
+        time_unit=columns.time_unit,
+    )
+
+
+def log_columns(path: StrPath | Iterable[StrPath], tree: KinematicTree) -> JointColumns:
+    """The columns that `read_log` takes: time, and positions, velocities and torques by joint."""
+    first = listed_paths(path)[0]
+    if is_bag(first):
+        joints = {name: name for name in tree.coordinates}
+        return JointColumns(TIME, None, joints, {}, dict.fromkeys(joints, "effort"), False)
+    seen = peek(first)
+    return joint_columns(seen.header, seen.rows, tree.coordinates, str(first))
 
 
 def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, list[str]]:
