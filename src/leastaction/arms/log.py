@@ -10,7 +10,7 @@ inertias of the tree.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +30,7 @@ from leastaction.mechanics import Points
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
 __all__ = [
+    "PUSHED",
     "FitFacts",
     "contact_notes",
     "load_notes",
@@ -246,7 +247,7 @@ class FitFacts:
 
 #                                                       notes on a contact, or on currents in place of torques
 _WINDOW = 0.1  # s, over which residuals are averaged
-_PUSHED = {1: 10.0, 2: 6.0, 3: 4.0}  # windows in a row, and times the usual size that each of them exceeds
+PUSHED = {1: 10.0, 2: 6.0, 3: 4.0}  # windows in a row, and times the usual size that each of them exceeds
 # Errors of friction at reversals are short.  A measured arm without contact reached 8.9, 3.9 and 3.8.
 _SCALE = 3.0  # factor by which torques may differ from those of the tree's inertias
 _ALIKE = 0.9  # correlation above which torques differ by a factor alone
@@ -256,7 +257,12 @@ _NORMAL = 1.4826  # standard deviation over median absolute deviation, of normal
 
 
 def contact_notes(
-    tree: KinematicTree, times: np.ndarray, owners: np.ndarray, residuals: np.ndarray, names: tuple[str, ...]
+    tree: KinematicTree,
+    times: np.ndarray,
+    owners: np.ndarray,
+    residuals: np.ndarray,
+    names: tuple[str, ...],
+    least: Mapping[int, float] = PUSHED,
 ) -> list[str]:
     """The stretch in which the torque error of a joint is largest, if it is much larger than usual.
 
@@ -268,6 +274,8 @@ def contact_notes(
         Mean error of each equation.
     names : tuple of str
         Names of the trials.
+    least : mapping of int to float
+        Windows in a row, and the error in each of them from which on it is reported.
 
     Notes
     -----
@@ -280,20 +288,20 @@ def contact_notes(
     means = sums / np.bincount(where)[:, None]
     ratios = means / np.maximum(_NORMAL * np.median(np.abs(means), axis=0), 1e-300)
     largest, begin, joint = 1.0, -1, 0
-    for length, least in _PUSHED.items():
+    for length, ratio in least.items():
         places = np.flatnonzero(windows[length - 1 :] - windows[: len(windows) - length + 1] == length - 1)
         run = np.stack([ratios[places + k] for k in range(length)])
-        smallest = np.maximum(run.min(axis=0), -run.max(axis=0)) / least  # negative where signs differ
+        smallest = np.maximum(run.min(axis=0), -run.max(axis=0)) / ratio  # negative where signs differ
         if smallest.size and smallest.max() > largest:
             largest, (row, joint) = smallest.max(), np.unravel_index(int(smallest.argmax()), smallest.shape)
             begin = int(places[row])
     if begin < 0:
         return []
-    side = ratios[:, joint] * np.sign(ratios[begin, joint])
+    side, edge = ratios[:, joint] * np.sign(ratios[begin, joint]), min(least.values())
     end = begin + 1
-    while begin > 0 and side[begin - 1] > _PUSHED[3] and windows[begin - 1] == windows[begin] - 1:
+    while begin > 0 and side[begin - 1] > edge and windows[begin - 1] == windows[begin] - 1:
         begin -= 1
-    while end < len(windows) and side[end] > _PUSHED[3] and windows[end] == windows[end - 1] + 1:
+    while end < len(windows) and side[end] > edge and windows[end] == windows[end - 1] + 1:
         end += 1
     inside = (where >= begin) & (where < end)
     name, size = names[int(owners[inside][0])], side[begin:end].max()
