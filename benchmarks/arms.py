@@ -37,7 +37,7 @@ import numpy as np
 import leastaction as la
 from benchmarks.measured_arm import PEERS, textbook
 from leastaction import arms
-from leastaction.arms.log import contact_notes
+from leastaction.arms.log import PUSHED, contact_notes
 from leastaction.mechanics.arm_columns import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.threads import single_threaded
@@ -331,7 +331,7 @@ def thresholds(logs: int, each: int = 40) -> str:
 
     What the base parameters absorb of a push is removed from it, as if the arm were identified again.
     """
-    rows = {first: {1: first, 2: 6.0, 3: 4.0} for first in (5.0, 10.0, 20.0)}
+    rows = {share * PUSHED[1]: {**PUSHED, 1: share * PUSHED[1]} for share in (0.5, 1.0, 2.0)}
     kinds = [(s, z) for s in ("below 0.2 s", "longer") for z in ("below 10", "10 to 20", "above 20")]
     found = {first: dict.fromkeys([*kinds, "wrong", "clean"], 0) for first in rows}
     total = dict.fromkeys(kinds, 0)

@@ -426,6 +426,41 @@ def test_contacts_of_any_duration_are_located(duration, size):
         assert f"'b' the torque of q{joint + 1} " in note
 
 
+def rested(true: arms.ArmModel, rng: np.random.Generator, rest: float) -> la.Trajectory:
+    """A log that begins while friction holds the arm, after a motion that it does not show."""
+    rate, begin, n = 250.0, 1.0, len(true.tree)
+    t = np.arange(0.0, 8.0 + rest, 1.0 / rate)
+    inside = np.clip((t - begin) / 0.5, 0.0, 1.0) - np.clip((t - begin - rest) / 0.5, 0.0, 1.0)
+    speed = np.cos(np.pi / 2.0 * inside) ** 2
+    clock = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2.0 / rate)])
+    q, qdot, qddot = np.zeros((3, t.size, n))
+    for j in range(n):
+        for k in range(1, 7):
+            (a, b), w = rng.normal(0.0, 0.4, 2), 2.0 * PI * 0.2 * k
+            sine, cosine = np.sin(w * clock), np.cos(w * clock)
+            wave, slope = a * sine + b * cosine, w * (a * cosine - b * sine)
+            q[:, j] += wave
+            qdot[:, j] += slope * speed
+            qddot[:, j] += slope * np.gradient(speed, 1.0 / rate) - w**2 * wave * speed**2
+    torques = true.torques(q, qdot, qddot, successive=True)
+    torques += 0.02 * torques.std(axis=0) * rng.normal(size=torques.shape)
+    kept = t > begin + 0.55
+    return la.Trajectory(t[kept], q[kept], torques[kept], true.coordinates, "run")
+
+
+@pytest.mark.parametrize(("rest", "seed", "copies"), [(0.7, 9, 2), (3.0, 11, 1)])
+def test_friction_that_holds_the_arm_when_a_log_begins_does_not_disturb(found, rest, seed, copies):
+    true, log = found[0], rested(found[0], np.random.default_rng(seed), rest)
+    assert np.ptp(log.q[log.t < 1.0 + rest], axis=0).max() < 1e-9
+    model = arms.identify([log.changed(name=f"run{k}") for k in range(copies)], WRIST)
+    assert not any("contact" in note for note in model.facts.notes)
+    masses = [one.mass_matrix(log.q[::50]) for one in (model, true)]
+    assert np.linalg.norm(masses[0] - masses[1]) < 0.007 * np.linalg.norm(masses[1])
+    dry = {t.text: c for t, c in zip(model.terms, model.coefficients, strict=True) if t.kind == "dry"}
+    assert dry == pytest.approx({"dry[q2]": 0.6, "dry[q3]": 0.2}, rel=0.05)
+    assert all(term.kind != "start" for term in model.terms)
+
+
 def test_currents_are_reported_where_the_tree_has_inertias(found):
     true, _ = found
     log = recorded(true, np.random.default_rng(4), 8.0, 200.0)

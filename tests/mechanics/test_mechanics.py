@@ -21,6 +21,7 @@ from leastaction.mechanics.arm_columns import (
     inertial_terms,
     joint_terms,
     presliding,
+    remembered,
 )
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 from leastaction.mechanics.euler_lagrange import euler_lagrange as la_euler_lagrange
@@ -666,6 +667,15 @@ def test_a_tilted_base_turns_gravity(rng):
     assert abs(inverse_dynamics(Motion.at(upright, *still), parameters)[0, 0]) < 1e-12
     first = np.array([np.cos(0.4), -np.sin(0.4)]) @ parameters[0, 1:3]
     assert inverse_dynamics(Motion.at(wall, *still), parameters)[0, 0] == pytest.approx(9.81 * first)
+
+
+def test_a_motion_that_is_cut_goes_on_with_the_friction_that_it_had(rng):
+    way = np.cumsum(rng.normal(0.0, 0.02, 400))
+    whole = presliding(way, 0.1)[0]
+    for cut in (1, 57, 399):
+        rest = way[cut:]
+        again = presliding(rest, 0.1)[0] + whole[cut] * remembered(rest, 0.1)
+        np.testing.assert_allclose(again, whole[cut:], atol=1e-12)
 
 
 def test_presliding_turns_over_its_distance():
