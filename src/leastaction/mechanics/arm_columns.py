@@ -179,12 +179,20 @@ def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np
 
 
 def dry_history(terms: Iterable[ArmTerm], q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
-    """(2, n_times, 1, n_dof): dry friction of each joint along a motion, as a history of `ArmColumns`."""
+    """(2, n_times, 1, n_dof): dry friction of each joint along a motion, as a history of `ArmColumns`.
+
+    A motion that begins at some speed begins with the friction of that direction.
+    """
     out = np.zeros((2, len(q), 1, q.shape[1]))
     for term in terms:
-        if term.kind == "dry":
-            i, way = term.place, term.distance
-            out[:, :, 0, i] = presliding(q[:, i], way) if way else smooth_sign(qdot[:, i], term.width)[:2]
+        if term.kind != "dry":
+            continue
+        i, way = term.place, term.distance
+        out[:, :, 0, i] = smooth_sign(qdot[:, i], term.width)[:2]
+        if way:
+            left = out[0, 0, 0, i] * remembered(q[:, i], way)
+            path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[:, i])))]) / way
+            out[:, :, 0, i] = presliding(q[:, i], way) + np.array([left, left * path])
     return out
 
 
