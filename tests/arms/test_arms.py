@@ -417,6 +417,8 @@ def test_contacts_of_any_duration_are_located(duration, size):
     for _ in range(20):
         errors, begin, joint = rng.normal(size=(1000, 3)), rng.uniform(1.0, 8.0), int(rng.integers(3))
         assert contact_notes(WRIST, times, owners, errors, ("a", "b")) == []
+        known = (times > 7.0) | (np.arange(3)[:, None] > 0)  # the first joint has not moved before
+        assert contact_notes(WRIST, times, owners, errors * known.T, ("a", "b")) == []
         inside = (times > begin) & (times < begin + duration) & (owners == 1)
         errors[inside, joint] += size * (-1.0) ** joint
         (note,) = contact_notes(WRIST, times, owners, errors, ("a", "b"))

@@ -142,7 +142,7 @@ def identify(
     columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
     base, columns, fit = _fitted(laid, columns, base, choice)
     fit = _weighted(laid, columns, fit)
-    notes += _doubts(laid, columns, fit, tuple(data.names))
+    notes += _doubts(laid, columns, fit, choice.regression.moved, tuple(data.names))
     covariance = _corrected(laid, columns, fit)
     signals = signals.found(columns.terms, fit.coefficients, covariance)
     notes += signals.notes(tree)
@@ -259,9 +259,11 @@ def _fitted(
     return base.subset(members), columns, fit_weights(laid.observations, physics, start)
 
 
-def _doubts(laid: _Laid, columns: ArmColumns, fit: JointFit, names: tuple[str, ...]) -> list[str]:
-    """Notes on effects in the log that the arm does not explain."""
-    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+def _doubts(
+    laid: _Laid, columns: ArmColumns, fit: JointFit, moved: np.ndarray, names: tuple[str, ...]
+) -> list[str]:
+    """Notes on effects in the log that the arm does not explain; not of joints that have not moved yet."""
+    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)]) * moved
     notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
     torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(columns.tree), -1)

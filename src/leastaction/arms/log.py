@@ -273,7 +273,7 @@ def contact_notes(
     times, owners : (n_intervals,) arrays
         Middle of each knot interval in s, and index of its trial.
     residuals : (n_intervals, n_dof) array
-        Mean error of each equation.
+        Mean error of each equation; zero where it is unknown.
     names : tuple of str
         Names of the trials.
     least : mapping of int to float
@@ -288,7 +288,8 @@ def contact_notes(
     windows, where = np.unique(starts, return_inverse=True)
     sums = np.stack([np.bincount(where, weights=column) for column in residuals.T], axis=1)
     means = sums / np.bincount(where)[:, None]
-    ratios = means / np.maximum(_NORMAL * np.median(np.abs(means), axis=0), 1e-300)
+    usual = np.array([np.median(size[size > 0.0]) if size.any() else 0.0 for size in np.abs(means).T])
+    ratios = means / np.maximum(_NORMAL * usual, 1e-300)
     largest, begin, joint = 1.0, -1, 0
     for length, ratio in least.items():
         places = np.flatnonzero(windows[length - 1 :] - windows[: len(windows) - length + 1] == length - 1)
