@@ -15,7 +15,7 @@ import click
 
 from leastaction.cli.text import counted, in_options, one_line
 from leastaction.findings import STATED
-from leastaction.findings.finding import fill
+from leastaction.findings.wording import fill
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel

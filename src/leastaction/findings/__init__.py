@@ -5,7 +5,6 @@ from leastaction.findings.finding import (
     SEVERITIES,
     STATED,
     TEXT,
-    Audience,
     Figures,
     Finding,
     Severity,
@@ -18,6 +17,7 @@ from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import find, sentence
 from leastaction.findings.stated import stated_error, statements
 from leastaction.findings.templates import REASONS, because
+from leastaction.findings.wording import Audience
 
 __all__ = [
     "CODES",

@@ -10,7 +10,7 @@ from functools import partial
 from typing import Any
 
 from leastaction.findings import stated, templates
-from leastaction.findings.finding import Message, fill
+from leastaction.findings.wording import Message, fill
 
 __all__ = ["CODES"]
 

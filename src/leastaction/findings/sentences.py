@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from leastaction.findings.finding import Audience, Finding, Text, fill
+from leastaction.findings.finding import Finding
 from leastaction.findings.messages import CODES
+from leastaction.findings.wording import Audience, Text, fill
 
 __all__ = ["find", "sentence"]
 

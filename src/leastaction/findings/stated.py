@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from leastaction.findings.finding import Finding, fill
+from leastaction.findings.finding import Finding
+from leastaction.findings.wording import fill
 
 __all__ = ["STRUCTURES", "failed", "followed", "reach", "stated_error", "statements"]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from leastaction.findings.finding import fill
+from leastaction.findings.wording import fill
 
 __all__ = [
     "REASONS",

@@ -19,7 +19,8 @@ from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.report import captions, law, tables
 from leastaction.report import figures_model as figures
-from leastaction.report.series import DataFigures, Energy, Series
+from leastaction.report.figures_data import DataFigures
+from leastaction.report.series import Energy, Series
 from leastaction.report.text import percent, plain, plural
 from leastaction.report.verdict import verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
