@@ -4,6 +4,7 @@
     python -m benchmarks.arms --kind pushed --logs 40
     python -m benchmarks.arms --kind panda --logs 20          # needs mujoco and example-robot-data
     python -m benchmarks.arms --summary                       # of the records that exist
+    python -m benchmarks.arms --thresholds --logs 12          # of the rule for contacts
 
 Each log has its own arm, motion, friction and noise, drawn from its number.
 
@@ -36,6 +37,7 @@ import numpy as np
 import leastaction as la
 from benchmarks.measured_arm import PEERS, textbook
 from leastaction import arms
+from leastaction.arms.log import PUSHED, contact_notes
 from leastaction.mechanics.arm_columns import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.threads import single_threaded
@@ -120,13 +122,22 @@ def pushed(number: int) -> Log:
     made, rng = chain(10_000 + number), np.random.default_rng([24, number])
     log, tree = made.log, made.true.tree
     assert log.forces is not None
+    torque, begin, duration = push(log, tree, rng, number % 2 == 1)
+    size = size_of(torque, log)
+    return made._replace(log=log.changed(forces=log.forces - torque), push=(begin, duration, size))
+
+
+def push(
+    log: la.Trajectory, tree: arms.KinematicTree, rng: np.random.Generator, single: bool
+) -> tuple[np.ndarray, float, float]:
+    """Torques of a push in a single joint, or by a force at the hand; its start and duration."""
+    assert log.forces is not None
     begin, duration = rng.uniform(2.0, 12.0), np.exp(rng.uniform(*np.log([0.1, 1.5])))
     ramp = np.clip(np.minimum(log.t - begin, begin + duration - log.t) / 0.03, 0.0, 1.0)
-    spread = log.forces.std(axis=0)
-    if number % 2:
+    if single:
         torque = np.zeros_like(log.forces)
         i = int(rng.integers(7))
-        torque[:, i] = np.exp(rng.uniform(*np.log([0.01, 0.3]))) * spread[i]
+        torque[:, i] = np.exp(rng.uniform(*np.log([0.01, 0.3]))) * log.forces[:, i].std()
     else:
         force = rng.normal(size=3)
         force *= np.exp(rng.uniform(*np.log([1.0, 40.0]))) / np.linalg.norm(force)
@@ -135,9 +146,14 @@ def pushed(number: int) -> Log:
         axes = [turn @ joint.axis for turn, joint in zip(motion.rotations, tree.joints, strict=True)]
         arm = [np.cross(hand - origin, force) for origin in motion.origins]
         torque = np.stack([np.sum(a * b, axis=1) for a, b in zip(axes, arm, strict=True)], axis=1)
-    torque *= ramp[:, None]
-    size = float(np.max(np.abs(torque).max(axis=0) / (0.02 * spread / np.sqrt(50.0))))
-    return made._replace(log=log.changed(forces=log.forces - torque), push=(begin, duration, size))
+    return torque * ramp[:, None], begin, duration
+
+
+def size_of(torque: np.ndarray, log: la.Trajectory) -> float:
+    """A push relative to the noise of torques averaged over 0.1 s."""
+    assert log.forces is not None
+    noise = 0.02 * log.forces.std(axis=0) / np.sqrt(50.0)
+    return float(np.max(np.abs(torque).max(axis=0) / noise))
 
 
 def panda(number: int, late: float = 0.0, stiff: bool = True) -> Log:
@@ -310,15 +326,61 @@ def pushes(records: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
+def thresholds(logs: int, each: int = 40) -> str:
+    """Half and twice the first threshold of the rule for contacts, on residuals to which pushes are added.
+
+    What the base parameters absorb of a push is removed from it, as if the arm were identified again.
+    """
+    rows = {share * PUSHED[1]: {**PUSHED, 1: share * PUSHED[1]} for share in (0.5, 1.0, 2.0)}
+    kinds = [(s, z) for s in ("below 0.2 s", "longer") for z in ("below 10", "10 to 20", "above 20")]
+    found = {first: dict.fromkeys([*kinds, "wrong", "clean"], 0) for first in rows}
+    total = dict.fromkeys(kinds, 0)
+    for number in range(logs):
+        made, rng = chain(20_000 + number), np.random.default_rng([25, number])
+        model = arms.identify(made.log, CHAIN)
+        (run,) = model.predict(made.log)
+        left, owners = run.measured - run.predicted, np.zeros(run.t.size, int)
+        weights = 1.0 / left.std(axis=0)
+        columns = model.columns(run.q[::10], run.qdot[::10], run.qddot[::10])
+        design = (columns * weights[:, None]).reshape(len(columns), -1).T
+        for k in range(each + 1):
+            torque, begin, duration = push(made.log, CHAIN, rng, k % 2 == 1)
+            size = size_of(torque, made.log)
+            absorbed = np.linalg.lstsq(design, (torque[::10] * weights).T.ravel(), rcond=None)[0]
+            rest = torque - model.columns(run.q, run.qdot, run.qddot).T @ absorbed if k else 0.0 * torque
+            kind = (
+                "below 0.2 s" if duration < 0.2 else "longer",
+                "below 10" if size < 10.0 else "10 to 20" if size < 20.0 else "above 20",
+            )
+            total[kind] += int(k > 0)
+            for first, least in rows.items():
+                notes = contact_notes(CHAIN, run.t, owners, left - rest, ("log",), least)
+                right = k > 0 and any(overlaps(note, (begin, duration, size)) for note in notes)
+                key = kind if right else "wrong" if k else "clean"
+                found[first][key] += int(bool(notes))
+    lines = [f"{logs} logs, {logs * each} pushes"]
+    for first, counts in found.items():
+        shares = ", ".join(f"{s}, {z}: {counts[s, z]} of {total[s, z]}" for s, z in kinds)
+        lines.append(
+            f"first threshold {first:g}: {sum(counts[k] for k in kinds)} found ({shares}), {counts['wrong']} "
+            f"at a wrong time; {counts['clean']} of {logs} logs without a push reported"
+        )
+    return "\n".join(lines)
+
+
 @click.command(help=__doc__.split("\n\n")[0])
 @click.option("--kind", type=click.Choice(list(KINDS)), default="chain", show_default=True)
 @click.option("--logs", type=click.IntRange(1), default=100, show_default=True)
 @click.option("--records", type=click.Path(dir_okay=False, path_type=Path), default=RECORDS)
 @click.option("--peer", "peers", type=click.Choice(list(PEERS)), multiple=True, help="Run it, too.")
+@click.option("--thresholds", "vary", is_flag=True, help="Only: half and twice a threshold for contacts.")
 @click.option("--summary", "only", is_flag=True, help="Run nothing.")
 @single_threaded()
-def main(kind: str, logs: int, records: Path, peers: tuple[str, ...], only: bool) -> None:
+def main(kind: str, logs: int, records: Path, peers: tuple[str, ...], vary: bool, only: bool) -> None:
     """Run what has no record, then print the summary."""
+    if vary:
+        click.echo(thresholds(logs))
+        return
     known = {(r["kind"], r["number"]) for r in read(records)}
     records.parent.mkdir(parents=True, exist_ok=True)
     for number in () if only else range(logs):

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from leastaction.mechanics.euler_lagrange import euler_lagrange
     from leastaction.model.file import load
     from leastaction.model.model import LagrangianModel
-    from leastaction.report import write_report
+    from leastaction.report import write_arm_report, write_report
     from leastaction.shown import show
     from leastaction.simulation.results import SimulationResult
     from leastaction.sklearn import SparseLagrangian as SparseLagrangian
@@ -91,6 +91,7 @@ _HOMES = {
     "show": "shown",
     "smooth": "curve.motion",
     "stream": "io",
+    "write_arm_report": "report",
     "write_csv": "io",
     "write_report": "report",
 }
@@ -125,6 +126,7 @@ __all__ = [
     "smooth",
     "stream",
     "systems",
+    "write_arm_report",
     "write_csv",
     "write_report",
 ]

@@ -1,4 +1,4 @@
-"""Arms: base parameters, identification from simulated logs, files; exciting motions; payloads."""
+"""Arms: base parameters, identification from simulated logs, files; reports; exciting motions; payloads."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
 from leastaction.mechanics.rigid_bodies import Motion
+from leastaction.report.axes import Axes
+from leastaction.report.figures_arm import ArmFigures, density, sides
+from page_helpers import Page
 
 PI = np.pi
 WRIST = arms.KinematicTree.from_dh(
@@ -414,6 +417,8 @@ def test_contacts_of_any_duration_are_located(duration, size):
     for _ in range(20):
         errors, begin, joint = rng.normal(size=(1000, 3)), rng.uniform(1.0, 8.0), int(rng.integers(3))
         assert contact_notes(WRIST, times, owners, errors, ("a", "b")) == []
+        known = (times > 7.0) | (np.arange(3)[:, None] > 0)  # the first joint has not moved before
+        assert contact_notes(WRIST, times, owners, errors * known.T, ("a", "b")) == []
         inside = (times > begin) & (times < begin + duration) & (owners == 1)
         errors[inside, joint] += size * (-1.0) ** joint
         (note,) = contact_notes(WRIST, times, owners, errors, ("a", "b"))
@@ -421,6 +426,41 @@ def test_contacts_of_any_duration_are_located(duration, size):
         assert abs(first - begin) < 0.25
         assert abs(last - begin - duration) < 0.25
         assert f"'b' the torque of q{joint + 1} " in note
+
+
+def rested(true: arms.ArmModel, rng: np.random.Generator, rest: float) -> la.Trajectory:
+    """A log that begins while friction holds the arm, after a motion that it does not show."""
+    rate, begin, n = 250.0, 1.0, len(true.tree)
+    t = np.arange(0.0, 8.0 + rest, 1.0 / rate)
+    inside = np.clip((t - begin) / 0.5, 0.0, 1.0) - np.clip((t - begin - rest) / 0.5, 0.0, 1.0)
+    speed = np.cos(np.pi / 2.0 * inside) ** 2
+    clock = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2.0 / rate)])
+    q, qdot, qddot = np.zeros((3, t.size, n))
+    for j in range(n):
+        for k in range(1, 7):
+            (a, b), w = rng.normal(0.0, 0.4, 2), 2.0 * PI * 0.2 * k
+            sine, cosine = np.sin(w * clock), np.cos(w * clock)
+            wave, slope = a * sine + b * cosine, w * (a * cosine - b * sine)
+            q[:, j] += wave
+            qdot[:, j] += slope * speed
+            qddot[:, j] += slope * np.gradient(speed, 1.0 / rate) - w**2 * wave * speed**2
+    torques = true.torques(q, qdot, qddot, successive=True)
+    torques += 0.02 * torques.std(axis=0) * rng.normal(size=torques.shape)
+    kept = t > begin + 0.55
+    return la.Trajectory(t[kept], q[kept], torques[kept], true.coordinates, "run")
+
+
+@pytest.mark.parametrize(("rest", "seed", "copies"), [(0.7, 9, 2), (3.0, 11, 1)])
+def test_friction_that_holds_the_arm_when_a_log_begins_does_not_disturb(found, rest, seed, copies):
+    true, log = found[0], rested(found[0], np.random.default_rng(seed), rest)
+    assert np.ptp(log.q[log.t < 1.0 + rest], axis=0).max() < 1e-9
+    model = arms.identify([log.changed(name=f"run{k}") for k in range(copies)], WRIST)
+    assert not any("contact" in note for note in model.facts.notes)
+    masses = [one.mass_matrix(log.q[::50]) for one in (model, true)]
+    assert np.linalg.norm(masses[0] - masses[1]) < 0.007 * np.linalg.norm(masses[1])
+    dry = {t.text: c for t, c in zip(model.terms, model.coefficients, strict=True) if t.kind == "dry"}
+    assert dry == pytest.approx({"dry[q2]": 0.6, "dry[q3]": 0.2}, rel=0.05)
+    assert all(term.kind != "start" for term in model.terms)
 
 
 def test_currents_are_reported_where_the_tree_has_inertias(found):
@@ -554,7 +594,10 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
     assert done.exit_code == 0, done.output
     assert "Izz[link1]" in done.output
     assert "below 5 Hz" in done.output
-    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "inverse_dynamics.py"]
+    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "inverse_dynamics.py", "report.html"]
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert "The model predicts held-out torques to" in report
+    assert "--hold-out 25%" in report
     assert arms.load(out / "arm.json").can_exist.all()
     for wrong, words in [
         ([], "--convention is missing"),
@@ -579,7 +622,12 @@ def test_the_command_reads_currents_and_a_mujoco_model_without_its_meshes(found,
     done = CliRunner().invoke(program, [*given, "q1=1, q3=1"])
     assert done.exit_code == 0, done.output
     assert "torque per unit of the log: q2 " in done.output
-    assert sorted(p.name for p in out.iterdir()) == ["arm.json", "arm.xml", "inverse_dynamics.py"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "arm.json",
+        "arm.xml",
+        "inverse_dynamics.py",
+        "report.html",
+    ]
     tree, q = arms.read_mjcf(out / "arm.xml"), log.q[::100]
     masses = arms.ArmModel.of_tree(tree, tree.dynamics).mass_matrix(q)
     assert np.linalg.norm(masses - true.mass_matrix(q)) < 0.05 * np.linalg.norm(masses)
@@ -612,6 +660,278 @@ def test_links_without_inertia_are_named(found):
     (note,) = [note for note in found[1].bodies().facts.notes if "no inertia" in note]
     assert "link1, link2, link3" in note
     assert "with_inertias" in note
+
+
+# ----------------------------------------------- columns by the names that loggers give them, and bags of ROS
+NAMED = arms.KinematicTree.from_joints(
+    [{"name": f"panda_joint{k}", "axis": (0, k % 2, 1 - k % 2), "origin": (0.1, 0, 0.3)} for k in (1, 2, 3)]
+)
+ORDER = (2, 0, 1)  # in which ROS may list the joints
+EPOCH = 1_700_000_000
+
+
+def ros_names(log: la.Trajectory) -> dict[str, list]:
+    """A message in columns, with the joints in another order, a gripper, and stamps in ns."""
+    names = [log.coordinates[i] for i in ORDER]
+    table = {"%time": [EPOCH * 10**9 + round(1e9 * t) for t in log.t]}
+    for k, name in enumerate([*names, "panda_finger_joint1"]):
+        table[f"field.name{k}"] = [name] * log.n_times
+    for word, values in (("position", log.q), ("velocity", 0.0 * log.q), ("effort", log.forces)):
+        for k, i in enumerate(ORDER):
+            table[f"field.{word}{k}"] = values[:, i].tolist()
+        table[f"field.{word}3"] = [0.04] * log.n_times
+    return table
+
+
+def topics(log: la.Trajectory) -> dict[str, list]:
+    table = {"__time": (EPOCH + log.t).tolist()}
+    for k, name in enumerate(log.coordinates):
+        for word, values in (("effort", log.forces), ("position", log.q)):
+            table[f"/joint_states/{name}/{word}"] = values[:, k].tolist()
+    return table
+
+
+def libfranka(log: la.Trajectory) -> dict[str, list]:
+    table = {"time": np.rint(1e3 * log.t).astype(int).tolist(), "success_rate": [1.0] * log.n_times}
+    kinds = {"state.q": log.q, "state.q_d": 9.0 + log.q, "state.dq": 0.0 * log.q, "state.tau_J": log.forces}
+    kinds |= {"state.tau_ext_hat_filtered": 7.0 * log.q, "cmd.tau_J_d": 8.0 * log.q}
+    return table | {f" {n}[{k}]": v[:, k].tolist() for n, v in kinds.items() for k in range(v.shape[1])}
+
+
+def rtde(log: la.Trajectory) -> dict[str, list]:
+    table = {"timestamp": log.t.tolist()}
+    kinds = {
+        "target_q": 9.0 + log.q,
+        "actual_q": log.q,
+        "actual_current": log.forces,
+        "actual_TCP_force": log.q,
+    }
+    return table | {f"{n}_{k}": v[:, k].tolist() for n, v in kinds.items() for k in range(v.shape[1])}
+
+
+def table_text(table: dict[str, list], separator: str = ",") -> str:
+    lines = [
+        separator.join(table),
+        *(separator.join(map(str, row)) for row in zip(*table.values(), strict=True)),
+    ]
+    return "\n".join(lines)
+
+
+@pytest.fixture(scope="module")
+def short_log() -> la.Trajectory:
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 2.0, 0.004)
+    return la.Trajectory(t, rng.normal(size=(500, 3)), rng.normal(size=(500, 3)), NAMED.coordinates)
+
+
+@pytest.mark.parametrize(
+    ("columns", "separator", "currents"),
+    [(ros_names, ",", False), (topics, ",", False), (libfranka, ",", False), (rtde, " ", True)],
+)
+def test_columns_of_common_loggers_are_recognised(short_log, file, columns, separator, currents):
+    path = file(table_text(columns(short_log), separator))
+    (read,) = arms.read_log(path, NAMED, currents=currents)
+    np.testing.assert_allclose(read.q, short_log.q)
+    np.testing.assert_allclose(read.forces, short_log.forces)
+    np.testing.assert_allclose(np.diff(read.t), np.diff(short_log.t), atol=1e-6)
+    found = arms.log_columns(path, NAMED)
+    assert found.currents is currents
+    assert "\n" not in str(found)
+    assert str(found).startswith("time = ")
+
+
+def test_joints_of_another_name_are_taken_by_number(short_log, file):
+    path = file(table_text(topics(short_log)))
+    other = NAMED.renamed(["a", "b", "c"])
+    (read,) = arms.read_log(path, other)
+    assert read.coordinates == ("a", "b", "c")
+    np.testing.assert_allclose(read.q, short_log.q)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (lambda log: {"t": log.t, "x": log.q[:, 0]}, "no columns seem to be the positions"),
+        (lambda log: rtde(log), "seem to be motor currents; pass currents=True"),
+        (lambda log: {k: v for k, v in topics(log).items() if "effort" not in k}, "neither torques nor"),
+        (
+            lambda log: topics(log) | {k.replace("states", "other"): v for k, v in topics(log).items()},
+            "may be '/joint_states/panda_joint1/effort', '/joint_other/panda_joint1/effort'",
+        ),
+        (
+            lambda log: {k: ["x"] * 500 if "name" in k else v for k, v in ros_names(log).items()},
+            "has the joints x, x, x, x, and the arm",
+        ),
+    ],
+)
+def test_unclear_columns_are_refused_in_one_line(short_log, file, table, words):
+    with pytest.raises(la.InputError, match=re.escape(words)) as caught:
+        arms.read_log(file(table_text(table(short_log))), NAMED)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["MCAP", "SQLITE3"])
+def test_a_bag_of_ros_is_a_log(short_log, tmp_path, kind):
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types, message = get_typestore(Stores.ROS2_HUMBLE), "sensor_msgs/msg/JointState"
+    names = [short_log.coordinates[i] for i in ORDER]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[kind]) as writer:
+        connection = writer.add_connection("/joint_states", message, typestore=types)
+        for t, q, forces in zip(short_log.t, short_log.q, short_log.forces, strict=True):
+            nanoseconds = round(1e9 * t)
+            time = types.types["builtin_interfaces/msg/Time"](
+                EPOCH + nanoseconds // 10**9, nanoseconds % 10**9
+            )
+            header = types.types["std_msgs/msg/Header"](time, "")
+            state = types.types[message](header, names, q[[*ORDER]], np.zeros(3), forces[[*ORDER]])
+            writer.write(connection, EPOCH * 10**9 + nanoseconds + 10**6, types.serialize_cdr(state, message))
+    (read,) = arms.read_log(tmp_path / "bag", NAMED)
+    np.testing.assert_array_equal(read.q, short_log.q)
+    np.testing.assert_array_equal(read.forces, short_log.forces)
+    np.testing.assert_allclose(read.t, short_log.t, atol=1e-9)
+
+
+def test_the_command_recognises_columns_and_refuses_currents_without_a_gain(found, file, tmp_path):
+    log = recorded(found[0], np.random.default_rng(6), 5.0, 200.0)
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    given = ["--dh", str(table), "--convention", "modified", "--output", str(tmp_path / "out")]
+    currents = file(table_text(rtde(log), " "), "rtde.csv")
+    runner = CliRunner()
+    refused = runner.invoke(program, ["arm", str(currents), *given])
+    assert refused.exit_code == 2
+    assert "seem to be motor currents" in refused.output
+    assert len(refused.output.strip().splitlines()) == 1
+    done = runner.invoke(program, ["arm", str(file(table_text(libfranka(log)))), *given])
+    assert done.exit_code == 0, done.output
+    assert "columns: time = time in ms; q1 = position state.q[0], velocity state.dq[0]" in done.output
+    none = runner.invoke(program, ["arm", str(file("t,x\n0,1\n1,2\n")), *given])
+    assert none.exit_code == 2
+    assert "--forces is missing, and" in none.output
+    assert len(none.output.strip().splitlines()) == 1
+
+
+# ------------------------------------------------------------------------------------------- reports of arms
+@pytest.fixture(scope="module")
+def halves(found) -> tuple[Trajectories, Trajectories]:
+    """A log of the found arm, and its end."""
+    log = recorded(found[0], np.random.default_rng(8), 8.0, 200.0)
+    return Trajectories([log]).hold_out("25%")
+
+
+@pytest.fixture(scope="module")
+def page(found, halves, tmp_path_factory) -> Page:
+    path = tmp_path_factory.mktemp("report") / "arm.html"
+    assert la.write_arm_report(found[1], path, halves[0], held_out=halves[1]) == path
+    return Page(path.read_text(encoding="utf-8"))
+
+
+def test_the_report_is_self_contained_and_complete(found, halves, page):
+    model = found[1]
+    assert not {"script", "link", "img", "iframe"} & {tag for tag, _ in page.tags}
+    identifiers = page.attributes("id")
+    assert len(identifiers) == len(set(identifiers))
+    assert {link.removeprefix("#") for link in page.attributes("href")} <= set(identifiers)
+    sections = [str(node.attributes["id"]) for node in page.root.one("main").all("section")]
+    assert " ".join(sections) == "verdict facts torques spectra friction arm parameters data reproduce"
+    for figure in ("torque", "error", "spectrum", "friction"):
+        assert {f"{figure}{i}-t" for i in range(3)} <= set(identifiers)
+    rows = [row for body in page.by_id("parameters").all("tbody") for row in body.all("tr")]
+    assert sum("group" not in (row.attributes.get("class") or "") for row in rows) == len(model.coefficients)
+    far = model.bodies().validate(halves[1]).overall
+    assert f"off by {100 * far[0]:.2g} % of their rms below 5 Hz" in page.by_id("verdict").text.replace(
+        "\u202f", " "
+    )
+
+
+def test_the_report_says_what_is_wrong_with_a_model(found, halves, tmp_path):
+    model = found[1]
+    turned = np.where([term.kind == "rotor" for term in model.terms], -9.0, 1.0) * model.coefficients
+    parts = (model.tree, model.base, turned, model.covariance, model.reference, model.facts)
+    path = la.write_arm_report(arms.ArmModel(*parts), tmp_path / "arm.html", *halves[:1])
+    verdict = Page(path.read_text(encoding="utf-8")).by_id("verdict").text
+    assert "Not physical: rotor[" in verdict
+    assert "Consistency: if links must be able to exist" in verdict
+    assert "Held-out" not in verdict
+
+
+def test_names_of_links_are_escaped_in_the_report(found, halves, tmp_path):
+    model, hostile = found[1], "</title><script>alert(1)</script>"
+    joints = tuple(replace(joint, link=f"{hostile}{k}") for k, joint in enumerate(model.tree.joints))
+    tree = arms.KinematicTree(joints, model.tree.gravity, hostile)
+    parts = (tree, model.base, model.coefficients, model.covariance, model.reference, model.facts)
+    path = la.write_arm_report(arms.ArmModel(*parts), tmp_path / "arm.html", halves[0], command=hostile)
+    text = path.read_text(encoding="utf-8")
+    assert "<script" not in text
+    assert hostile in Page(text).by_id("reproduce").text
+
+
+def test_the_end_of_a_log_is_drawn_beside_its_begin_and_another_log_alone(found, halves):
+    model = found[1]
+    runs = [model.predict(part) for part in halves]
+    assert [colour for _, colour in ArmFigures(model, model, *runs).shown] == ["fit", "forecast"]
+    assert [colour for _, colour in ArmFigures(model, model, runs[0], runs[0]).shown] == ["forecast"]
+    assert [colour for _, colour in ArmFigures(model, model, runs[0], ()).shown] == ["fit"]
+
+
+def test_shares_from_the_log_fall_with_its_errors(found):
+    model = found[1]
+    parts = (model.tree, model.base, model.coefficients)
+    shares = [
+        ArmFigures(
+            arms.ArmModel(*parts, k * model.covariance, model.reference, model.facts), model, (), ()
+        ).from_log
+        for k in (1.0, 1e4, 1e8)
+    ]
+    assert all(((share >= 0.0) & (share <= 1.0)).all() for share in shares)
+    assert (np.diff([share.sum() for share in shares]) < -0.5).all()
+    assert shares[0][2, 1] > 0.999  # mx of the last link is a base parameter
+    assert shares[0][0, 0] < 1e-6  # the first joint is vertical: no torque depends on the mass of its link
+
+
+def test_predictions_do_not_depend_on_the_memory_that_they_use(found, halves, monkeypatch):
+    model = found[1]
+    (whole,) = model.predict(halves[1])
+    monkeypatch.setattr("leastaction.arms.model._CHUNK", 17)
+    (parts,) = model.predict(halves[1])
+    np.testing.assert_allclose(parts.predicted, whole.predicted, rtol=1e-10, atol=1e-12)
+    single = model.torques(whole.q, whole.qdot, whole.qddot)
+    np.testing.assert_allclose(
+        single,
+        np.tensordot(model.coefficients, model.columns(whole.q, whole.qdot, whole.qddot), 1).T,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+
+
+def test_the_density_of_noise_is_its_variance_over_the_band(rng):
+    t = np.arange(0.0, 60.0, 0.004)
+    f, amplitude = density(t, rng.normal(0.0, 3.0, t.size))
+    assert f[-1] < 125.0
+    np.testing.assert_allclose(np.median(amplitude[f > 5.0]) ** 2 * 125.0, 9.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (3.0, 2.0, -5.0), (0.0, 0.0, 0.0)])
+def test_the_drawing_has_gravity_downwards_and_one_scale(gravity):
+    for _, along, up in sides(np.array(gravity)):
+        assert abs(along @ up) < 1e-12
+        assert np.linalg.norm(along) == pytest.approx(1.0)
+        assert np.array(gravity) @ up == pytest.approx(-np.linalg.norm(gravity))
+    axes = Axes((520.0, 300.0))
+    axes.line(np.array([0.0, 0.1]), np.array([-2.0, 1.0]), "fit")
+    axes.same_scale()
+    frame = axes.frame()
+    across, down = np.diff(frame.x(np.array([0.0, 1.0]))), np.diff(frame.y(np.array([0.0, 1.0])))
+    assert across[0] == pytest.approx(-down[0], rel=1e-6)
+
+
+def test_the_report_refuses_other_objects_in_one_line(found, halves, tmp_path):
+    for model, command, words in [(halves[0], None, "expected an ArmModel"), (found[1], 3, "expected text")]:
+        with pytest.raises(la.InputError, match=words):
+            la.write_arm_report(model, tmp_path / "arm.html", halves[0], command=command)
+    assert list(tmp_path.iterdir()) == []
 
 
 # ------------------------ exciting motions: gradients, limits, and what they are worth for an identification

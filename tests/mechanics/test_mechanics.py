@@ -18,9 +18,11 @@ from leastaction.mechanics.arm_columns import (
     FRICTION,
     ArmColumns,
     JointScales,
+    dry_history,
     inertial_terms,
     joint_terms,
     presliding,
+    remembered,
 )
 from leastaction.mechanics.equations import Mechanics
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -689,6 +691,35 @@ def test_a_tilted_base_turns_gravity(rng):
     assert abs(inverse_dynamics(Motion.at(upright, *still), parameters)[0, 0]) < 1e-12
     first = np.array([np.cos(0.4), -np.sin(0.4)]) @ parameters[0, 1:3]
     assert inverse_dynamics(Motion.at(wall, *still), parameters)[0, 0] == pytest.approx(9.81 * first)
+
+
+def test_a_motion_that_is_cut_goes_on_with_the_friction_that_it_had(rng):
+    way = np.cumsum(rng.normal(0.0, 0.02, 400))
+    whole = presliding(way, 0.1)[0]
+    for cut in (1, 57, 399):
+        rest = way[cut:]
+        again = presliding(rest, 0.1)[0] + whole[cut] * remembered(rest, 0.1)
+        np.testing.assert_allclose(again, whole[cut:], atol=1e-12)
+
+
+def test_dry_friction_that_begins_at_speed_is_that_of_a_longer_motion():
+    t = np.linspace(0.0, 3.0, 3001)[:, None]
+    terms = joint_terms(
+        KinematicTree.from_dh([{}], modified=True), ["dry"], JointScales(*np.full((3, 1), 0.05))
+    )
+    q, qdot = np.sin(2.0 * t), 2.0 * np.cos(2.0 * t)
+    whole, part = (dry_history(terms, *(a[k:] for a in (q, qdot)))[0, :, 0, 0] for k in (0, 1400))
+    np.testing.assert_allclose(part, whole[1400:], atol=1e-3)
+    near = []
+    for step in (1e-5, -1e-5):
+        scales = JointScales(*np.full((2, 1), 0.05), np.full(1, 0.05 * np.exp(step)))
+        near.append(
+            dry_history(joint_terms(KinematicTree.from_dh([{}], modified=True), ["dry"], scales), q, qdot)
+        )
+    slope = dry_history(terms, q, qdot)[1]
+    np.testing.assert_allclose(slope, (near[0][0] - near[1][0]) / 2e-5, atol=1e-7)
+    still = dry_history(terms, 0.0 * q[:5], 0.0 * q[:5])
+    assert not still.any()
 
 
 def test_presliding_turns_over_its_distance():

@@ -13,6 +13,7 @@ from __future__ import annotations
 from leastaction.arms.compare import FreeRuns, TorqueErrors
 from leastaction.arms.files import load
 from leastaction.arms.identify import identify
+from leastaction.arms.log import log_columns, read_log
 from leastaction.arms.model import ArmModel
 from leastaction.arms.payload import Payload, payload
 from leastaction.arms.signals import Recording
@@ -29,7 +30,9 @@ __all__ = [
     "TorqueErrors",
     "identify",
     "load",
+    "log_columns",
     "payload",
+    "read_log",
     "read_mjcf",
     "read_urdf",
     "write_mjcf",

@@ -32,11 +32,13 @@ __all__ = [
     "Bodies",
     "Posterior",
     "Row",
+    "assumed",
     "can_exist",
     "find_base",
     "fit_bodies",
     "inertial_prior",
     "table_of",
+    "tree_prior",
     "with_prior",
     "with_tree",
 ]
@@ -202,6 +204,21 @@ def with_tree(
     InputError
         If a link has no inertia in the tree.
     """
+    return with_prior(base, estimates, covariance, *tree_prior(tree, base, share))
+
+
+def tree_prior(
+    tree: KinematicTree, base: BaseParameters, share: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n_terms,) means and standard deviations of all parameters, from the inertias of the tree.
+
+    Parameters without a prior have the mean 0 and an infinite standard deviation.
+
+    Raises
+    ------
+    InputError
+        If a link has no inertia in the tree.
+    """
     means, spreads = inertial_prior(tree, share)
     for link, row in zip(tree.links, spreads, strict=True):
         if not np.isfinite(row).all():
@@ -216,19 +233,30 @@ def with_tree(
             prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
         elif term.kind in ("rotor", "spring", "offset") and k not in base.members:
             spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
-    return with_prior(base, estimates, covariance, prior, spread)
+    return prior, spread
 
 
-def inertial_prior(tree: KinematicTree, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """(n_links, 10) inertias that the tree states, and standard deviations, ``share`` of mass and size."""
+def inertial_prior(tree: KinematicTree, share: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n_links, 10) inertias that the tree states, and standard deviations.
+
+    These are a ``share`` of mass and size, one for all links or (n_links,) of each.
+    """
     means = tree.inertias
     spreads = np.full(means.shape, np.inf)
-    for i, row in enumerate(means):
+    for i, (row, part) in enumerate(zip(means, np.broadcast_to(share, len(means)), strict=True)):
         if np.isnan(row).any() or row[0] <= 0.0:
             continue
         size = np.sqrt(max((row[4] + row[7] + row[9]) / 2.0 / row[0], 1e-6))
-        spreads[i] = share * row[0] * np.array([1.0, *[size] * 3, *[size**2] * 6])
+        spreads[i] = part * row[0] * np.array([1.0, *[size] * 3, *[size**2] * 6])
     return np.nan_to_num(means), spreads
+
+
+def assumed(tree: KinematicTree, share: float) -> tuple[KinematicTree, np.ndarray]:
+    """The tree with balls where it states no inertia, and (n_links,) uncertainties: 1 for a ball."""
+    missing = np.isnan(tree.inertias[:, 0])
+    balls = np.array([_parameters(_prior_body(row)) for row in tree.inertias])
+    filled = np.where(missing[:, None], balls, tree.inertias)
+    return tree.with_inertias(filled), np.where(missing, 1.0, share)
 
 
 class Bodies(NamedTuple):

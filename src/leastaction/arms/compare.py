@@ -22,11 +22,36 @@ from leastaction.mechanics.arm_columns import presliding
 if TYPE_CHECKING:
     from leastaction.arms.model import ArmModel
 
-__all__ = ["FreeRuns", "TorqueErrors", "free_runs", "torque_errors"]
+__all__ = ["BANDS", "FreeRuns", "TorqueErrors", "TorqueRun", "free_runs", "torque_errors"]
 
+BANDS = (5.0, 10.0)
+"""Cut-off frequencies of comparisons, in Hz."""
 _TRIM = 0.3  # s at each end, where filters and splines lack data on one side
 _STEP = 1e-3  # s, the longest step of a free run
 _GAMMA = 1.0 - np.sqrt(0.5)  # makes the W-method L-stable
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueRun:
+    """Torques along one run of a log.
+
+    Attributes
+    ----------
+    name : str
+    t : (n_times,) array
+    q, qdot, qddot : (n_times, n_dof) arrays
+        The smoothed motion.
+    predicted, measured : (n_times, n_dof) arrays
+        Torques from the motion, and those of the log, on time and in N m (N).
+    """
+
+    name: str
+    t: np.ndarray
+    q: np.ndarray
+    qdot: np.ndarray
+    qddot: np.ndarray
+    predicted: np.ndarray
+    measured: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -75,11 +100,9 @@ class TorqueErrors:
 
 
 def torque_errors(
-    coordinates: tuple[str, ...],
-    pairs: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    bands: Sequence[float],
+    coordinates: tuple[str, ...], runs: Sequence[TorqueRun], bands: Sequence[float] = BANDS
 ) -> TorqueErrors:
-    """Compare torques of several runs; each gives times, predicted and measured torques.
+    """Compare predicted and measured torques of several runs.
 
     Raises
     ------
@@ -88,12 +111,13 @@ def torque_errors(
     """
     frequencies = (*bands, None)
     sums, count = np.zeros((3, len(frequencies), len(coordinates))), 0
-    for t, predicted, measured in pairs:
+    for run in runs:
+        t = run.t
         if t[-1] - t[0] <= 4.0 * _TRIM:
             raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {4.0 * _TRIM:g} s")
         step = float(np.median(np.diff(t)))
         times = np.arange(t[0], t[-1], step)
-        ours, theirs = (_at(times, t, values) for values in (predicted, measured))
+        ours, theirs = (_at(times, t, values) for values in (run.predicted, run.measured))
         inside = (times > times[0] + _TRIM) & (times < times[-1] - _TRIM)
         count += int(inside.sum())
         for row, band in enumerate(frequencies):

@@ -7,6 +7,7 @@ The tree determines the form of the equations. Only the friction is selected.
 2. Curve, parameters, noise and the equation error of each joint are fitted together
    (:mod:`leastaction.estimation.weights`).  Friction that is not significant is left out, and the other
    parameters are fitted again.
+   A joint that rests when a run begins is held by friction of unknown size; this is a column of its own.
 3. Residuals of the torques are rarely white.  Standard errors are corrected for their correlation in time
    (Newey & West 1987, Econometrica 55:703).
 """
@@ -24,7 +25,7 @@ from leastaction.arms.base import BaseParameters, find_base
 from leastaction.arms.log import FitFacts, contact_notes, load_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel
 from leastaction.arms.regression import Choice, Regression
-from leastaction.arms.signals import Recording, Signals
+from leastaction.arms.signals import Recording, Signals, starts
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
@@ -39,7 +40,12 @@ from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import (
+    FRICTION,
+    ArmColumns,
+    inertial_terms,
+    joint_terms,
+)
 from leastaction.threads import single_threaded
 
 __all__ = ["identify"]
@@ -47,6 +53,7 @@ __all__ = ["identify"]
 _DEGREE = 5
 _CHUNK = 1024  # knot intervals handled at once
 _ALWAYS = ("viscous", "dry")
+_ASIDE = ("turn", "delay", "gain", "start")  # columns that are not parameters of the arm
 _FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
 _MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
 _CALIBRATIONS = 5  # most corrections of delays and gains
@@ -122,18 +129,20 @@ def identify(
     laid, choice, signals, changes = _calibrated(
         data, tree, recording, (fixed, always, extra), knots_per_second
     )
+    begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
     terms = (
         *inertial_terms(tree),
         *joint_terms(tree, fixed, choice.scales),
         *choice.friction,
         *signals.terms(tree),
+        *begins,
     )
     base = find_base(tree, terms)
-    history = np.concatenate([choice.history, changes])
+    history = np.concatenate([choice.history, changes, remains])
     columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
     base, columns, fit = _fitted(laid, columns, base, choice)
     fit = _weighted(laid, columns, fit)
-    notes += _doubts(laid, columns, fit, tuple(data.names))
+    notes += _doubts(laid, columns, fit, choice.regression.moved, tuple(data.names))
     covariance = _corrected(laid, columns, fit)
     signals = signals.found(columns.terms, fit.coefficients, covariance)
     notes += signals.notes(tree)
@@ -250,9 +259,11 @@ def _fitted(
     return base.subset(members), columns, fit_weights(laid.observations, physics, start)
 
 
-def _doubts(laid: _Laid, columns: ArmColumns, fit: JointFit, names: tuple[str, ...]) -> list[str]:
-    """Notes on effects in the log that the arm does not explain."""
-    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+def _doubts(
+    laid: _Laid, columns: ArmColumns, fit: JointFit, moved: np.ndarray, names: tuple[str, ...]
+) -> list[str]:
+    """Notes on effects in the log that the arm does not explain; not of joints that have not moved yet."""
+    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)]) * moved
     notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
     torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(columns.tree), -1)
@@ -288,7 +299,7 @@ def _turned(
     shifts = {
         t.place: value for t, value in zip(columns.terms, fit.coefficients, strict=True) if t.kind == "turn"
     }
-    kept = [k for k, term in enumerate(columns.terms) if term.kind not in ("turn", "delay", "gain")]
+    kept = [k for k, term in enumerate(columns.terms) if term.kind not in _ASIDE]
     terms = list(base.terms)
     for k, number in enumerate(base.members):
         term = terms[number]
@@ -321,9 +332,10 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
         values -= along * values[worst]
         spread -= np.outer(along, spread[worst])
         kept.remove(worst)
-        if kinds[worst] == "dry":  # remove its reversal distance as well
+        if kinds[worst] == "dry":  # remove what belongs to it as well
             place = columns.terms[worst].place
-            kept = [k for k in kept if kinds[k] != "turn" or columns.terms[k].place != place]
+            own = ("turn", "start")
+            kept = [k for k in kept if kinds[k] not in own or columns.terms[k].place != place]
 
 
 def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:

@@ -21,7 +21,7 @@ from leastaction.arms.base import (
     table_of,
     with_tree,
 )
-from leastaction.arms.compare import FreeRuns, TorqueErrors, free_runs, torque_errors
+from leastaction.arms.compare import BANDS, FreeRuns, TorqueErrors, TorqueRun, free_runs, torque_errors
 from leastaction.arms.log import FitFacts, prepared
 from leastaction.arms.signals import Signals
 from leastaction.curve.bspline import uniform_grid
@@ -38,16 +38,15 @@ from leastaction.mechanics.arm_columns import (
     ArmColumns,
     ArmTerm,
     JointScales,
+    dry_history,
     inertial_terms,
     joint_terms,
-    presliding,
-    smooth_sign,
 )
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel"]
 
-_BANDS = (5.0, 10.0)  # Hz
+_CHUNK = 4096  # states whose columns are in memory at once
 
 
 class ArmModel:
@@ -189,20 +188,16 @@ class ArmModel:
                     f"{name} has the shape {state.shape}; expected (n_times, {len(self.tree)}), as for the "
                     f"joints {', '.join(self.coordinates)}"
                 )
-        columns, points = self._columns, Points(*states)
+        columns = self._columns
         if successive:
-            ways = np.zeros((2, len(states[0]), 1, len(self.tree)))
-            for term in self.terms:
-                if term.kind == "dry":
-                    i, way = term.place, term.distance
-                    ways[:, :, 0, i] = (
-                        presliding(states[0][:, i], way)
-                        if way
-                        else smooth_sign(states[1][:, i], term.width)[:2]
-                    )
-            columns = ArmColumns(self.tree, self.terms, self.reference, (), ways)
-            points = Points(*states, intervals=slice(0, len(states[0])))
-        return np.tensordot(self.coefficients, columns.strong(points), 1).T
+            history = dry_history(self.terms, *states[:2])
+            columns = ArmColumns(self.tree, self.terms, self.reference, (), history)
+        out = np.empty_like(states[0])
+        for begin in range(0, len(out), _CHUNK):
+            part = slice(begin, begin + _CHUNK)
+            points = Points(*(state[part] for state in states), intervals=part)
+            out[part] = np.tensordot(self.coefficients, columns.strong(points), 1).T
+        return out
 
     def columns(self, q: np.ndarray, qdot: np.ndarray, qddot: np.ndarray) -> np.ndarray:
         """(n_base, n_dof, n_times) regressor: the torques for a unit of each base parameter."""
@@ -290,7 +285,7 @@ class ArmModel:
         self,
         trajectories: Trajectory | Trajectories | Iterable[Trajectory],
         *,
-        bands: tuple[float, ...] = _BANDS,
+        bands: tuple[float, ...] = BANDS,
     ) -> TorqueErrors:
         """Predict the torques of another log from its angles and compare them with the measured ones.
 
@@ -301,9 +296,26 @@ class ArmModel:
         bands : tuple of float
             Frequencies in Hz. Torques are compared below each of them, and unfiltered.
         """
-        data = self._calibrated(trajectories)
-        pairs = [(run.t, self._predicted(run), run.forces) for run in data if run.forces is not None]
-        return torque_errors(self.coordinates, pairs, bands)
+        return torque_errors(self.coordinates, self.predict(trajectories), bands)
+
+    @single_threaded()
+    def predict(
+        self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]
+    ) -> tuple[TorqueRun, ...]:
+        """Predict the torques of a log from its angles, beside the measured ones; one result for each run.
+
+        Parameters
+        ----------
+        trajectories
+            As for `identify`.
+        """
+        out: list[TorqueRun] = []
+        for run in self._calibrated(trajectories):
+            assert run.forces is not None
+            q, qdot, qddot = self._smoothed(run)
+            predicted = self.torques(q, qdot, qddot, successive=True)
+            out.append(TorqueRun(run.name, run.t, q, qdot, qddot, predicted, run.forces))
+        return tuple(out)
 
     @single_threaded()
     def free_runs(
@@ -327,10 +339,6 @@ class ArmModel:
         delays, gains = np.array(self.facts.delays or [0.0] * n), np.array(self.facts.gains or [1.0] * n)
         return Signals(delays, gains, False, ()).torques(data)
 
-    def _predicted(self, run: Trajectory) -> np.ndarray:
-        """(n_times, n_dof) torques along a smoothed run."""
-        return self.torques(*self._smoothed(run), successive=True)
-
     def _smoothed(self, run: Trajectory) -> list[np.ndarray]:
         grid = uniform_grid([run.t], self.facts.knots_per_second, 5)
         points = smooth(grid, [run.t], [run.q]).control_points
@@ -347,14 +355,14 @@ class ArmModel:
         """
         values = np.zeros((4, len(self.tree)))
         kinds = ("rotor", "viscous", "dry", "spring")
-        for term, value in self._in_joints():
+        for term, value in self.in_joints():
             if term.kind in kinds:
                 values[kinds.index(term.kind), term.place] = value
         np.maximum(values[0], 0.0, out=values[0])  # without bodies() the links may have too much inertia
         write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
 
-    def _in_joints(self) -> list[tuple[ArmTerm, float]]:
-        """What acts in the joints, beside the inertias of the tree.
+    def in_joints(self) -> list[tuple[ArmTerm, float]]:
+        """Rotors, friction, springs and constant torques, beside the inertias of the tree; see `bodies`.
 
         A base parameter of a link may hold a rotor: it is what the inertias of the tree leave of it.
         """

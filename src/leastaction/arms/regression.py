@@ -30,10 +30,9 @@ from leastaction.mechanics.arm_columns import (
     ArmColumns,
     ArmTerm,
     JointScales,
+    dry_history,
     inertial_terms,
     joint_terms,
-    presliding,
-    smooth_sign,
 )
 
 __all__ = ["Acting", "Choice", "Regression", "Solution", "reweighted"]
@@ -47,6 +46,8 @@ _WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
 _WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
+_MOVED = 0.02  # of the standard deviation of a joint, some times δ, by which it has moved
+_FEWEST = 0.2  # of the log; a joint that moves less keeps its whole equation
 _DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of the joint
 
 
@@ -130,6 +131,9 @@ class Regression:
         Of columns, histories and forces of each joint.
     counts : (n_dof,) array
         Independent residuals of each joint.
+    moved : (n_intervals, n_dof) array
+        1 where a joint has moved since its run began, else 0: a joint that rests is held by friction of
+        unknown size, so that its equation is not used.
     """
 
     grid: SplineGrid
@@ -145,6 +149,7 @@ class Regression:
     histories: np.ndarray
     grams: np.ndarray
     counts: np.ndarray
+    moved: np.ndarray
 
     @classmethod
     def of(
@@ -192,6 +197,7 @@ class Regression:
             histories=np.zeros((0, *forces.shape)),
             grams=np.zeros(0),
             counts=np.zeros(0),
+            moved=_moved(grid, control_points, data, _MOVED * spread),
         )
         if "dry" in kinds[1]:
             at = (scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES))
@@ -237,8 +243,10 @@ class Regression:
                 rows[k:-1] = self._flat(self.histories[:, chunk])
                 rows[-1] = self._flat(self.forces[None, chunk])[0]
                 scaled = rows * np.sqrt(self.grid.weights[chunk].T.ravel())
+                moved = np.tile(self.moved[chunk], (self.grid.n_quadrature, 1)).T
                 for i in range(n):
-                    out[block, i] += scaled[:, i] @ scaled[:, i].T
+                    some = scaled[:, i] * moved[i]
+                    out[block, i] += some @ some.T
         return out
 
     @staticmethod
@@ -287,10 +295,10 @@ class Regression:
             if dry.size:
                 residual += dry[:, None] * self._flat(self.histories[:1, chunk])[0]
             means.append(residual.reshape(len(residual), self.grid.n_quadrature, -1).mean(axis=1))
-        r = np.concatenate(means, axis=1)
+        r = np.concatenate(means, axis=1) * self.moved.T
         rho = np.sum(r[:, 1:] * r[:, :-1], axis=1) / np.maximum(np.sum(r * r, axis=1), 1e-300)
         rho = np.clip(rho, 0.0, 0.999)
-        return r.shape[1] * (1.0 - rho) / (1.0 + rho)
+        return self.moved.sum(axis=0) * (1.0 - rho) / (1.0 + rho)
 
     def chosen(self, false_alarm: float) -> Choice:
         """Select distances, then further friction."""
@@ -334,16 +342,8 @@ class Regression:
         """(2, n_intervals, n_quadrature, n_dof) dry friction at these scales, and its derivative."""
         times = [t.t for t in self.data]
         states = [self.grid.evaluate(self.control_points, times, nu) for nu in (0, 1)]
-        ways: list[np.ndarray] = []
-        for q, qdot in zip(*states, strict=True):
-            way = np.empty((2, *q.shape))
-            for i, (width, distance) in enumerate(zip(scales.width, scales.distance, strict=True)):
-                way[:, :, i] = (
-                    presliding(q[:, i], distance)
-                    if distance
-                    else np.array(smooth_sign(qdot[:, i], width)[:2])
-                )
-            ways.append(way)
+        terms = joint_terms(self.columns.tree, ["dry"], scales)
+        ways = [dry_history(terms, q, qdot)[:, :, 0] for q, qdot in zip(*states, strict=True)]
         found = [forces_on(self.grid, times, [way[nu] for way in ways]) for nu in (0, 1)]
         return np.array([part.values for part in found if part is not None])
 
@@ -387,3 +387,14 @@ class Regression:
             reference = self.columns.parameters(coefficients)
         history = self.histories if dry else np.zeros((2, *self.forces.shape))
         return Choice(scales, tuple(friction), values, history, reference, self, members, dry, best)
+
+
+def _moved(grid: SplineGrid, control_points: np.ndarray, data: Trajectories, least: np.ndarray) -> np.ndarray:
+    """(n_intervals, n_dof) whether a joint has left the place where its run began."""
+    times = [t.t for t in data]
+    ways = [np.maximum.accumulate(np.abs(q - q[0])) for q in grid.evaluate(control_points, times)]
+    found = forces_on(grid, times, [(way > least).astype(float) for way in ways])
+    assert found is not None
+    moved = (found.values.mean(axis=1) > 0.5).astype(float)
+    moved[:, moved.mean(axis=0) < _FEWEST] = 1.0
+    return moved

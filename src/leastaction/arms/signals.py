@@ -1,4 +1,4 @@
-r"""Recorded torques: delays, and gains of motor currents.
+r"""Recorded torques: delays, gains of motor currents, and friction of joints that rest when a run begins.
 
 A value u recorded the time d after the torque τ acts, by a drive with the gain k (torque per unit of u), is
 
@@ -15,7 +15,7 @@ Measurement, and Control 136:051025).  One gain must be known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,21 +24,25 @@ from scipy.stats import norm
 from scipy.stats import t as t_distribution
 
 from leastaction.arms.regression import Acting, Choice, Regression, Solution, reweighted
+from leastaction.curve.bspline import SplineGrid
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.estimation.forces import forces_on
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.intervals import points_at
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import ArmTerm
+from leastaction.mechanics.arm_columns import ArmTerm, remembered
 
-__all__ = ["Recording", "Signals"]
+__all__ = ["Recording", "Signals", "starts"]
 
 _CHUNK = 512  # knot intervals handled at once
 _FAR = 0.1  # of a sampling interval, or of a gain: after a larger step the columns are computed again
 _LARGEST = 0.5  # largest relative change of a gain in one step
 _CHANCE = 0.01  # probability that a delay is reported for an arm without any
 _FARTHEST = 5.0  # sampling intervals, the largest change of a delay in one step
+_REST = 0.02  # s at the beginning of a run, from which on a joint rests
+_MOST_STARTS = 100  # joints that rest when a run begins, in all runs
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,3 +282,37 @@ def _standard_errors(
         own = total[np.ix_(numbers[:-1], numbers[:-1])]
         information[np.ix_(places[:-1], places[:-1])] += regression.counts[i] / solution.squares[i] * own
     return np.sqrt(np.clip(np.diag(symmetric_inverse(information)), 0.0, None))
+
+
+def starts(
+    grid: SplineGrid, control_points: np.ndarray, data: Trajectories, friction: Iterable[ArmTerm]
+) -> tuple[list[ArmTerm], np.ndarray]:
+    """Friction of joints that rest when a run begins, and what is left of it along the motion.
+
+    It holds the joint, so that it has any size up to that of dry friction, and it is forgotten over the
+    distance of dry friction.
+
+    Returns
+    -------
+    list of ArmTerm
+        Of kind "start", those that last longest.
+    (2, n_intervals, n_quadrature, n_dof) array
+        Histories of `ArmColumns`: what is left, and the number of the run.
+    """
+    times = [t.t for t in data]
+    dry = [term for term in friction if term.kind == "dry" and term.distance > 0.0]
+    left = [np.zeros_like(q) for q in grid.evaluate(control_points, times)]
+    found: list[tuple[float, ArmTerm]] = []
+    for k, q in enumerate(grid.evaluate(control_points, times)):
+        for term in dry:
+            left[k][:, term.place] = along = remembered(q[:, term.place], term.distance)
+            name = f"start[{data.coordinates[term.place]}, {k + 1}]"
+            lasts = float(np.trapezoid(along**2, times[k]))
+            found.append((lasts, ArmTerm(name, "start", term.place, k)))
+    longest = sorted((pair for pair in found if pair[0] > _REST), key=lambda pair: -pair[0])
+    numbers = [np.full_like(part, k) for k, part in enumerate(left)]
+    remains, runs = (forces_on(grid, times, part) for part in (left, numbers))
+    assert remains is not None
+    assert runs is not None
+    terms = [term for _, term in longest[:_MOST_STARTS]]
+    return terms, np.array([remains.values, np.rint(runs.values)])

@@ -5,18 +5,20 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from leastaction.cli.discover import command_line
 from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say
 from leastaction.cli.text import complete_file, complete_folder, one_line, shown
 from leastaction.cli.values import assignments
 from leastaction.errors import InputError
-from leastaction.identifiers import quoted
+from leastaction.identifiers import TIME, quoted
 
 if TYPE_CHECKING:
     from leastaction import Trajectories
@@ -71,7 +73,7 @@ Example:
 @click.option(
     "--gains",
     metavar="A=X,B=Y",
-    help="The columns of --forces are motor currents. Torque per ampere of the joints for which it is known, "
+    help="The columns of torques are motor currents. Torque per ampere of the joints for which it is known, "
     "at least one; the others are estimated.",
 )
 @click.option(
@@ -85,9 +87,11 @@ Example:
     required=True,
     metavar="DIR",
     shell_complete=complete_folder,
-    help="Directory for arm.json, inverse_dynamics.py, and arm.urdf or arm.xml.",
+    help="Directory for arm.json, report.html, inverse_dynamics.py, and arm.urdf or arm.xml.",
 )
+@click.pass_context
 def arm(
+    ctx: click.Context,
     data: Callable[..., DataOptions],
     gains: str | None,
     hold_out: str | None,
@@ -98,28 +102,28 @@ def arm(
 ) -> None:
     """Identify the inertial parameters and the friction of a robot arm.
 
-    DATA are logs of joint angles and, by --forces, joint torques. Prints the combinations of parameters that
-    the log determines, with standard errors, and writes the arm: arm.json, Python code of its inverse
-    dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links that
-    are written can exist, and agree with the data as closely as possible. Give logged velocities with
+    DATA are logs of joint angles and torques: tables, or bags of ROS 2. Columns that --coordinates and
+    --forces do not name are recognised by the names that ROS, libfranka and the RTDE of Universal Robots
+    give them, or by names such as q1 and tau1, and listed. Prints the combinations of parameters that the log
+    determines, with standard errors, and writes the arm: arm.json, a report with figures, Python code of its
+    inverse dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links
+    that are written can exist, and agree with the data as closely as possible. Give logged velocities with
     --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log scatter.
     """
-    from leastaction import arms
+    from leastaction import arms, write_arm_report
 
     robots = (*(("arm.urdf",) if urdf else ()), *(("arm.xml",) if mjcf else ()))
-    folder = check_folder(output, ("arm.json", "inverse_dynamics.py", *robots))
+    folder = check_folder(output, ("arm.json", "report.html", "inverse_dynamics.py", *robots))
     tree = _tree(urdf, mjcf, **geometry)
-    options = data(default=tree.coordinates)
-    if not options.forces:
-        raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
-    log = options.read()
+    log = _recognised(data(default=tree.coordinates), tree, currents=gains is not None).read()
     fitted, rest = _split(log, hold_out)
     recording = arms.Recording() if gains is None else arms.Recording(gains=_gains(gains))
     with live_progress("verify"):
         found = arms.identify(fitted, tree, recording=recording)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
-    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save}
+    report = partial(write_arm_report, found, log=fitted, held_out=rest, command=command_line(ctx))
+    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save, "report.html": report}
     if not any(term.kind == "load" for term in solid.terms):
         writers["inverse_dynamics.py"] = solid.to_python
     if urdf is not None:
@@ -133,6 +137,35 @@ def arm(
     if errors is not None:
         say(f"\nheld out, with bodies that can exist:\n{errors}")
     say("\n" + "\n".join(shown(folder / name) for name in writers))
+
+
+def _recognised(options: DataOptions, tree: KinematicTree, *, currents: bool) -> DataOptions:
+    """The columns of torques, and others that were not named, by the names that common loggers give them."""
+    from leastaction import arms
+
+    if options.forces:
+        return options
+    try:
+        found = arms.log_columns(options.paths, tree)
+    except InputError as error:
+        raise InputError(f"--forces is missing, and {error}") from None
+    if not found.torques:
+        raise InputError("--forces is missing; name the columns of joint torques, e.g. --forces tau1,tau2")
+    if found.currents and not currents:
+        raise InputError(
+            f"{', '.join(found.torques.values())} seem to be motor currents; give the torque per ampere of "
+            f"at least one joint, e.g. --gains {tree.coordinates[0]}=10.5, or name torques with --forces"
+        )
+    say(f"columns: {one_line(str(found))}")
+    named = options.coordinates != {name: name for name in tree.coordinates}
+    return replace(
+        options,
+        coordinates=options.coordinates if named else found.positions,
+        forces=found.torques,
+        velocities=options.velocities or found.velocities,
+        time=found.time if options.time == TIME else options.time,
+        time_unit=options.time_unit or found.time_unit,
+    )
 
 
 def _tree(

@@ -39,9 +39,11 @@ __all__ = [
     "ArmColumns",
     "ArmTerm",
     "JointScales",
+    "dry_history",
     "inertial_terms",
     "joint_terms",
     "presliding",
+    "remembered",
     "smooth_sign",
 ]
 
@@ -58,8 +60,8 @@ class JointScales(NamedTuple):
 
 FRICTION = ("viscous", "dry", "stribeck", "load", "quadratic", "asymmetric")
 """Kinds of friction."""
-HISTORIES = ("dry", "turn", "delay", "gain")
-"""Kinds that depend on the motion, not on the state."""
+HISTORIES = ("dry", "turn", "delay", "gain", "start")
+"""Kinds that depend on the motion, not on the state; after the last comes the number of the run."""
 _KINDS = {
     "rotor": "inertia of the rotor of joint {}, through the gear",
     "viscous": "viscous friction of joint {}",
@@ -72,6 +74,7 @@ _KINDS = {
     "offset": "constant torque in joint {}",
     "delay": "error of the delay of the torque of joint {}",
     "gain": "relative error of the gain of the torque of joint {}",
+    "start": "friction of joint {} when a run begins",
     "turn": "relative error of the distance, or speed, over which dry friction of joint {} reverses",
 }
 
@@ -89,7 +92,7 @@ class ArmTerm:
     place : int
         Number of the link or joint.
     component : int
-        Of the inertial parameters.
+        Of the inertial parameters; or number of the run of a "start".
     width : float
         ε, in the joint's unit per second.
     speed : float
@@ -162,12 +165,35 @@ def presliding(q: np.ndarray, distance: float) -> np.ndarray:
     return out
 
 
+def remembered(q: np.ndarray, distance: float) -> np.ndarray:
+    """(n_times,) what is left of the friction with which a motion begins: exp(−path/δ)."""
+    return np.exp(-np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))]) / distance)
+
+
 def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """s(v) = v/√(v² + ε²), and its derivatives in log ε and in v."""
     size = np.sqrt(v * v + width * width)
     share = (width / size) ** 2
     sign = v / size
     return sign, -sign * share, share / size
+
+
+def dry_history(terms: Iterable[ArmTerm], q: np.ndarray, qdot: np.ndarray) -> np.ndarray:
+    """(2, n_times, 1, n_dof): dry friction of each joint along a motion, as a history of `ArmColumns`.
+
+    A motion that begins at some speed begins with the friction of that direction.
+    """
+    out = np.zeros((2, len(q), 1, q.shape[1]))
+    for term in terms:
+        if term.kind != "dry":
+            continue
+        i, way = term.place, term.distance
+        out[:, :, 0, i] = smooth_sign(qdot[:, i], term.width)[:2]
+        if way:
+            left = out[0, 0, 0, i] * remembered(q[:, i], way)
+            path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[:, i])))]) / way
+            out[:, :, 0, i] = presliding(q[:, i], way) + np.array([left, left * path])
+    return out
 
 
 class _Local(NamedTuple):
@@ -214,8 +240,9 @@ class ArmColumns:
         Joints whose equations are not used.
     history : (n, n_intervals, n_quadrature, n_dof) array, optional
         Columns that depend on the motion, at the quadrature points, of the first n `HISTORIES`: dry friction
-        and its derivative in log δ, see `presliding`, and the changes of the torque with delays and gains.
-        Without it, dry friction follows the sign of the velocity at once.
+        and its derivative in log δ, see `presliding`, the changes of the torque with delays and gains, what
+        is left of the friction at the start of a run, see `remembered`, and the number of the run. Without
+        it, dry friction follows the sign of the velocity at once.
     """
 
     def __init__(
@@ -262,6 +289,9 @@ class ArmColumns:
                 assert points.intervals is not None
                 row = HISTORIES.index(term.kind)
                 way = self.history[row, points.intervals, :, term.place].T.ravel()
+                if term.kind == "start":
+                    run = self.history[row + 1, points.intervals, :, term.place].T.ravel()
+                    way = np.where(run == term.component, way, 0.0)
                 local = _Local(way, (0.0, 0.0, 0.0))  # its slope is neglected, too
             found.append((k, term, local))
         return found

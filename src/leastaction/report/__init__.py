@@ -1,4 +1,4 @@
-"""The report: one HTML file with the law, its checks, and the command that reproduces it."""
+"""Reports, one HTML file each: a law with its checks, or an identified robot arm."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from leastaction.identifiers import quoted
 from leastaction.io import write_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from leastaction.arms.model import ArmModel
+    from leastaction.data.trajectories import Trajectories, Trajectory
     from leastaction.model.model import LagrangianModel
     from leastaction.simulation.forecast import ForecastResult
 
-__all__ = ["write_report"]
+__all__ = ["write_arm_report", "write_report"]
 
 
 def write_report(
@@ -88,3 +92,53 @@ def write_report(
     if command is not None and not isinstance(command, str):
         raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
     return write_text(path, render(model, validation, command))
+
+
+def write_arm_report(
+    model: ArmModel,
+    path: str | os.PathLike[str],
+    log: Trajectory | Trajectories | Iterable[Trajectory],
+    *,
+    held_out: Trajectory | Trajectories | Iterable[Trajectory] | None = None,
+    command: str | None = None,
+) -> Path:
+    """Write a report on an identified robot arm: one HTML file without scripts or external content.
+
+    It shows measured and predicted torques, the spectra of their differences, friction against velocity, the
+    arm with the centres of mass of its links, the base parameters with intervals, and how much of each
+    parameter comes from the log. Torques are predicted by the physically consistent links of
+    ``model.bodies()``.
+
+    Parameters
+    ----------
+    model : ArmModel
+        Result of `leastaction.arms.identify`.
+    path : path
+        File to write, all or nothing.
+    log : Trajectory, Trajectories or iterable of Trajectory
+        The log to which the model was fitted.
+    held_out : Trajectory, Trajectories or iterable of Trajectory, optional
+        A log, or a part of it, that was not fitted.
+    command : str, optional
+        Command that reproduces the model, for example the command line.
+
+    Returns
+    -------
+    Path
+        `path`.
+
+    Raises
+    ------
+    InputError
+        If an argument is of the wrong kind, a log does not fit the arm, or the file cannot be written.
+    """
+    from leastaction.arms.model import ArmModel
+    from leastaction.data.trajectories import Trajectories
+    from leastaction.report.arms import render_arm
+
+    if not isinstance(model, ArmModel):
+        raise InputError(f"model is {quoted(model)}; expected an ArmModel from arms.identify()")
+    if command is not None and not isinstance(command, str):
+        raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
+    rest = None if held_out is None else Trajectories.coerce(held_out)
+    return write_text(path, render_arm(model, Trajectories.coerce(log), rest, command))

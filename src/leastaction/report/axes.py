@@ -87,6 +87,7 @@ class Axes:
         self._given: list[Ends] = [(None, None), (None, None)]
         self._floor: float | None = None
         self._labels = ("", "", "", "")
+        self._left = _LEFT
 
     def line(
         self,
@@ -172,6 +173,30 @@ class Axes:
 
         self._add(_FILL, draw)
 
+    def words(self, x: float, y: float, words: str, gap: float) -> None:
+        """Write a short text beside a point, by pixels to its right, or left of it if `gap` is negative."""
+        self._know(np.array([x]), np.array([y]))
+
+        def draw(frame: Frame) -> str:
+            across, down = float(frame.x(np.array(x))), float(frame.y(np.array(y)))
+            return text(words, across + gap, down + 4.0, "label", "end" if gap < 0.0 else "start")
+
+        self._add(_ABOVE, draw)
+
+    def align(self, other: Axes) -> None:
+        """Give two plots, one below the other, the same left end."""
+        self._left = other._left = max(self.frame().left, other.frame().left)
+
+    def same_scale(self) -> None:
+        """Give both axes the same scale, with the content in the middle."""
+        for _ in range(3):  # the left margin depends on the ticks
+            frame = self.frame()
+            sides = ((frame.right - frame.left, frame.x_ends), (frame.bottom - frame.top, frame.y_ends))
+            per_pixel = max((high - low) / pixels for pixels, (low, high) in sides)
+            for k, (pixels, (low, high)) in enumerate(sides):
+                middle, half = (low + high) / 2.0, 0.5 * per_pixel * pixels
+                self._given[k] = (middle - half, middle + half)
+
     def rule(self, y: float, colour: Colour, width: float, *, dashes: str = "") -> None:
         """Draw a line across the plot."""
         self._know(np.array([]), np.array([y]))
@@ -254,7 +279,7 @@ class Axes:
         x_scale, y_scale = self._scales
         x_ends, y_ends = self._ends(0), self._ends(1)
         y_ticks = y_scale.ticks(*y_ends, max(3, int(self.height / y_scale.room)))
-        left = max(_LEFT, _widest(y_ticks) + 8)
+        left = max(self._left, _widest(y_ticks) + 8)
         below = _BOTTOM if self._labels[0] else _BOTTOM - _UNDER
         right, bottom = self.width - _RIGHT, self.height - below
         frame = Frame(left, right, _TOP, bottom, x_scale, y_scale, x_ends, y_ends)
@@ -290,6 +315,7 @@ class Axes:
             x, y = x[there], y[there]
         for scale, span, values in zip(self._scales, self._spans, (x, y), strict=True):
             places = scale.place(np.clip(values, -1e290, 1e290))
+            places = places[np.isfinite(places)]
             if places.size:
                 span.extend((float(places.min()), float(places.max())))
 

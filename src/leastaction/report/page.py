@@ -25,7 +25,7 @@ from leastaction.report.text import percent, plain, plural
 from leastaction.report.verdict import verdict
 from leastaction.simulation.forecast import ForecastResult, ForecastTrace
 
-__all__ = ["render"]
+__all__ = ["render", "rendered"]
 
 _MOST_DRAWN = 6  # coordinates with figures
 _MOST_ROWS = 30  # trials listed
@@ -39,6 +39,11 @@ _TITLES = {
 
 def render(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> str:
     """Return the page as text; the model has diagnostics."""
+    return rendered("page.html.j2", _context(model, validation, command))
+
+
+def rendered(template: str, context: dict[str, Any]) -> str:
+    """A template of this package with its content and the style sheet."""
     here = files("leastaction.report")
 
     def source(name: str) -> str:
@@ -51,8 +56,15 @@ def render(model: LagrangianModel, validation: ForecastResult | None, command: s
         lstrip_blocks=True,
         loader=jinja2.FunctionLoader(source),
     )
-    template = environment.get_template("page.html.j2")
-    return template.render(style=Markup(source("style.css")), **_context(model, validation, command))
+    today = date.today()
+    common = {
+        "date": f"{today.day} {today:%B %Y}",
+        "plain": plain,
+        "plural": plural,
+        "versions": _versions(),
+        "style": Markup(source("style.css")),
+    }
+    return environment.get_template(template).render(**common, **context)
 
 
 def _context(
@@ -60,7 +72,7 @@ def _context(
 ) -> dict[str, Any]:
     diagnostics = model.diagnostics
     assert diagnostics is not None
-    today, series = date.today(), Series(model)
+    series = Series(model)
     notation = Notation.of_fit(model.coordinates, model.fit.findings)
     widths = notation.widths
     options = {name: _as_given(value, widths) for name, value in _options(model).items()}
@@ -71,7 +83,6 @@ def _context(
         "model": model,
         "symbols": [notation.heading(c) for c in model.coordinates],
         "names": [notation.text(c) for c in model.coordinates],
-        "date": f"{today.day} {today:%B %Y}",
         "titles": _TITLES,
         "widths": " and ".join(map(plain, sorted({*widths}))),
         "equations": law.equations(model, notation),
@@ -90,15 +101,12 @@ def _context(
         **_energy(series),
         **_forecast(validation, notation, units),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
-        "plain": plain,
-        "plural": plural,
         "has_units": "units" in units,
         "has_angles": "rad" in units,
         "command": command or _call(options),
         "given_command": command is not None,
         "options": tables.option_rows(options),
         "provenance": model.provenance,
-        "versions": _versions(),
         "timings": diagnostics.timings,
         "total_time": sum(diagnostics.timings.values()),
     }
