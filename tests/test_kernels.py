@@ -31,7 +31,7 @@ from leastaction.threads import _interrupts_later, single_threaded
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ["api", "curve", "diagnosis", "estimation", "library", "mechanics", "model"]
 FOLDERS += ["selection", "simulation", "systems"]
-MODULES = ["kernels", "modules", "sklearn"]
+MODULES = ["kernels", "package", "sklearn"]
 _PROBE = """
 import json, numpy.linalg, scipy.linalg, threadpoolctl
 blas = [item for item in threadpoolctl.threadpool_info() if item["user_api"] == "blas"]
