@@ -33,8 +33,8 @@ class EstimationSettings:
     maximum). Half: one more competing structure; twice: two fewer, of wrong laws."""
 
     weights_settled: float = 0.05
-    """Standard errors by which the last round of new weights may move a coefficient. Half, twice: one note
-    changes."""
+    """Standard errors by which the last round of new weights may move a coefficient, and relative change of
+    the degrees of freedom of the equation error. Half, twice: one note changes."""
 
     evidence_settled: float = 0.5
     """Log likelihood by which such a round may raise it at the end, and may lower it before: noise in the

@@ -160,8 +160,9 @@ def fit_weights(
 ) -> JointFit:
     """Fit curve, coefficients and weights together.
 
-    Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard error
-    and the evidence by less than a half. Above 100,000 samples this half grows in proportion.
+    Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard
+    error, the degrees of freedom of the equation error by less than a twentieth, and the evidence by less
+    than a half. Above 100,000 samples this half grows in proportion.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
@@ -177,7 +178,8 @@ def fit_weights(
             break
         place = np.log(best.weights.physics)
         rounds = [*rounds[-_MEMORY:], _Proposed(place, np.log(update.physics) - place)]
-        update = replace(update, physics=np.exp(place + np.clip(_step(rounds), -farthest, farthest)))
+        step = _step(rounds)
+        update = replace(update, physics=np.exp(place + np.clip(step, -farthest, farthest)))
         for halvings in range(_HALVINGS):
             # two equations may compete for the same error: then a whole step goes too far
             weights = _part_of_the_way(best.weights, update, 0.5**halvings)
@@ -195,14 +197,15 @@ def fit_weights(
                 break
         else:
             break
-        taken = float(np.abs(np.log(weights.physics) - place).max())
-        farthest = 1.5 * taken if halvings else min(max(2.0 * taken, farthest), _FARTHEST)
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
         settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
+        settled = settled and _alike(weights.slack, best.weights.slack)
         best, best_evidence = fit, value
         if settled:
             break
+        taken = float(np.abs(np.log(weights.physics) - place).max())
+        farthest = 1.5 * taken if halvings else min(max(2.0 * taken, farthest), _FARTHEST)
     return best
 
 
@@ -232,6 +235,16 @@ def _step(rounds: Sequence[_Proposed]) -> np.ndarray:
     except np.linalg.LinAlgError:
         return change
     return step if float(step @ change) > 0.0 else change
+
+
+def _alike(slack: np.ndarray, before: np.ndarray) -> bool:
+    """Whether the degrees of freedom of equations that are not nearly exact have settled.
+
+    The log-determinant term moves coefficients with them, and each round uses those of the last one.
+    """
+    inexact = slack > ESTIMATION.slack_left
+    change = np.linalg.norm((slack - before)[inexact])
+    return bool(change <= ESTIMATION.weights_settled * np.linalg.norm(slack[inexact]))
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
