@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import leastaction as la
 from helpers import free_motions, interpolate, record, terms
-from leastaction.diagnosis.unknowns import doubts_about_shapes
+from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.errors import InputError
 from leastaction.estimation import profile
 from leastaction.estimation.fit import Fit, ShapeEstimate

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from leastaction.arms.base import BaseParameters, inertial_prior
+from leastaction.arms.columns import JointColumns, joint_columns
 from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.bags import is_bag
-from leastaction.data.formats.columns import JointColumns, joint_columns
 from leastaction.data.formats.dispatch import listed_paths, peek
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError

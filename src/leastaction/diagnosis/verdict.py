@@ -13,12 +13,13 @@ from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
+from leastaction.diagnosis.hidden import about_hidden, about_sensors
 from leastaction.diagnosis.missing_terms import lacking_terms
 from leastaction.diagnosis.mode_scales import free_scales
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.time_dependence import time_dependence
-from leastaction.diagnosis.unknowns import about_hidden, about_sensors, doubts_about_shapes
 from leastaction.diagnosis.wider_search import (
     MOST_SAMPLES,
     perhaps_angles,

@@ -1,7 +1,4 @@
-"""What is known of unknowns beside the coefficients.
-
-These are coordinates without a sensor, sensors that measure functions of coordinates, and shape parameters.
-"""
+"""What is known of coordinates without a sensor, and of sensors that measure functions of coordinates."""
 
 from __future__ import annotations
 
@@ -9,17 +6,13 @@ import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.calibration import plausible_sizes
-from leastaction.estimation.fit import Fit, ShapeEstimate
+from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
 from leastaction.hidden.band import curve_errors, errors_with_sensor
 from leastaction.hidden.gauge import open_changes, reflections
 from leastaction.selection.search_state import Search
 
-__all__ = ["about_hidden", "about_sensors", "doubts_about_shapes"]
-
-_AT_END = 1e-6  # of the range
-# ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
-_FAR = {"log": 0.6, "linear": 1.5, "exponent": 1.5, "frequency": 1.5}
+__all__ = ["about_hidden", "about_sensors"]
 
 
 def about_sensors(fit: Fit, residual_ratio: np.ndarray) -> list[Finding]:
@@ -84,45 +77,3 @@ def _gain_of_sensor(fit: Fit, coordinate: int) -> dict[str, str | float]:
     factors = fit.standard_errors / with_it
     most = int(np.argmax(factors))
     return {"term": fit.problem.terms[fit.structure.members[most]].text, "factor": float(factors[most])}
-
-
-def doubts_about_shapes(fit: Fit) -> list[Finding]:
-    """Parameters that are open, at the end of what the user allowed, or still moving.
-
-    One that still moves far from where the data could tell it is open.
-    """
-    found = fit.shapes
-    if found is None:
-        return []
-    out: list[Finding] = []
-    for k, (name, value, error) in enumerate(
-        zip(found.names, found.values.tolist(), found.standard_errors.tolist(), strict=True)
-    ):
-        where = fit.problem.ranges[name]
-        size = 0.5 * (where.high - where.low) if where.spacing == "linear" else abs(value)
-        if where.bounded and min(value - where.low, where.high - value) <= _AT_END * (where.high - where.low):
-            out.append(find("shape-at-bound", name, value=value, low=where.low, high=where.high))
-            continue
-        far = abs(where.share(value) - 0.5) > _FAR[where.spacing]
-        if not found.settled and not far:
-            out.append(find("shape-not-settled", name, value=value))
-        elif not found.settled or not error < DIAGNOSIS.indistinct * size:
-            ends = {"low": where.low, "high": where.high} if far else {}
-            other = _partner(fit, found, k)
-            out.append(
-                find("shape-undetermined", name, value=value, standard_error=error, with_it=other, **ends)
-            )
-    return out
-
-
-def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
-    """The term or parameter that is most correlated with a parameter; empty if none is."""
-    spread = np.sqrt(np.clip(np.diag(found.covariance), 1e-300, None))
-    place = len(fit.structure) + k
-    together = np.abs(found.covariance[place] / (spread[place] * spread))
-    together[place] = 0.0
-    best = int(np.argmax(together))
-    if not together[best] > DIAGNOSIS.one_and_the_same:
-        return ""
-    names = [fit.problem.terms[m].text for m in fit.structure] + list(found.names)
-    return names[best]

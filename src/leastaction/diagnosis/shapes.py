@@ -1,0 +1,57 @@
+"""Whether the data determine the shape parameters of a fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.fit import Fit, ShapeEstimate
+from leastaction.findings import Finding, find
+
+__all__ = ["doubts_about_shapes"]
+
+_AT_END = 1e-6  # of the range
+# ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
+_FAR = {"log": 0.6, "linear": 1.5, "exponent": 1.5, "frequency": 1.5}
+
+
+def doubts_about_shapes(fit: Fit) -> list[Finding]:
+    """Parameters that are open, at the end of what the user allowed, or still moving.
+
+    One that still moves far from where the data could tell it is open.
+    """
+    found = fit.shapes
+    if found is None:
+        return []
+    out: list[Finding] = []
+    for k, (name, value, error) in enumerate(
+        zip(found.names, found.values.tolist(), found.standard_errors.tolist(), strict=True)
+    ):
+        where = fit.problem.ranges[name]
+        size = 0.5 * (where.high - where.low) if where.spacing == "linear" else abs(value)
+        if where.bounded and min(value - where.low, where.high - value) <= _AT_END * (where.high - where.low):
+            out.append(find("shape-at-bound", name, value=value, low=where.low, high=where.high))
+            continue
+        far = abs(where.share(value) - 0.5) > _FAR[where.spacing]
+        if not found.settled and not far:
+            out.append(find("shape-not-settled", name, value=value))
+        elif not found.settled or not error < DIAGNOSIS.indistinct * size:
+            ends = {"low": where.low, "high": where.high} if far else {}
+            other = _partner(fit, found, k)
+            out.append(
+                find("shape-undetermined", name, value=value, standard_error=error, with_it=other, **ends)
+            )
+    return out
+
+
+def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
+    """The term or parameter that is most correlated with a parameter; empty if none is."""
+    spread = np.sqrt(np.clip(np.diag(found.covariance), 1e-300, None))
+    place = len(fit.structure) + k
+    together = np.abs(found.covariance[place] / (spread[place] * spread))
+    together[place] = 0.0
+    best = int(np.argmax(together))
+    if not together[best] > DIAGNOSIS.one_and_the_same:
+        return ""
+    names = [fit.problem.terms[m].text for m in fit.structure] + list(found.names)
+    return names[best]
