@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python, sympy
+from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python
 from leastaction.exporters.formats import check_format
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
@@ -17,7 +17,7 @@ __all__ = ["export"]
 _Path: TypeAlias = "str | os.PathLike[str] | None"
 
 _PLAIN = {
-    "sympy": sympy.write,
+    "sympy": python.write_sympy,
     "latex": lambda model: f"% Written by leastaction; needs amsmath.\n\\[\n{model.latex()}\n\\]\n",
     "python": python.write,
     "c": c.write,
