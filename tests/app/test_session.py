@@ -1,40 +1,606 @@
-"""The app's worker process and its session: cancelling, failures, uploads, from a file to the downloads."""
+"""The app's choices, its worker process and its session: files, downloads, cancelling, failures."""
 
 from __future__ import annotations
 
 import gzip
 import io
+import itertools
 import json
 import math
+import re
 import time
 import zipfile
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import sympy as sp
 
 import leastaction as la
 import page_helpers
 from leastaction import InputError
+from leastaction.app import candidates as _candidates
+from leastaction.app import columns as _columns
 from leastaction.app import files as _files
+from leastaction.app import jobs as _jobs
+from leastaction.app import remedies as _remedies
 from leastaction.app import session as _session
-from leastaction.app.candidates import Choice
+from leastaction.app.candidates import Choice, friction_choices, split_trials
 from leastaction.app.columns import (
     ANGLE,
     COORDINATE,
+    DATES,
     DEGREES,
     FORCE,
+    MICROSECONDS,
     MILLISECONDS,
     TIME,
     TRIAL,
     UNUSED,
     VELOCITY,
 )
-from leastaction.app.session import EXAMPLES, Session, in_words
+from leastaction.app.jobs import Motion
+from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_words
+from leastaction.app.remedies import proposed
+from leastaction.app.session import EXAMPLES, Session, Walk, in_words
 from leastaction.app.worker import Worker
 from leastaction.exporters.formats import FORMATS
-from leastaction.model.model import ModelTerm
+from leastaction.findings import CODES, Finding
+from leastaction.library import format_expression
+from leastaction.mechanics.equations import state_symbols
+from leastaction.model.diagnostics import PathPoint
+from leastaction.model.term import ModelTerm
+from page_helpers import spring
 
 
+def table(header: str, *rows: str) -> _columns.Columns:
+    return _columns.Columns(tuple(header.split(",")), tuple(tuple(row.split(",")) for row in rows))
+
+
+# columns
+
+
+@pytest.mark.parametrize(
+    ("header", "roles"),
+    [
+        ("t,theta1,theta2,tau1,tau2", [TIME, ANGLE, ANGLE, FORCE + "theta1", FORCE + "theta2"]),
+        ("Time (s),x,y,Fx,u_y", [TIME, COORDINATE, COORDINATE, COORDINATE, FORCE + "y"]),
+        ("frame,x,phi_deg,omega,x_dot", [TIME, COORDINATE, DEGREES, UNUSED, UNUSED]),
+        ("trial,t,q,q_force", [TRIAL, TIME, COORDINATE, FORCE + "q"]),
+        ("time,angle,torque", [TIME, ANGLE, FORCE + "angle"]),
+        (
+            "Time [s],Upper arm [deg],Lower arm [deg],Torque 1 (N m),Torque 2 (N m)",
+            [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Lower_arm"],
+        ),
+        ("t,theta1,theta2,tau3", [TIME, ANGLE, ANGLE, UNUSED]),
+    ],
+)
+def test_roles_are_guessed(header, roles):
+    rows = [",".join(f"{k + 0.1 * i if i else k}" for i in range(header.count(",") + 1)) for k in range(4)]
+    guessed = _columns.guess_roles(table(header, *rows))
+    if header.startswith("frame"):
+        # Nothing is called a time: a count of frames is none either.
+        roles = [UNUSED, TIME, *roles[2:]]
+    assert list(guessed.values()) == roles
+
+
+@pytest.mark.parametrize(
+    ("header", "units", "roles"),
+    [
+        ("Zeit [ms],Winkel / °,tau [Nm]", "", [MILLISECONDS, DEGREES, FORCE + "Winkel"]),
+        ("t_us,x (mm),gyro [deg/s]", "", [MICROSECONDS, COORDINATE, UNUSED]),
+        ("t,q1,q2", "s,deg,rad", [TIME, DEGREES, ANGLE]),
+        ("millis,position_deg", "", [MILLISECONDS, DEGREES]),
+    ],
+)
+def test_units_decide_roles(header, units, roles):
+    rows = [",".join(f"{k + 0.1 * i}" for i in range(header.count(",") + 1)) for k in range(4)]
+    columns = replace(table(header, *rows), units=tuple(units.split(",")))
+    assert list(_columns.guess_roles(columns).values()) == roles
+
+
+def test_the_app_reads_what_people_write(tmp_path):
+    """By the reader of the package: decimal commas, a row of units, dates; a role wins over the header."""
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{20 * k};{10 * k},5;{k},5\n" for k in range(8))
+    path.write_bytes(f"Zeit;phi;x_mm\nms;°;mm\n{rows}".encode("cp1252"))
+    columns = _columns.peek(path)
+    assert columns.sample("phi") == "0.5, 10.5, 20.5"
+    roles = _columns.guess_roles(columns)
+    assert roles == {"Zeit": MILLISECONDS, "phi": DEGREES, "x_mm": COORDINATE}
+    data = _columns.read(path, roles)
+    assert data.coordinates == ("phi", "x")
+    assert np.allclose(data[0].t, 0.02 * np.arange(8))
+    assert np.allclose(data[0].q[:, 0], np.radians(10.0 * np.arange(8) + 0.5))
+    assert np.allclose(data[0].q[:, 1], (np.arange(8) + 0.5) / 1e3)
+    said = [finding.code for finding in data.findings]
+    assert said == ["units-row", "time-unit", *["converted-units"] * 2, "text-encoding", "decimal-comma"]
+    other = _columns.read(path, roles | {"Zeit": TIME, "phi": ANGLE})
+    assert other[0].t[-1] == 140.0
+    assert other.findings[1].values["instead_of"] == "ms"
+    dates = tmp_path / "dates.csv"
+    dates.write_text("when,x\n" + "".join(f"2024-05-01T12:00:0{k},{k}\n" for k in range(8)))
+    roles = _columns.guess_roles(_columns.peek(dates))
+    assert roles == {"when": DATES, "x": COORDINATE}
+    assert _columns.read(dates, roles)[0].t[-1] == 7.0
+    with pytest.raises(InputError, match="are dates"):
+        _columns.read(dates, roles | {"when": TIME})
+
+
+def test_text_is_no_coordinate():
+    guessed = _columns.guess_roles(table("t,x,remark", "0,1,good", "1,2,bad", "2,2,good"))
+    assert guessed == {"t": TIME, "x": COORDINATE, "remark": UNUSED}
+
+
+def test_a_column_with_a_bad_cell_is_still_a_coordinate():
+    guessed = _columns.guess_roles(table("t,x", "0,1", "1,", "2,oops", "3,4"))
+    assert guessed == {"t": TIME, "x": COORDINATE}
+
+
+def test_any_column_gets_a_name_that_the_grammar_accepts():
+    columns = ["θ 1 (rad)", "2nd", "sin", "x_dot", "x", "x (m)", "t", "", "class", "a-b", "€"]
+    names = _columns.coordinate_names(columns)
+    assert len(set(names.values())) == len(columns)
+    la.Library([f"{name}_dot**2" for name in names.values()], list(names.values()))
+
+
+def test_degrees_become_radians_and_are_unwrapped(tmp_path):
+    angle = np.degrees(np.linspace(0.0, 12.0, 60))
+    wrapped = (angle + 180.0) % 360.0 - 180.0
+    path = tmp_path / "run.csv"
+    path.write_text("t,phi\n" + "\n".join(f"{0.1 * k},{x!r}" for k, x in enumerate(wrapped.tolist())))
+    data = _columns.read(path, {"t": TIME, "phi": DEGREES})
+    assert np.allclose(data[0].q[:, 0], np.linspace(0.0, 12.0, 60))
+    assert data.wraps_removed == {"phi": 2}
+
+
+@pytest.mark.parametrize(
+    ("roles", "text"),
+    [
+        ({"time": TIME, "theta": UNUSED}, "no column is a coordinate"),
+        ({"time": UNUSED, "theta": ANGLE}, "no column is the time"),
+        ({"time": TIME, "run": TIME, "theta": ANGLE}, "both marked as time"),
+        ({"time": TIME, "theta": ANGLE, "tau": FORCE + "phi"}, "not a coordinate any more"),
+        ({"time": TIME, "theta": ANGLE}, r"\(trial=\.\.\.\)"),
+    ],
+)
+def test_roles_that_cannot_be_read_say_why(tmp_path, roles, text):
+    path = page_helpers.driven_pendulum(tmp_path / "run.csv")
+    with pytest.raises(InputError, match=text):
+        _columns.read(path, roles)
+
+
+# candidates
+
+
+def test_faults_name_the_line():
+    found = _candidates.faults("x_dot**2\n# all right\nsin(y)\n\n__import__('os')\nx**", ["x"])
+    assert [text.partition(":")[0] for text in found] == ["line 3", "line 5", "line 6"]
+    assert "unknown name 'y'" in found[0]
+
+
+def test_too_many_lines_are_not_read():
+    (text,) = _candidates.faults("x\n" * 2000, ["x"])
+    assert "2000 lines" in text
+
+
+def test_friction_candidates_can_be_read():
+    texts = [text for _, text in friction_choices(["theta1", "x", "phi"])]
+    library = la.Library(["x"], ["theta1", "x", "phi"], dissipation=texts)
+    assert len(library.dissipation) == len(texts) == 10
+
+
+def test_a_passive_system_needs_a_scale():
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice.default(data)
+    assert choice.known == "x_dot**2 = 1"
+    choice.known = ""
+    with pytest.raises(InputError, match="L = 0 solves"):
+        choice.task(data, ["theta"])
+
+
+def test_a_driven_system_needs_none():
+    data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
+    choice = Choice.default(data)
+    assert choice.known == ""
+    task = choice.task(data, ["theta"])
+    assert task.known == {}
+    assert len(task.fitted) == 1
+    assert task.held_out is not None
+
+
+def given_to_discover(task, monkeypatch):
+    given = {}
+
+    def discover(trajectories, library, known, **options):
+        given.update(options, trajectories=trajectories)
+        raise InputError("enough")
+
+    monkeypatch.setattr(la, "discover", discover)
+    with pytest.raises(InputError, match="enough"):
+        _jobs.search(lambda stage, details: None, task)
+    return given
+
+
+def test_what_is_said_of_forces_is_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("cart_spring_pendulum", trials=1, duration=2.0)
+    choice = Choice(known="theta_dot**2 = 1", prescribed=["x", "gone"], offsets=["theta"], delay=0.1)
+    task = choice.task(data, ["theta"])
+    given = given_to_discover(task, monkeypatch)
+    assert (given["prescribed"], given["force_offset"]) == (("x",), ("theta",))
+    assert given["trajectories"] is task.fitted  # nothing to shift
+    choice.prescribed = ["theta"]
+    with pytest.raises(InputError, match="select only one"):
+        choice.task(data, ["theta"])
+    choice.prescribed, choice.offsets = ["theta", "x"], []
+    with pytest.raises(InputError, match="no equation is left"):
+        choice.task(data, ["theta"])
+
+
+def test_lengths_of_links_are_told_to_the_discovery(monkeypatch):
+    data = la.systems.generate("single_pendulum", trials=1, duration=2.0)
+    choice = Choice(lengths="theta = 0.3  # m\n")
+    assert given_to_discover(choice.task(data, ["theta"]), monkeypatch)["lengths"] == {"theta": 0.3}
+    for text, problem in (
+        ("0.3", "COORDINATE = METRES"),
+        ("phi = 0.3", "'phi', which is not a coordinate"),
+        ("theta = -1", "expected metres"),
+        ("theta = a", "not a finite number"),
+    ):
+        choice.lengths = text
+        with pytest.raises(InputError, match=problem):
+            choice.task(data, ["theta"])
+
+
+def test_forces_are_shifted_to_when_they_act(monkeypatch):
+    data = la.systems.generate("single_pendulum", trials=2, duration=2.0)
+    choice = Choice(held_out=1, delay=0.05)
+    given = given_to_discover(choice.task(data, ["theta"]), monkeypatch)
+    kept = given["trajectories"][0]
+    assert np.allclose(kept.forces, data[0].forces[:-5])
+    assert np.allclose(kept.q, data[0].q[5:])
+    choice.delay = -1.5
+    with pytest.raises(InputError, match="-1500 ms leaves too little of a trial of 2 s"):
+        choice.task(data, ["theta"])
+
+
+def test_terms_linear_in_the_velocities_can_be_offered():
+    plain, turning = (Choice(gyroscopic=on).library(["x", "y"], []) for on in (False, True))
+    assert "x*y_dot" in [term.text for term in turning]
+    assert {term.text for term in plain} < {term.text for term in turning}
+
+
+@pytest.mark.parametrize("names", ["a", "abc", "abcd", "abcdefg"])
+@pytest.mark.parametrize("turning", [True, False])
+def test_the_size_is_the_one_that_a_discovery_takes_by_itself(names, turning):
+    names = list(names)
+    angles = names if turning else []
+    assert list(Choice().generated(names, angles)) == list(la.Library.mechanical(names, angles))
+    choice = Choice()
+    sizes = choice.sizes(names, angles)
+    assert sizes[choice.size_for(names, angles)] == la.Library.mechanical_size(names, angles)
+    choice.size = "compact"
+    assert choice.size_for(names, angles) == "compact"
+    assert list(choice.generated(names, angles)) == list(la.Library.mechanical(names, angles, size="compact"))
+
+
+def test_a_known_term_that_is_no_candidate_is_refused():
+    choice = Choice(written=True, text="x_dot**2\nx**2", known="x**3 = 1")
+    with pytest.raises(InputError, match="is not among"):
+        choice.known_terms(choice.library(["x"], []), False)
+
+
+def test_known_friction_is_found_among_the_friction():
+    choice = Choice(written=True, text="x_dot**2\nx**2", friction=["x_dot**2/2"], known="x_dot**2/2 = 0.5")
+    assert choice.known_terms(choice.library(["x"], []), False) == {"x_dot**2/2": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("held_out", "every_third", "names"), [(0, False, None), (2, False, "34"), (9, False, "1234")]
+)
+def test_trials_are_held_out(held_out, every_third, names):
+    data = la.Trajectories(la.Trajectory([0.0, 1.0], [0.0, 1.0], name=name) for name in "01234")
+    fitted, held = split_trials(data, held_out, every_third)
+    assert len(fitted) + (len(held) if held else 0) == 5
+    assert (held and "".join(held.names)) == names
+
+
+def test_every_third_trial_is_held_out():
+    data = la.Trajectories(la.Trajectory([0.0, 1.0], [0.0, 1.0], name=name) for name in "01234567")
+    fitted, held = split_trials(data, 0, True)
+    assert held is not None
+    assert ("".join(fitted.names), "".join(held.names)) == ("013467", "25")
+
+
+# path and motion
+
+
+def test_walk_has_one_structure_of_each_size():
+    walk = Walk.of(spring())
+    assert [p.n_terms for p in walk.points] == [1, 2, 3]
+    assert walk.chosen == 1
+    assert walk.points[1].expressions == ("x_dot**2", "x**2")
+    assert walk.difference(2) == (["x**4"], [])
+    assert walk.difference(0) == ([], ["x**2"])
+    assert "chose" in walk.verdict(1)
+    assert "prefers the chosen structure by 893" in walk.verdict(0)
+
+
+@pytest.mark.parametrize(
+    ("reason", "bic", "text"),
+    [
+        (
+            "irrelevant",
+            -40.0,
+            "better by 40. It was not chosen because each of its additional terms removes less than 5 %",
+        ),
+        ("fit-is-worse", -7.0, "better by 7. It was not chosen because its own fit does not confirm"),
+        (
+            "not-worth-its-terms",
+            8.0,
+            "the chosen structure by 8; 10 is already a strong preference. It was not",
+        ),
+        ("fits-worse", 900.0, "It was not chosen because it fits the data worse."),
+        ("", 900.0, "10 is already a strong preference."),
+    ],
+)
+def test_walk_says_why_a_structure_was_not_chosen(reason, bic, text):
+    points = (PathPoint(("x",), 0.0, 0.0, True), PathPoint(("x", "x**2"), -50.0, bic, reason=reason))
+    words = Walk(points, 0.05).verdict(1)
+    assert text in words
+    assert words.endswith(".")
+
+
+def test_walk_names_shape_parameters():
+    """Their numbers change with every refit."""
+    terms, templates = ("x_dot**2", "exp(-0.8*x)"), ("", "exp(-{a}*x)")
+    points = (
+        PathPoint(terms, 0.0, 0.0, True, templates=templates),
+        PathPoint(("x_dot**2",), 5.0, 5.0, templates=("",)),
+    )
+    assert Walk(points).difference(1) == ([], ["exp(-{a}*x)"])
+
+
+def test_walk_leaves_out_what_is_not_finite():
+    model = spring()
+    path = (*model.diagnostics.path, PathPoint(("x",) * 4, math.inf, math.inf))
+    model = replace(model, diagnostics=replace(model.diagnostics, path=path))
+    assert [p.n_terms for p in Walk.of(model).points] == [1, 2, 3]
+    assert Walk.of(la.LagrangianModel(["x"], [ModelTerm("x_dot**2", 1.0)])).points == ()
+
+
+def pendulum(*terms: tuple[str, float]) -> la.LagrangianModel:
+    names = ["a", "b"] if any("b" in text.replace("abs", "") for text, _ in terms) else ["a"]
+    kinetic = [ModelTerm(f"{name}_dot**2", 1.0) for name in names]
+    return la.LagrangianModel(names, [*kinetic, *(ModelTerm(text, value) for text, value in terms)])
+
+
+@pytest.mark.parametrize(
+    ("terms", "down", "joined"),
+    [
+        ([("cos(a)", 9.8)], [0.0], False),
+        ([("cos(a)", -9.8)], [math.pi], False),
+        ([("sin(a)", 9.8)], [math.pi / 2], False),
+        ([("cos(a)", -9.8), ("cos(b)", 5.0), ("a_dot*b_dot*cos(a-b)", 0.5)], [math.pi, 0.0], False),
+        ([("cos(a)", 9.8), ("cos(a+b)", 5.0), ("a_dot*b_dot*cos(b)", 0.5)], [0.0, 0.0], True),
+        ([("a**2", -1.0)], None, False),
+    ],
+)
+def test_down_is_where_the_potential_is_lowest(terms, down, joined):
+    found, relative = hanging_angles(pendulum(*terms))
+    assert relative == joined
+    assert found == (down if down is None else pytest.approx(down))
+
+
+def test_a_chain_of_relative_angles_hangs_straight():
+    names = ["a", "b", "c"]
+    texts = ["a_dot**2", "b_dot**2", "c_dot**2", "cos(a)", "cos(a+b)", "cos(c+b+a)"]
+    model = la.LagrangianModel(names, [ModelTerm(text, -1.0 if "cos" in text else 1.0) for text in texts])
+    down, joined = hanging_angles(model)
+    assert joined
+    assert down == pytest.approx([math.pi, 0.0, 0.0])
+    t = np.linspace(0.0, 1.0, 50)
+    rest = np.tile([math.pi, 0.0, 0.0], (50, 1))
+    assert np.abs(frames(Motion("one", True, t, rest, rest, 1.0), model)["measured"]).max() < 1e-4
+
+
+@pytest.mark.parametrize("down", [0.0, math.pi])
+@pytest.mark.parametrize("ahead", [1.0, -1.0])
+def test_a_link_on_a_cart_leans_the_way_it_does(down, ahead):
+    """The bob is at x + ahead l sin(theta), l = 0.5, whatever the zero of the angle."""
+    texts = {
+        "x_dot**2": 1.0,
+        "theta_dot**2": 0.25,
+        "x_dot*theta_dot*cos(theta)": ahead,
+        "cos(theta)": math.cos(down),
+    }
+    model = la.LagrangianModel(["x", "theta"], [ModelTerm(text, value) for text, value in texts.items()])
+    t = np.linspace(0.0, 6.0, 200)
+    q = np.column_stack([0.3 * np.sin(t), down + 0.4 * np.cos(t)])
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind="cart")
+    rows, scale = np.array(shown["measured"]), shown["lengths"][0] / 0.5
+    bob = rows[:, 0] + shown["lengths"][0] * np.sin(rows[:, 1])
+    expected = scale * (q[:, 0] + ahead * 0.5 * np.sin(q[:, 1]))
+    np.testing.assert_allclose(bob - bob.mean(), expected - expected.mean(), atol=0.02 * scale)
+
+
+def chain(masses, lengths, *, relative=False, gravity=9.81, cart=None, given=None):
+    """L of point masses at the ends of the links, perhaps on a cart of this mass."""
+    n = len(masses)
+    names = [*(["x"] if cart else []), *"abc"[:n]]
+    q, rates, _ = state_symbols(names)
+    angles, speeds = (list(itertools.accumulate(s[-n:])) if relative else s[-n:] for s in (q, rates))
+    law = (cart + sum(masses)) * rates[0] ** 2 / 2 if cart else sp.Integer(0)
+    for i, j in itertools.product(range(n), repeat=2):
+        beyond = sum(masses[max(i, j) :])
+        first, last = angles[min(i, j)], angles[max(i, j)]
+        between = last - first if relative else first - last
+        law += beyond * lengths[i] * lengths[j] * speeds[i] * speeds[j] * sp.cos(between) / 2
+    for i in range(n):
+        law += sum(masses[i:]) * lengths[i] * gravity * sp.cos(angles[i])
+        law += sum(masses[i:]) * lengths[i] * rates[0] * speeds[i] * sp.cos(angles[i]) if cart else 0
+    parts = [addend.as_coeff_Mul() for addend in sp.expand(law).as_ordered_terms()]
+    terms = [ModelTerm(format_expression(rest), float(number)) for number, rest in parts]
+    return la.LagrangianModel(names, terms, provenance={"options": {"lengths": given or {}}})
+
+
+@pytest.mark.parametrize("relative", [False, True])
+@pytest.mark.parametrize("gravity", [9.81, 0])
+@pytest.mark.parametrize("cart", [None, 2.0])
+def test_links_are_drawn_to_scale(relative, gravity, cart):
+    """Positions in the drawing against positions from the geometry, whatever the angles are relative to."""
+    lengths = (0.5, 0.2, 0.4) if cart is None else (0.5, 0.2)
+    model = chain((0.3, 0.5, 0.2)[: len(lengths)], lengths, relative=relative, gravity=gravity, cart=cart)
+    n = model.n_dof
+    t = np.linspace(0.0, 3.0, 100)
+    q = np.sin(np.outer(t, np.arange(1, n + 1))) * 0.7
+    kind = "cart" if cart else "links"
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind=kind)
+    drawn = np.array(shown["lengths"]) / sum(shown["lengths"])
+    np.testing.assert_allclose(drawn, np.array(lengths) / sum(lengths), atol=2e-4)
+    assert shown["down"] == (gravity > 0)
+    turned = np.array(shown["measured"])[:, n - len(lengths) :]
+    angles = np.cumsum(q[:, -len(lengths) :], axis=1) if relative else q[:, -len(lengths) :]
+    off = turned - angles
+    np.testing.assert_allclose(off, np.broadcast_to(off[:1, :1], off.shape), atol=2e-4)
+    if gravity:
+        np.testing.assert_allclose(off, 0.0, atol=2e-4)
+    if cart:
+        scale = shown["lengths"][0] / lengths[0]
+        np.testing.assert_allclose(
+            np.ptp(np.array(shown["measured"])[:, 0]), scale * np.ptp(q[:, 0]), rtol=1e-3
+        )
+    words = stick_words(kind, model, shown)
+    expected = (
+        "the scale of the cart's position"
+        if cart
+        else "0.5 m, 0.2 m and 0.4 m, for g"
+        if gravity
+        else "1 : 0.4 : 0.8"
+    )
+    assert expected in words
+
+
+def test_given_lengths_are_drawn():
+    assert link_lengths(chain((1, 1), (0.5, 0.2), given={"a": 0.25}), [0, 0]).values == pytest.approx(
+        (0.25, 0.1)
+    )
+    both = link_lengths(chain((1, 1), (0.5, 0.2), given={"a": 0.5, "b": 0.3}), [0, 0])
+    assert (both.values, both.last_given) == ((0.5, 0.3), True)
+    # Two pendulums on a common spring are no chain.
+    texts = {"a_dot**2": 0.5, "b_dot**2": 0.5, "cos(a)": 9.0, "cos(b)": 9.0, "(a-b)**2": -1.0}
+    terms = [ModelTerm(text, value) for text, value in texts.items()]
+    assert link_lengths(la.LagrangianModel(["a", "b"], terms), [0, 0]) is None
+    options = {"options": {"lengths": {"a": 0.5, "b": 0.3}}}
+    assert link_lengths(la.LagrangianModel(["a", "b"], terms, provenance=options), [0, 0]).values == (
+        0.5,
+        0.3,
+    )
+    t = np.linspace(0.0, 1.0, 50)
+    q = np.outer(np.sin(t), [1.0, 1.0])
+    model = la.LagrangianModel(["a", "b"], terms)
+    shown = frames(Motion("one", True, t, q, q, 1.0), model)
+    assert shown["lengths"] == [49.0, 49.0]
+    assert "equally long" in stick_words("links", model, shown)
+
+
+def test_without_gravity_the_middle_of_the_motion_is_down():
+    t = np.linspace(0.0, 2 * np.pi, 201)
+    q = np.pi + 0.5 * np.sin(t)[:, None]
+    shown = frames(Motion("one", True, t, q, q, 1.0), pendulum(("a**2", -1.0)))
+    assert not shown["down"]
+    assert np.abs(shown["measured"]).max() == pytest.approx(0.5, abs=0.01)
+
+
+def test_frames_follow_the_links():
+    t = np.linspace(0.0, 1.0, 2001)
+    q = np.column_stack([np.pi + t, 0.5 * t])
+    measured, forecast = q.copy(), q.copy()
+    measured[5:9, 1] = np.nan
+    forecast[1500:] = np.nan
+    motion = Motion("one", True, t, measured, forecast, 1.0)
+    model = pendulum(("cos(a)", -9.8), ("cos(a+b)", -2.0))
+    shown = frames(motion, model)
+    assert len(shown["t"]) == len(shown["measured"]) == len(shown["forecast"]) <= 900
+    assert shown["down"]
+    assert shown["forecast"][-1] is None
+    # The second link turns with the first one.
+    assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
+    assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
+
+
+def test_what_one_click_may_do():
+    library = la.Library(["theta_dot**2", "sin(theta)"], ["theta"], dissipation=["theta_dot**2/2"])
+    choice = Choice(more_friction="abs(theta_dot)", delay=0.01)
+
+    def offer(code: str, *subject: str, **values):
+        return proposed(Finding(code, "warning", subject, values, "so it is", "do it"), choice, library)
+
+    (add,) = offer("missing-term", "cos(theta)", constant_force="theta")
+    assert add.words == "Add cos(theta)"
+    assert add.choice.text.splitlines() == ["theta_dot**2", "sin(theta)", "cos(theta)"]
+    assert add.choice.written
+    assert add.choice.offsets == ["theta"]
+    assert [o.words for o in offer("missing-term", "x", angles=["x"])] == ["Add x", "x: an angle"]
+    (rub,) = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
+    assert rub.choice.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
+    assert not rub.choice.written
+    for code in ("late-forces", "slight-delay"):
+        (later,) = offer(code, "theta", delay=0.004)
+        assert later.words == "Let the forces act 14 ms later"
+        assert later.choice.delay == pytest.approx(0.014)
+    for code in ("form-imitated", "simpler-form"):
+        assert offer(code, "x", family=["exp(-{a}*theta)"])[0].words == "Add exp(-{a}*theta)"
+        assert offer(code, "x") == []
+    (fewer,) = offer("slight-terms", "sin(theta)")
+    assert fewer.choice.text == "theta_dot**2"
+    (moved,) = offer("equations-off", "theta", may_be_prescribed=True, cause_named=False)
+    assert moved.choice.prescribed == ["theta"]
+    assert offer("equations-off", "theta", may_be_prescribed=True, cause_named=True) == []
+    assert offer("perhaps-angle", "theta")[0].roles == {"theta": ANGLE}
+    assert offer("undeclared-angle", "theta")[0].roles == {"theta": ANGLE}
+    assert offer("angle-in-degrees", "theta")[0].roles == {"theta": DEGREES}
+    assert offer("long-time-step", column="time")[0].roles == {"time": MILLISECONDS}
+    assert offer("slight-friction", "theta_dot**2/2", coefficient=-0.1) == []
+    assert offer("motion-in-noise", "theta") == []
+    assert choice == Choice(more_friction="abs(theta_dot)", delay=0.01)
+
+
+def test_a_known_coefficient_is_left_free_only_if_something_else_sets_the_scale():
+    library = la.Library(["theta_dot**2", "cos(theta)"], ["theta"])
+    wrong = Finding("wrong-known-coefficient", "warning", ["cos(theta)"], {}, "so it is", "do it")
+    one = Choice(known="cos(theta) = 1")
+    both = Choice(known="cos(theta) = 1\ntheta_dot**2 = 0.5")
+    assert proposed(wrong, one, library) == []
+    assert proposed(wrong, one, library, driven=True)[0].choice.known == ""
+    assert proposed(wrong, both, library)[0].choice.known == "theta_dot**2 = 0.5"
+
+
+def test_every_remedy_that_is_an_option_has_a_button():
+    """What the command line advises as an option with a known value, the app does by a click."""
+    options = re.compile(r"--(term|angles|dissipation|force-delay|units|time-unit|prescribed)\b")
+    advised = {
+        code for code, row in CODES.items()
+        if isinstance(row.on_command_line, str) and options.search(row.on_command_line)
+    }  # fmt: skip
+    assert advised >= {"unmodelled-friction", "late-forces", "angle-in-degrees", "undeclared-angle"}
+    person_decides = {"length-implausible"}  # which unit the times have
+    assert advised - person_decides <= {*_remedies._OFFERS}
+
+
+def test_coordinates_without_a_sensor_are_in_the_candidates():
+    runs = la.Trajectories([la.Trajectory(np.arange(50) / 10, np.sin(np.arange(50)), coordinates=["a"])])
+    choice = Choice(known="a_dot**2 = 1", hidden="b", hidden_angles=True, families=["stribeck"])
+    task = choice.task(runs, ["a"])
+    assert task.hidden == ("b",)
+    assert (task.library.coordinates, task.library.angles) == (("a", "b"), ("a", "b"))
+    assert "-{b_stribeck}*exp(-abs(b_dot)/{b_stribeck})" in [t.text for t in task.library.dissipation]
+    for name, text in (("a", "is measured"), ("2b", "2b"), ("sin", "sin")):
+        with pytest.raises(InputError, match=text):
+            replace(choice, hidden=name).task(runs, ["a"])
+
+
+# ------------------------------------------------------------------------- the worker process and the session
 def wait(job, seconds: float = 60.0):
     end = time.monotonic() + seconds
     while job.state == "running" and time.monotonic() < end:
