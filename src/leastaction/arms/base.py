@@ -28,6 +28,7 @@ from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
 
 __all__ = [
+    "TREE_SHARE",
     "BaseParameters",
     "Bodies",
     "Posterior",
@@ -43,6 +44,8 @@ __all__ = [
     "with_tree",
 ]
 
+TREE_SHARE = 0.3
+"""Standard deviation of the tree's inertias, as a share of each link's mass and size."""
 _STATES = 40  # random states at which dependences are determined
 _DEPENDENT = 1e-8  # largest independent part of a dependent column, relative to its length
 _CLEAN = 1e-9  # smaller coefficients of a combination count as zero

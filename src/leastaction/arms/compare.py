@@ -22,11 +22,13 @@ from leastaction.mechanics.arm_columns import presliding
 if TYPE_CHECKING:
     from leastaction.arms.model import ArmModel
 
-__all__ = ["BANDS", "FreeRuns", "TorqueErrors", "TorqueRun", "free_runs", "torque_errors"]
+__all__ = ["BANDS", "SHORTEST", "FreeRuns", "TorqueErrors", "TorqueRun", "free_runs", "torque_errors"]
 
 BANDS = (5.0, 10.0)
 """Cut-off frequencies of comparisons, in Hz."""
 _TRIM = 0.3  # s at each end, where filters and splines lack data on one side
+SHORTEST = 4.0 * _TRIM
+"""Duration in s above which the torques of a run are compared."""
 _STEP = 1e-3  # s, the longest step of a free run
 _GAMMA = 1.0 - np.sqrt(0.5)  # makes the W-method L-stable
 
@@ -113,8 +115,8 @@ def torque_errors(
     sums, count = np.zeros((3, len(frequencies), len(coordinates))), 0
     for run in runs:
         t = run.t
-        if t[-1] - t[0] <= 4.0 * _TRIM:
-            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {4.0 * _TRIM:g} s")
+        if t[-1] - t[0] <= SHORTEST:
+            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {SHORTEST:g} s")
         step = float(np.median(np.diff(t)))
         times = np.arange(t[0], t[-1], step)
         ours, theirs = (_at(times, t, values) for values in (run.predicted, run.measured))

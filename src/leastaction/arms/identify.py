@@ -40,12 +40,7 @@ from leastaction.estimation.protocols import Measurements
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import (
-    FRICTION,
-    ArmColumns,
-    inertial_terms,
-    joint_terms,
-)
+from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, inertial_terms, joint_terms
 from leastaction.threads import single_threaded
 
 __all__ = ["identify"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from leastaction.arms.base import BaseParameters, inertial_prior
+from leastaction.arms.base import TREE_SHARE, BaseParameters, inertial_prior
 from leastaction.arms.columns import JointColumns, joint_columns
 from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.bags import is_bag
@@ -253,7 +253,6 @@ PUSHED = {1: 6.0, 2: 5.0, 3: 4.0}  # windows in a row, and times the usual size 
 # 628, and every log without a push is reported; with twice that number 558 (benchmarks.arms --thresholds).
 _SCALE = 3.0  # factor by which torques may differ from those of the tree's inertias
 _ALIKE = 0.9  # correlation above which torques differ by a factor alone
-_SHARE = 0.3  # standard deviation of the tree's inertias, as a share of each link's mass and size
 _LOADED = 1e-3  # p-value below which a load is reported
 _NORMAL = 1.4826  # standard deviation over median absolute deviation, of normal numbers
 
@@ -363,7 +362,7 @@ def load_notes(
     ----------
     estimates, covariance : (n_base,) and (n_base, n_base) arrays
     """
-    means, spreads = inertial_prior(tree, _SHARE)
+    means, spreads = inertial_prior(tree, TREE_SHARE)
     if not np.isfinite(spreads).all():
         return []
     inertial = np.array([term.kind == "inertia" for term in base.terms])

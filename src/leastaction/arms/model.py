@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from leastaction.arms.base import (
+    TREE_SHARE,
     BaseParameters,
+    Bodies,
     Posterior,
     Row,
     can_exist,
@@ -232,7 +234,7 @@ class ArmModel:
         keep = np.array([term.kind == kind for term in self.terms])
         return np.where(keep, self.coefficients, 0.0)
 
-    def parameters(self, share: float = 0.3) -> Posterior:
+    def parameters(self, share: float = TREE_SHARE) -> Posterior:
         """All parameters; the inertias of the tree serve as priors.
 
         Parameters
@@ -247,6 +249,11 @@ class ArmModel:
         """
         return with_tree(self.tree, self.base, self.coefficients, self.covariance, share)
 
+    @cached_property
+    def consistent(self) -> Bodies:
+        """Parameters of physically consistent links, and the increase of χ² that they cost; see `bodies`."""
+        return fit_bodies(self.tree, self.base, self.coefficients, self.covariance)
+
     @single_threaded()
     def bodies(self) -> ArmModel:
         """The same arm with physically consistent links: positive mass, positive definite pseudo-inertia.
@@ -255,7 +262,7 @@ class ArmModel:
         determine stay near the inertias of the tree, or near balls of 2 kg and 0.1 m. The tree of the result
         holds the inertias, and a note gives the increase of χ².
         """
-        found = fit_bodies(self.tree, self.base, self.coefficients, self.covariance)
+        found = self.consistent
         values = found.values[: 10 * len(self.tree)].reshape(-1, 10)
         notes: list[str] = []
         unknown = [

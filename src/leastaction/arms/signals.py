@@ -301,11 +301,12 @@ def starts(
     """
     times = [t.t for t in data]
     dry = [term for term in friction if term.kind == "dry" and term.distance > 0.0]
-    left = [np.zeros_like(q) for q in grid.evaluate(control_points, times)]
+    motion = grid.evaluate(control_points, times)
+    left = [np.zeros_like(q) for q in motion]
     found: list[tuple[float, ArmTerm]] = []
-    for k, q in enumerate(grid.evaluate(control_points, times)):
+    for k, q in enumerate(motion):
         for term in dry:
-            left[k][:, term.place] = along = remembered(q[:, term.place], term.distance)
+            left[k][:, term.place] = along = remembered(q[:, term.place], term.distance)[0]
             name = f"start[{data.coordinates[term.place]}, {k + 1}]"
             lasts = float(np.trapezoid(along**2, times[k]))
             found.append((lasts, ArmTerm(name, "start", term.place, k)))

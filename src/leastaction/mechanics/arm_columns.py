@@ -166,8 +166,13 @@ def presliding(q: np.ndarray, distance: float) -> np.ndarray:
 
 
 def remembered(q: np.ndarray, distance: float) -> np.ndarray:
-    """(n_times,) what is left of the friction with which a motion begins: exp(−path/δ)."""
-    return np.exp(-np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))]) / distance)
+    """(2, n_times): what is left of the friction with which a motion begins, and its derivative in log δ.
+
+    It is exp(−path/δ).
+    """
+    path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))]) / distance
+    left = np.exp(-path)
+    return np.array([left, left * path])
 
 
 def smooth_sign(v: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -190,9 +195,7 @@ def dry_history(terms: Iterable[ArmTerm], q: np.ndarray, qdot: np.ndarray) -> np
         i, way = term.place, term.distance
         out[:, :, 0, i] = smooth_sign(qdot[:, i], term.width)[:2]
         if way:
-            left = out[0, 0, 0, i] * remembered(q[:, i], way)
-            path = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q[:, i])))]) / way
-            out[:, :, 0, i] = presliding(q[:, i], way) + np.array([left, left * path])
+            out[:, :, 0, i] = presliding(q[:, i], way) + out[0, 0, 0, i] * remembered(q[:, i], way)
     return out
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from leastaction.arms.base import fit_bodies
+from leastaction.arms.base import TREE_SHARE
 from leastaction.arms.compare import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.data.trajectories import Trajectories
@@ -74,16 +74,12 @@ def _words(figures: ArmFigures) -> dict[str, Any]:
     if "load" in kinds:
         friction_note += " Friction that grows with the load is drawn for the middle of the motion."
     bare = np.isnan(figures.model.tree.inertias).any(axis=1)
-    tree, balls = (
-        "the tree, uncertain by 30 % of mass and size",
-        "a ball of 2 kg and 0.1 m, uncertain by 100 %",
-    )
+    prior = f"the tree, uncertain by {percent(TREE_SHARE)} of mass and size"
+    if bare.any():
+        ball = "a ball of 2 kg and 0.1 m, uncertain by 100 %"
+        prior = ball if bare.all() else f"{prior}, or {ball} where it states none"
     return {
-        "prior": tree
-        if not bare.any()
-        else balls
-        if bare.all()
-        else f"{tree}, or {balls} where it states none",
+        "prior": prior,
         "joint_head": joint_head,
         "friction_title": _friction_title(figures),
         "friction_note": friction_note if "dry" in kinds else "",
@@ -148,8 +144,7 @@ def _doubts(model: ArmModel) -> list[tuple[str, str]]:
     if wrong:
         text = f"{listed(wrong)}: negative by more than three standard errors; an effect is missing in the "
         out.append(("Not physical", f"{text}model, or the tree is wrong"))
-    price = fit_bodies(model.tree, model.base, model.coefficients, model.covariance).price
-    n = len(model.coefficients)
+    price, n = model.consistent.price, len(model.coefficients)
     if price > _WORSE * n:
         text = (
             f"if links must be able to exist, χ² rises by {plain(price)}, far more than the {n} parameters; "

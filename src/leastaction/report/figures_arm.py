@@ -9,8 +9,8 @@ import numpy as np
 from markupsafe import Markup
 from scipy.signal import welch
 
-from leastaction.arms.base import Posterior, assumed, tree_prior, with_prior
-from leastaction.arms.compare import TorqueErrors, TorqueRun, torque_errors
+from leastaction.arms.base import TREE_SHARE, Posterior, assumed, tree_prior, with_prior
+from leastaction.arms.compare import SHORTEST, TorqueErrors, TorqueRun, torque_errors
 from leastaction.arms.model import ArmModel
 from leastaction.mechanics.arm_columns import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
@@ -19,16 +19,13 @@ from leastaction.report.decades import Log
 from leastaction.report.svg import Colour
 from leastaction.report.text import plural
 
-__all__ = ["FROM_LOG", "SHARE", "ArmFigures", "density", "sides"]
+__all__ = ["FROM_LOG", "ArmFigures", "density", "sides"]
 
 _MOST_DRAWN = 8  # joints with figures
 _POINTS = 4000  # of all lines of one kind, which bounds the size of the page
 _DOTS = 500  # of a panel of friction
-_SHORTEST = 1.2  # s: shorter runs are not compared
 FROM_LOG = 0.5
 """Share from which on a parameter counts as known from the log."""
-SHARE = 0.3
-"""Standard deviation of the tree's inertias, as a share of each link's mass and size."""
 _BINS = 20  # of a decade of frequency
 _WINDOW = 4.0  # s of one periodogram
 _UNITS = {"revolute": ("N m", "rad"), "prismatic": ("N", "m")}
@@ -62,7 +59,7 @@ class ArmFigures:
     @cached_property
     def errors(self) -> tuple[TorqueErrors | None, TorqueErrors | None]:
         """Of the fitted and of the held-out log; None without a run that is long enough."""
-        enough = ([r for r in runs if r.t[-1] - r.t[0] > _SHORTEST] for runs in (self.fitted, self.held))
+        enough = ([r for r in runs if r.t[-1] - r.t[0] > SHORTEST] for runs in (self.fitted, self.held))
         first, second = (torque_errors(self.names, runs) if runs else None for runs in enough)
         return first, second
 
@@ -91,7 +88,7 @@ class ArmFigures:
     @cached_property
     def prior(self) -> tuple[np.ndarray, np.ndarray]:
         """Means and standard deviations of all parameters without the log, see `tree_prior`."""
-        tree, share = assumed(self.model.tree, SHARE)
+        tree, share = assumed(self.model.tree, TREE_SHARE)
         return tree_prior(tree, self.model.base, share)
 
     @cached_property
