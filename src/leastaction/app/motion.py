@@ -244,9 +244,8 @@ def _links(model: LagrangianModel, slides: int) -> tuple[list[float] | None, boo
         return None, False, None
     down, joined = hanging_angles(model, model.coordinates[slides:])
     zero = down or [0.0] * (model.n_dof - slides)
-    if (
-        down is None and len(zero) > 1
-    ):  # without gravity, the kinetic energy shows what the angles are relative to
+    if down is None and len(zero) > 1:
+        # without gravity, the kinetic energy shows what the angles are relative to
         joined = not _row(model, zero, False, slides) and bool(_row(model, zero, True, slides))
     return down, joined, link_lengths(model, zero, joined=joined, slides=slides)
 

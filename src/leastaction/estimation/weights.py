@@ -200,7 +200,7 @@ def fit_weights(
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
         settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
-        settled = settled and _alike(weights.slack, best.weights.slack)
+        settled = settled and _have_settled(weights.slack, best.weights.slack)
         best, best_evidence = fit, value
         if settled:
             break
@@ -237,7 +237,7 @@ def _step(rounds: Sequence[_Proposed]) -> np.ndarray:
     return step if float(step @ change) > 0.0 else change
 
 
-def _alike(slack: np.ndarray, before: np.ndarray) -> bool:
+def _have_settled(slack: np.ndarray, before: np.ndarray) -> bool:
     """Whether the degrees of freedom of equations that are not nearly exact have settled.
 
     The log-determinant term moves coefficients with them, and each round uses those of the last one.

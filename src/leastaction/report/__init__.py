@@ -89,8 +89,7 @@ def write_report(
             f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "
             f"{', '.join(model.coordinates)}; use the result of validate() of this model"
         )
-    if command is not None and not isinstance(command, str):
-        raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
+    _check_command(command)
     return write_text(path, render(model, validation, command))
 
 
@@ -138,7 +137,11 @@ def write_arm_report(
 
     if not isinstance(model, ArmModel):
         raise InputError(f"model is {quoted(model)}; expected an ArmModel from arms.identify()")
-    if command is not None and not isinstance(command, str):
-        raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
+    _check_command(command)
     rest = None if held_out is None else Trajectories.coerce(held_out)
     return write_text(path, render_arm(model, Trajectories.coerce(log), rest, command))
+
+
+def _check_command(command: object) -> None:
+    if command is not None and not isinstance(command, str):
+        raise InputError(f"command is {quoted(command)}; expected text, e.g. the command line")
