@@ -24,6 +24,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.problem import Problem
+from leastaction.estimation.protocols import linearise
 from leastaction.estimation.simulation_error import minimise_simulation_error
 from leastaction.estimation.structure import Structure
 from leastaction.findings import Finding
@@ -515,6 +516,21 @@ def problem():
 def close(found, expected, tolerance=1e-9):
     scale = np.abs(expected).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * max(float(scale), 1e-300))
+
+
+def linearised_alike(whole, parts, physics, control):
+    """The problem in one piece and in parts, linearised at one point where their sums are the same."""
+    for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
+        np.testing.assert_allclose(mine, others, atol=1e-12)
+    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
+    for name in ("squares", "equation", "volume"):
+        close(getattr(there, name), getattr(here, name), 1e-12)
+    assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
+    assert there.regular == pytest.approx(here.regular, rel=1e-12)
+    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
+    for mine, others in zip(there.freedom(WEIGHTS), here.freedom(WEIGHTS), strict=True):
+        close(mine, others)
+    return here, there
 
 
 SMALL = 20 * 2 * 4 * 6

@@ -19,6 +19,7 @@ from helpers import (
     close,
     euler_lagrange,
     interpolate,
+    linearised_alike,
     problem,
     uniform_grid,
 )
@@ -64,16 +65,7 @@ def test_blocks_give_the_sums_of_the_whole(intervals, n_blocks, crew, monkeypatc
     assert len(parts.blocks) == n_blocks
     for name in ("counts", "coordinates", "floors", "noise_floor"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
-    for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
-        np.testing.assert_allclose(mine, others, atol=1e-12)
-    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
-    for name in ("squares", "equation", "volume"):
-        close(getattr(there, name), getattr(here, name), 1e-12)
-    assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
-    assert there.regular == pytest.approx(here.regular, rel=1e-12)
-    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
-    for mine, others in zip(there.freedom(WEIGHTS), here.freedom(WEIGHTS), strict=True):
-        close(mine, others)
+    here, there = linearised_alike(whole, parts, physics, control)
     expected, found = here.normal(WEIGHTS).eliminate(0.01), there.normal(WEIGHTS).eliminate(0.01)
     for name in ("gradient", "matrix", "held", "curve_gradient"):
         close(getattr(found, name), getattr(expected, name))

@@ -32,6 +32,7 @@ from helpers import (
     euler_lagrange,
     free_motions,
     interpolate,
+    linearised_alike,
     motion,
     problem,
     record,
@@ -476,16 +477,7 @@ def test_a_stream_gives_the_sums_of_the_whole(crew):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
     for name in ("floors", "noise_floor"):
         close(getattr(parts, name), getattr(whole, name), 1e-12)
-    for mine, others in zip(parts.residuals(control), whole.residuals(control), strict=True):
-        np.testing.assert_allclose(mine, others, atol=1e-12)
-    here, there = (linearise(seen, physics, control, VALUES) for seen in (whole, parts))
-    for name in ("squares", "equation", "volume"):
-        close(getattr(there, name), getattr(here, name), 1e-12)
-    assert there.log_volume == pytest.approx(here.log_volume, rel=1e-12)
-    assert there.regular == pytest.approx(here.regular, rel=1e-12)
-    assert there.cost(WEIGHTS) == pytest.approx(here.cost(WEIGHTS), rel=1e-12)
-    for mine, others in zip(there.freedom(WEIGHTS), here.freedom(WEIGHTS), strict=True):
-        close(mine, others)
+    linearised_alike(whole, parts, physics, control)
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.01])
