@@ -698,7 +698,7 @@ def test_a_motion_that_is_cut_goes_on_with_the_friction_that_it_had(rng):
     whole = presliding(way, 0.1)[0]
     for cut in (1, 57, 399):
         rest = way[cut:]
-        again = presliding(rest, 0.1)[0] + whole[cut] * remembered(rest, 0.1)
+        again = presliding(rest, 0.1)[0] + whole[cut] * remembered(rest, 0.1)[0]
         np.testing.assert_allclose(again, whole[cut:], atol=1e-12)
 
 
