@@ -20,14 +20,15 @@ _STEP = 2e-4  # of the size of the motion: central differences of the fourth ord
 _SMOOTH = 1e-2  # relative: differences with one and two steps agree where there is a slope
 
 
-def free_scales(fit: Fit) -> list[Finding]:
+def free_scales(fit: Fit, curvature: np.ndarray | None = None) -> list[Finding]:
     """Whether the motion is so nearly linear that scales of its modes are open.
 
     M q̈ + C q̇ + K q = f and S (M q̈ + C q̇ + K q) = f have the same solutions where S f = f. Both have a
     Lagrangian if S M and S K are symmetric: S = Σ_r s_r M φ_r φ_rᵀ with the shapes φ_r of the modes
     (φ_rᵀ M φ_r = 1). S M, S K and S C must be sums of candidates, with the known coefficients in place. The
     forces that drive a mode, and what is nonlinear, decide about these directions: a scale is open if its
-    logarithm has a standard error above `indistinct` by the quadratic model of the likelihood.
+    logarithm has a standard error above `indistinct` by the quadratic model of the likelihood, which
+    ``curvature``, (n_free, n_free), gives if it is known.
     """
     problem = fit.problem
     names = [name for i, name in enumerate(problem.coordinates) if i not in problem.prescribed]
@@ -35,12 +36,13 @@ def free_scales(fit: Fit) -> list[Finding]:
     timed = any(time_symbol in problem.terms[k].expr.free_symbols for k in present)
     if len(names) < 2 or timed or not fit.converged:
         return []
-    offered = [k for k in problem.free.tolist() if k not in problem.excluded]
+    places = [p for p, k in enumerate(problem.free.tolist()) if k not in problem.excluded]
+    offered = problem.free[places].tolist()
     parts = _linear_parts(fit)
     found = _scale_directions(fit, parts, offered)
     if not found.size:
         return []
-    rise = fit.score(problem.candidates.subset(offered)).matrix
+    rise = (fit.score().matrix if curvature is None else curvature)[np.ix_(places, places)]
     loose = _null_space(parts[offered].reshape(len(offered), -1).T)
     if loose.size:  # what else candidates can do about the nonlinear part
         inner = np.linalg.pinv(loose.T @ rise @ loose, rcond=1e-10, hermitian=True)

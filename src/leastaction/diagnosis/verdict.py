@@ -52,9 +52,16 @@ class Verdict:
     equation_error: np.ndarray
 
 
-def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_causes: bool = True) -> Verdict:
+def verify(
+    search: Search,
+    alternatives: Sequence[Alternative],
+    curvature: np.ndarray | None = None,
+    *,
+    look_for_causes: bool = True,
+) -> Verdict:
     """Run every check on what a search has found: the very numbers that are returned.
 
+    ``curvature``, (n_free, n_free), is that of the cost in the free candidates about the fit, if it is known.
     Without ``look_for_causes`` nothing is tested that is not in the structure: missing terms, friction, wrong
     coefficients and forces.
     """
@@ -106,7 +113,7 @@ def verify(search: Search, alternatives: Sequence[Alternative], *, look_for_caus
     if to_its_end and inexact(found):
         found += _form(search, exact=not doubtful(found))
     if to_its_end and not doubtful(f for f in found if f.code not in _OPEN):
-        found += [] if fit.problem.candidates.grouped else free_scales(fit)
+        found += [] if fit.problem.candidates.grouped else free_scales(fit, curvature)
     if not search.stopped and doubtful(found) and inexact(found):
         found += _forecasts(fit, period)
     return Verdict(tuple(found), float(np.mean(chi2[counts > 0])), rms)

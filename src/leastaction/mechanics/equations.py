@@ -142,8 +142,11 @@ class Mechanics:
 
     @cached_property
     def right(self) -> list[sp.Expr]:
-        """r_i."""
-        return [
+        """r_i, multiplied out where many products of ∂L/∂q and dp/dt cancel.
+
+        Where few do, as along a chain of relative angles, the factors are shared and cost less.
+        """
+        right = [
             sp.diff(self._lagrangian, self.q[i])
             - sp.diff(self._dissipation, self.qdot[i])
             - sp.Add(*(sp.diff(self.momentum[i], x) * v for x, v in zip(self.q, self.qdot, strict=True)))
@@ -152,6 +155,9 @@ class Mechanics:
             else sp.Integer(0)
             for i in range(self.n_dof)
         ]
+        multiplied = [sp.expand_mul(r) for r in right]
+        operations, fewer = (sum(map(sp.count_ops, form)) for form in (right, multiplied))
+        return multiplied if fewer < 0.8 * operations else right
 
     @cached_property
     def energy_expression(self) -> sp.Expr:

@@ -11,7 +11,6 @@ from itertools import islice
 
 import numpy as np
 
-from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.structure import Structure
 from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, value
@@ -54,14 +53,10 @@ class Alternative:
     reason: str
 
 
-def find_alternatives(fit: Fit, relevance: float) -> tuple[Alternative, ...]:
-    """The structures of every size about a fit, in rising size, best first in each; with the fit's own.
-
-    None where the fit has not converged.
-    """
-    if not fit.converged:
-        return ()
-    near, price, share = Neighbourhood.of(fit), penalty(fit.grid), price_of_terms(fit, relevance)
+def find_alternatives(near: Neighbourhood, relevance: float) -> tuple[Alternative, ...]:
+    """The structures of every size about a fit, in rising size, best first in each; with the fit's own."""
+    fit = near.fit
+    price, share = penalty(fit.grid), price_of_terms(fit, relevance)
     levels = trade_off(near.model, near.here)
     base = next(c.cost for c in levels[len(near.here)] if c.members == near.here)
     surcharges = near.model.surcharges
