@@ -692,6 +692,19 @@ def test_a_double_pendulum():
     np.testing.assert_allclose(shapes, [[np.sqrt(0.5), 1.0], [-np.sqrt(0.5), 1.0]], atol=1e-12)
 
 
+def test_equilibria_by_symmetry_have_no_error():
+    """Not even what rounding leaves of one."""
+    terms = [("q1_dot**2", 0.0697), ("q1_dot**2*cos(q2)", 0.03613), ("q1_dot*q2_dot", 0.02536)]
+    terms += [("q1_dot*q2_dot*cos(q2)", 0.03584), ("q2_dot**2", 0.0143)]
+    terms += [("cos(q1)", 3.514), ("cos(q1+q2)", 1.159)]
+    model = la.LagrangianModel(["q1", "q2"], [ModelTerm(text, c, 0.02 * c) for text, c in terms])
+    rests = model.equilibria()
+    assert len(rests) == 4
+    for rest in rests:
+        assert all(x == 0.0 or x == pytest.approx(np.pi) for x in rest.q)
+        np.testing.assert_array_equal(rest.standard_error, 0.0)
+
+
 def test_wells_and_saddles_between_magnets():
     model = true_law_of("magnetic_pendulum")
     found = model.equilibria(within={"x": (-5.0, 5.0), "y": (-5.0, 5.0)})
