@@ -36,6 +36,7 @@ from leastaction.selection.weak_proposals import explicable
 __all__ = ["Offer", "best_families", "looks_imitated", "offered", "searched_with"]
 
 _STARTS = 64  # values tried for a family with several shape parameters
+_PLACES = 512  # the same where several unknown points are placed together
 _PROFILED = 5  # families of one coordinate whose shape parameters are estimated on the weak form
 _LOWEST = 0.5  # initial exponent of a coordinate that changes its sign
 _SEARCHED = 2  # families for which a full search is run
@@ -154,11 +155,19 @@ def _quadratic(expr: sp.Expr) -> bool:
 
 def _searched(posed: Sequence[Search], fit: Fit, most: int = _SEARCHED) -> Iterator[Search]:
     """Search with the families of highest worth, where the library has equations that hold with them."""
-    points = [(point.score, at.at(point.values)) for at in posed for point in places(at, _STARTS)[:1]]
+    points = [
+        (point.score, at.at(point.values)) for at in posed for point in places(at, _starts(at, fit))[:1]
+    ]
     for _, at in sorted(points, key=lambda pair: pair[0])[:most]:
         whole = _with_all(at, fit)
         if explicable(whole.grid, whole.curve, whole.seed):
             yield _with_all(searched_with(at, weak_start, shape_fit), fit)
+
+
+def _starts(search: Search, fit: Fit) -> int:
+    """How many values to try: with few, several points end in a pattern that imitates theirs."""
+    several = len(search.problem.ranges) - len(fit.problem.ranges) > len(_POINT) + 1
+    return _PLACES if several else _STARTS
 
 
 def _short(fit: Fit) -> Callable[[Problem], Problem]:
