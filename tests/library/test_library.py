@@ -575,3 +575,14 @@ def test_what_is_no_family_is_an_expression():
         Library(["x_dot**2"], ["x"], dissipation="auto").with_dissipation(["coulomb"])
     both = Library(["x_dot**2"], ["x"], dissipation=["stribeck", "load"]).dissipation
     assert [term.text for term in both][::2] == ["abs(x_dot)", "abs(x_dot)*abs(x)"]
+
+
+def test_a_singularity_that_accelerations_do_not_show_is_left_out():
+    """1/r stays for a comet that nearly hits the sun, and goes for springs that pass the same point."""
+    library, anomaly = Library.symbolic(["x", "y"]), np.linspace(0.0, 2.0 * np.pi, 20_000)
+    e = 0.999
+    x, y, r = np.cos(anomaly) - e, np.sqrt(1.0 - e * e) * np.sin(anomaly), 1.0 - e * np.cos(anomaly)
+    comet = {"x": x, "y": y, "x_dot_dot": -x / r**3, "y_dot_dot": -y / r**3}
+    assert not {"1/sqrt(x**2+y**2)", "log(x**2+y**2)"} & {t.text for t in undefined_along(library, comet)}
+    springs = comet | {"x_dot_dot": -x, "y_dot_dot": -y}
+    assert {"1/sqrt(x**2+y**2)", "1/(x**2+y**2)"} <= {t.text for t in undefined_along(library, springs)}

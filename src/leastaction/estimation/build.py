@@ -201,11 +201,12 @@ def _lengths(library: Library) -> np.ndarray | None:
 
 
 def states_along(names: Sequence[str], scales: Knots) -> dict[str, np.ndarray]:
-    """Coordinates, velocities and time along the smooth curve, one (n_points,) array each."""
+    """Coordinates, their derivatives and time along the smooth curve, one (n_points,) array each."""
     grid = scales.smooth.grid
-    q, qdot, _ = grid.at_quadrature(scales.smooth.control_points)
-    out = {TIME: grid.points[:, 0], **{name: q[:, 0, i] for i, name in enumerate(names)}}
-    return out | {f"{name}_dot": qdot[:, 0, i] for i, name in enumerate(names)}
+    out = {TIME: grid.points[:, 0]}
+    for nu, values in enumerate(grid.at_quadrature(scales.smooth.control_points)):
+        out |= {name + nu * "_dot": values[:, 0, i] for i, name in enumerate(names)}
+    return out
 
 
 def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Library:

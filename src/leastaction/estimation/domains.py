@@ -1,8 +1,8 @@
-"""Generated candidates that are undefined along the data: log x for negative x, 1/0."""
+"""Generated candidates that are undefined along the data, or nearly so: log x for negative x, 1/0."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 import sympy as sp
@@ -11,6 +11,8 @@ from leastaction.library import Library, Term
 
 __all__ = ["undefined_along"]
 
+_PEAKED = 5.0  # crest factor of a singular candidate's force, over that of the accelerations
+
 
 def undefined_along(
     library: Library, states: Mapping[str, np.ndarray], keep: Collection[Term] = ()
@@ -18,13 +20,14 @@ def undefined_along(
     """Generated terms (with a description length) whose domain the motion leaves.
 
     A denominator must not change its sign along the motion. The argument of a root or logarithm must be
-    positive.
+    positive. If accelerations are given, the force of a term with one of these must not peak far more
+    sharply than they do: a few samples near the singularity would decide about its coefficient.
 
     Parameters
     ----------
     library : Library
     states : mapping of str to (n_points,) array
-        Coordinates and velocities along a motion.
+        Coordinates, velocities and, as ``x_dot_dot``, accelerations along a motion.
     keep : collection of Term
         Terms that the user wrote.
 
@@ -33,6 +36,9 @@ def undefined_along(
     >>> motion = {"x": np.linspace(-1.0, 1.0, 5), "x_dot": np.ones(5)}
     >>> [term.text for term in undefined_along(Library.symbolic(["x"]), motion)]
     ['1/x', 'log(x)', 'sqrt(x)', '1/x**2']
+    >>> motion |= {"x": np.linspace(0.01, 1.0, 500), "x_dot_dot": np.linspace(-1.0, 1.0, 500)}
+    >>> [term.text for term in undefined_along(Library.symbolic(["x"]), motion)]
+    ['1/x', 'log(x)', '1/x**2']
     """
     grown = [t for t, length in zip(library.terms, library.lengths, strict=True) if length is not None]
     cache: dict[sp.Expr, tuple[float, float]] = {}
@@ -46,11 +52,29 @@ def undefined_along(
             cache[inside] = float(values.min()), float(values.max())
         return cache[inside]
 
+    rates = [states[f"{name}_dot_dot"] for name in library.coordinates if f"{name}_dot_dot" in states]
+
     def defined(term: Term) -> bool:
-        spans = ((span(inside), positive) for inside, positive in _conditions(term.expr))
-        return all(low > 0.0 or (high < 0.0 and not positive) for (low, high), positive in spans)
+        spans = [(span(inside), positive) for inside, positive in _conditions(term.expr)]
+        if not all(low > 0.0 or (high < 0.0 and not positive) for (low, high), positive in spans):
+            return False
+        return not (spans and rates) or _crest(_slopes(term.expr, states)) < _PEAKED * _crest(rates)
 
     return tuple(term for term in grown if term not in keep and not defined(term))
+
+
+def _slopes(expr: sp.Expr, states: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Derivatives of an expression along a motion, (n_points,) each."""
+    symbols = sorted(expr.free_symbols, key=str)
+    slopes = [sp.diff(expr, symbol) for symbol in symbols]
+    values = sp.lambdify(symbols, slopes, modules="numpy", dummify=True)(*(states[str(s)] for s in symbols))
+    return [np.broadcast_to(value, next(iter(states.values())).shape) for value in values]
+
+
+def _crest(vectors: Sequence[np.ndarray]) -> float:
+    """Largest length of some vectors over its root mean square; their components are (n_points,) each."""
+    squares = np.sum(np.square(vectors), axis=0)
+    return float(np.sqrt(squares.max() / max(squares.mean(), np.finfo(float).tiny)))
 
 
 def _conditions(expr: sp.Expr) -> Iterator[tuple[sp.Expr, bool]]:

@@ -282,7 +282,8 @@ CODES: dict[str, Message] = {
     ),
     "friction-smoothed": Message("note", templates.smoothed),
     "undefined-candidates": Message(
-        "note", "candidates that are undefined somewhere along the data were left out: {subject}"
+        "note",
+        "candidates that are undefined or nearly singular somewhere along the data were left out: {subject}",
     ),
     # what is worth knowing
     "scatter-of-forces": Message(

@@ -41,6 +41,7 @@ _PROFILED = 5  # families of one coordinate whose shape parameters are estimated
 _LOWEST = 0.5  # initial exponent of a coordinate that changes its sign
 _SEARCHED = 2  # families for which a full search is run
 _CENTRES = 3  # unknown points located together
+_COORDINATES = 3  # of more, a search with a family takes minutes: not where the equations hold
 _PLAIN = 2  # terms above the second degree that a potential may have without a test for imitation
 _SHORT = 2  # size of the candidates beside which the families of several coordinates are profiled
 
@@ -116,8 +117,10 @@ def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
         posed = [offered(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
         yield from _searched(posed, fit)
         return
-    short = _short(fit)
-    rounds, holds = [_of_several(positions, states)], equations_hold(fit)
+    short, holds = _short(fit), equations_hold(fit)
+    if holds and len(fit.problem.coordinates) > _COORDINATES:
+        return
+    rounds = [_of_several(positions, states)]
     if 1 < len(positions) <= len(_POINT) and not holds:
         rounds.append(_of_distances(positions))
     for texts in rounds:
