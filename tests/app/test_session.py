@@ -902,6 +902,27 @@ def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking
     assert not walking.collect()
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "cure"),
+    [
+        ("one.csv", "x\n1\n2\n", "one for the time, one for each coordinate"),
+        ("header.csv", "t,x\n", "at least 5 samples are needed"),
+        ("page.csv", "<html><body>Sign in</body></html>", "save the table itself as CSV"),
+        ("export.csv", '{"t": [0, 1], "x": [1, 2]}', "save the table itself as CSV"),
+        ("logger.csv", "Logger,7\nserial,a,b\nt,x\n0,1\n0.1,2\n", "delete the lines above it"),
+        ("twice.csv", "t,x,x\n0,1,2\n", "give each its own name"),
+        ("book.csv", b"PK\x03\x04" + bytes(99), "name it .xlsx"),
+        ("empty.csv", "", "a file with data is expected"),
+        ("numbers.csv", "0,1\n0.1,2\n", "add a first line that names the columns"),
+    ],
+)
+def test_a_file_without_a_choice_of_roles_is_refused_with_the_cure(session, name, content, cure):
+    """No list of roles could mend these, so the page must not ask for roles."""
+    with pytest.raises(InputError, match=re.escape(cure)):
+        session.open_upload(name, content.encode() if isinstance(content, str) else content)
+    assert session.columns is None
+
+
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):
     session.open_example("single")
     with pytest.raises(InputError, match="not a table"):
