@@ -73,6 +73,10 @@ def table(header: str, *rows: str) -> _columns.Columns:
             [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Lower_arm"],
         ),
         ("t,theta1,theta2,tau3", [TIME, ANGLE, ANGLE, UNUSED]),
+        (
+            "Time [s],Upper arm [deg],Fore arm [deg],Shoulder torque,Elbow motor [Nm]",
+            [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Fore_arm"],
+        ),
     ],
 )
 def test_roles_are_guessed(header, roles):

@@ -8,10 +8,22 @@ import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.columns import written_names
-from leastaction.app.figures import forecast_figure
+from leastaction.app.figures import Stick, forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, stick_kind, stick_words
-from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
+from leastaction.app.parts import (
+    action,
+    aside,
+    disclosure,
+    drawn,
+    fault,
+    math,
+    panel,
+    say,
+    scroll,
+    table,
+    title,
+)
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
@@ -233,16 +245,17 @@ class ResultView:
         self.page.show("result")
 
     def _exports(self, fitted: bool) -> None:
-        """A menu of the formats with their descriptions."""
-        button = ui.dropdown_button("Export", auto_close=True, color=None).props("no-caps unelevated no-wrap")
-        button.classes("action plain").mark("export").set_enabled(fitted)
-        with button:
+        """The formats with their descriptions, behind a button."""
+        if not fitted:
+            action("Export", lambda: None, "plain", "export").set_enabled(False)
+            return
+        # Not the menu of Quasar: that lies outside the landmarks of the page.
+        with disclosure("Export", "export"):
             for name, what in FORMATS.items():
-                ask = self.page.guarded(lambda _=None, name=name: self._export(name))
-                item = ui.item(on_click=ask).props("role=menuitem").mark(f"export-{name}")
-                with item, ui.item_section():
-                    ui.item_label(name)
-                    ui.item_label(what).props("caption")
+                with html.button().classes("format").mark(f"export-{name}") as button:
+                    say(name, "name", "span")
+                    say(what, "help", "span")
+                button.on("click", self.page.guarded(lambda _=None, name=name: self._export(name)))
 
     async def _export(self, format: str) -> None:
         name, content = await aside(exported, self.session.current.model, format)
