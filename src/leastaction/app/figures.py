@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from markupsafe import Markup
-from nicegui import ui
 
 from leastaction.report.axes import Axes, thin_line
 from leastaction.report.figures_model import draw_forecast, draw_path, path_axes
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     from leastaction.app.session import Walk
     from leastaction.curve.motion import SmoothMotion
 
-__all__ = ["Stick", "data_figure", "forecast_figure", "walk_figure"]
+__all__ = ["data_figure", "forecast_figure", "walk_figure"]
 
 _numbers = count()
 
@@ -80,12 +79,3 @@ def walk_figure(walk: Walk, place: int) -> Markup:
         "Criterion and misfit of the best structure of each size; the chosen one and the one shown are marked"
     )
     return _both(draw, (560, 260), (350, 240), "Number of terms against misfit", alt)
-
-
-class Stick(ui.element, component="stick.js"):
-    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
-
-    def __init__(self, frames: dict[str, Any]) -> None:
-        super().__init__()
-        self._props["frames"] = frames
-        self.classes("stick")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import html, ui
 
 from leastaction.app.columns import written_names
-from leastaction.app.figures import Stick, forecast_figure
+from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, stick_kind, stick_words
 from leastaction.app.parts import (
@@ -187,7 +187,7 @@ class ResultView:
                 if kind:
                     with html.div():
                         data = frames(motion, model, kind=kind)
-                        Stick(data)
+                        _Stick(data)
                         say(stick_words(kind, model, data), "help")
                 self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
@@ -271,6 +271,15 @@ class ResultView:
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
+
+
+class _Stick(ui.element, component="stick.js"):
+    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
+
+    def __init__(self, frames: dict[str, Any]) -> None:
+        super().__init__()
+        self._props["frames"] = frames
+        self.classes("stick")
 
 
 def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, str, str]]:
