@@ -442,6 +442,9 @@ def states_of_the_result(tab: Tab, look) -> None:
     look("notes")
     page.locator("summary", has_text="Export").click()
     tab.see("Julia module")
+    box = page.locator(".choices").bounding_box()
+    assert box["x"] >= 0
+    assert box["x"] + box["width"] <= page.viewport_size["width"]
     look("exports")
     page.keyboard.press("Escape")
     assert not page.get_by_text("Julia module").is_visible()

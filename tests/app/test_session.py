@@ -23,6 +23,7 @@ from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import files as _files
 from leastaction.app import jobs as _jobs
+from leastaction.app import motion as _motion
 from leastaction.app import remedies as _remedies
 from leastaction.app import session as _session
 from leastaction.app.candidates import Choice, friction_choices, split_trials
@@ -40,7 +41,7 @@ from leastaction.app.columns import (
     VELOCITY,
 )
 from leastaction.app.jobs import Motion
-from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_words
+from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_kind, stick_words
 from leastaction.app.remedies import proposed
 from leastaction.app.session import EXAMPLES, Session, Walk, in_words
 from leastaction.app.worker import Worker
@@ -531,6 +532,20 @@ def test_frames_follow_the_links():
     # The second link turns with the first one.
     assert shown["forecast"][100] == pytest.approx([1.0 * shown["t"][100], 1.5 * shown["t"][100]], abs=2e-3)
     assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"), [("blocks", ["x"]), ("blocks", ["u", "v"]), ("plane", ["x", "y"])]
+)
+def test_sliding_bodies_are_drawn_as_wide_as_they_move(kind, names):
+    t = np.linspace(0.0, 2 * np.pi, 201)
+    q = 3.0 + np.column_stack([0.02 / (k + 1) * np.sin(t + k) for k in range(len(names))])
+    model = la.LagrangianModel(names, [ModelTerm(f"{name}_dot**2", 0.5) for name in names])
+    assert stick_kind(names, []) == kind
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind=kind)
+    assert np.abs(shown["measured"]).max() == pytest.approx(_motion._REACH, rel=0.01)
+    assert shown["lengths"] == []
+    assert not shown["down"]
 
 
 def test_what_one_click_may_do():

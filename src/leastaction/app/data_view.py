@@ -113,7 +113,7 @@ class DataView:
     def _rejected(self) -> None:
         self._fail(
             f"this file was not taken: give one table ({', '.join(SUFFIXES[:5])}, text also with .gz) of at "
-            f"most {MOST_BYTES // 1_000_000} MB"
+            f"most {MOST_BYTES // 1_000_000} MB; the command line reads larger files and other formats"
         )
 
     async def _open_example(self, key: str) -> None:
