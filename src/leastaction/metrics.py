@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_triangular
 
@@ -16,6 +17,8 @@ from leastaction.threads import single_threaded
 if TYPE_CHECKING:
     from leastaction.data.trajectories import Trajectories
     from leastaction.systems import MechanicalSystem, TrueMotion
+
+    Coefficients = Mapping[Any, float] | ArrayLike
 
 # Length of the pieces a motion is cut into, in seconds: short against the growth of small differences.
 _SEGMENT = 0.2
@@ -38,7 +41,7 @@ def _support(coefficients, exclude: Iterable) -> set:
     return {k for k, c in _as_mapping(coefficients).items() if c != 0.0} - {_key(k) for k in exclude}
 
 
-def l2_error(estimated, true, exclude: Iterable = ()) -> float:
+def l2_error(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
     """Return ‖Λ̂ − Λ‖ / ‖Λ‖ over the union of both supports.
 
     Parameters
@@ -66,7 +69,7 @@ def l2_error(estimated, true, exclude: Iterable = ()) -> float:
     return float(np.linalg.norm([estimated.get(k, 0.0) - true.get(k, 0.0) for k in keys])) / norm
 
 
-def precision(estimated, true, exclude: Iterable = ()) -> float:
+def precision(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
     """Return the fraction of the discovered terms that are true; 0 if nothing was discovered.
 
     Examples
@@ -78,13 +81,13 @@ def precision(estimated, true, exclude: Iterable = ()) -> float:
     return len(found & _support(true, exclude)) / len(found) if found else 0.0
 
 
-def recall(estimated, true, exclude: Iterable = ()) -> float:
+def recall(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
     """Return the fraction of the true terms that were discovered; 1 if there are none."""
     wanted = _support(true, exclude)
     return len(wanted & _support(estimated, exclude)) / len(wanted) if wanted else 1.0
 
 
-def exact_support(estimated, true, exclude: Iterable = ()) -> bool:
+def exact_support(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> bool:
     """Return whether exactly the true terms were discovered.
 
     Examples
@@ -95,7 +98,13 @@ def exact_support(estimated, true, exclude: Iterable = ()) -> bool:
     return _support(estimated, exclude) == _support(true, exclude)
 
 
-def forecast_horizon(t, predicted, true, tolerance, periodic: Sequence[int] = ()) -> float:
+def forecast_horizon(
+    t: ArrayLike,
+    predicted: ArrayLike,
+    true: ArrayLike,
+    tolerance: ArrayLike,
+    periodic: Sequence[int] = (),
+) -> float:
     """Return the time for which a prediction stays within a tolerance of the truth.
 
     Parameters
@@ -170,11 +179,11 @@ class CramerRaoBound:
 def cramer_rao_bound(
     system: MechanicalSystem,
     truth: Sequence[TrueMotion],
-    noise_std,
+    noise_std: ArrayLike,
     *,
     unknown: Sequence[str] | None = None,
     observed: Trajectories | None = None,
-    velocity_noise_std=None,
+    velocity_noise_std: ArrayLike | None = None,
 ) -> CramerRaoBound:
     """Return the Cramér–Rao bound for the coefficients of a system.
 

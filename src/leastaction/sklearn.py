@@ -250,7 +250,7 @@ class SparseLagrangian(BaseEstimator):
         data = gather(q, t, forces, self.coordinates_, self.t_)
         return _forecast_r2(self.model_.validate(data, self.horizon))
 
-    def __sklearn_tags__(self):
+    def __sklearn_tags__(self) -> Any:
         tags = super().__sklearn_tags__()
         tags.input_tags.allow_nan = True
         tags.input_tags.three_d_array = True

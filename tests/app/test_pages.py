@@ -348,14 +348,15 @@ def test_coordinates_have_the_names_of_their_columns():
         session.open_upload("run.csv", f"Time [s],Upper arm [deg],Torque 1\n{rows}".encode())
         assert session.moving == ["Upper arm [deg]"]
         user.find(marker="step-data").click()
-        await user.should_see("called Upper_arm in the formulas")
+        await user.should_see("called Upper_arm where you write formulas")
         await user.should_see("Upper arm was converted from deg to rad")
+        await user.should_see("velocity of Upper arm")
         model = LagrangianModel(
             ["Upper_arm"], [ModelTerm("Upper_arm_dot**2", 0.5, 0.01), ModelTerm("cos(Upper_arm)", 9.8, 0.1)]
         )
         session.found, session.faults = {0: Found(model, "fitted")}, {0: "it was cancelled"}
         user.find(marker="step-candidates").click()
-        await asyncio.sleep(0.1)
+        await user.should_see("viscous, Upper arm")
         user.find(marker="step-result").click()
         await user.should_see("Upper arm = 0")
 

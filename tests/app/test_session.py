@@ -23,6 +23,7 @@ from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import files as _files
 from leastaction.app import jobs as _jobs
+from leastaction.app import motion as _motion
 from leastaction.app import remedies as _remedies
 from leastaction.app import session as _session
 from leastaction.app.candidates import Choice, friction_choices, split_trials
@@ -40,7 +41,7 @@ from leastaction.app.columns import (
     VELOCITY,
 )
 from leastaction.app.jobs import Motion
-from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_words
+from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_kind, stick_words
 from leastaction.app.remedies import proposed
 from leastaction.app.session import EXAMPLES, Session, Walk, in_words
 from leastaction.app.worker import Worker
@@ -73,6 +74,10 @@ def table(header: str, *rows: str) -> _columns.Columns:
             [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Lower_arm"],
         ),
         ("t,theta1,theta2,tau3", [TIME, ANGLE, ANGLE, UNUSED]),
+        (
+            "Time [s],Upper arm [deg],Fore arm [deg],Shoulder torque,Elbow motor [Nm]",
+            [TIME, DEGREES, DEGREES, FORCE + "Upper_arm", FORCE + "Fore_arm"],
+        ),
     ],
 )
 def test_roles_are_guessed(header, roles):
@@ -529,6 +534,20 @@ def test_frames_follow_the_links():
     assert all(row is not None and np.isfinite(row).all() for row in shown["measured"])
 
 
+@pytest.mark.parametrize(
+    ("kind", "names"), [("blocks", ["x"]), ("blocks", ["u", "v"]), ("plane", ["x", "y"])]
+)
+def test_sliding_bodies_are_drawn_as_wide_as_they_move(kind, names):
+    t = np.linspace(0.0, 2 * np.pi, 201)
+    q = 3.0 + np.column_stack([0.02 / (k + 1) * np.sin(t + k) for k in range(len(names))])
+    model = la.LagrangianModel(names, [ModelTerm(f"{name}_dot**2", 0.5) for name in names])
+    assert stick_kind(names, []) == kind
+    shown = frames(Motion("one", True, t, q, q, 1.0), model, kind=kind)
+    assert np.abs(shown["measured"]).max() == pytest.approx(_motion._REACH, rel=0.01)
+    assert shown["lengths"] == []
+    assert not shown["down"]
+
+
 def test_what_one_click_may_do():
     library = la.Library(["theta_dot**2", "sin(theta)"], ["theta"], dissipation=["theta_dot**2/2"])
     choice = Choice(more_friction="abs(theta_dot)", delay=0.01)
@@ -900,6 +919,27 @@ def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking
     walking.stay()
     assert "cancelled" in walking.faults[place]
     assert not walking.collect()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "cure"),
+    [
+        ("one.csv", "x\n1\n2\n", "one for the time, one for each coordinate"),
+        ("header.csv", "t,x\n", "at least 5 samples are needed"),
+        ("page.csv", "<html><body>Sign in</body></html>", "save the table itself as CSV"),
+        ("export.csv", '{"t": [0, 1], "x": [1, 2]}', "save the table itself as CSV"),
+        ("logger.csv", "Logger,7\nserial,a,b\nt,x\n0,1\n0.1,2\n", "delete the lines above it"),
+        ("twice.csv", "t,x,x\n0,1,2\n", "give each its own name"),
+        ("book.csv", b"PK\x03\x04" + bytes(99), "name it .xlsx"),
+        ("empty.csv", "", "a file with data is expected"),
+        ("numbers.csv", "0,1\n0.1,2\n", "add a first line that names the columns"),
+    ],
+)
+def test_a_file_without_a_choice_of_roles_is_refused_with_the_cure(session, name, content, cure):
+    """No list of roles could mend these, so the page must not ask for roles."""
+    with pytest.raises(InputError, match=re.escape(cure)):
+        session.open_upload(name, content.encode() if isinstance(content, str) else content)
+    assert session.columns is None
 
 
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):

@@ -894,7 +894,9 @@ def test_the_time_is_no_parameter_and_no_shape():
         Library(["x*{t}"], "x")
     with pytest.raises(InputError, match="the exponent must be a number"):
         Library(["x**t"], "x")
-    with pytest.raises(InputError, match="a velocity <coordinate>_dot, the time t, a parameter or pi"):
+    with pytest.raises(
+        InputError, match=r"<coordinate>_dot, the time t, a shape parameter in braces such as \{a\}, or pi"
+    ):
         Library(["zzz"], "x")
 
 

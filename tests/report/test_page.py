@@ -411,6 +411,19 @@ def test_long_tables_are_cut(tmp_path):
     assert len(source) < 1_000_000
 
 
+def test_sentences_and_figures_have_the_names_of_the_user(tmp_path):
+    plain, named = (
+        written(tmp_path, spring()),
+        written(tmp_path, spring(), names={"x": "Position of the <cart>"}),
+    )
+    words = "Position of the &lt;cart&gt;"
+    assert words not in plain
+    assert f">{words} (rad)<" in named
+    assert f"Residuals of {words} over" in named
+    assert "<cart>" not in named
+    assert named.count("</math>") >= plain.count("</math>") / 2  # the formulas stay
+
+
 def test_misuse_is_explained(tmp_path, pendulum):
     model, validation = pendulum
     model.save(tmp_path / "model.json")
@@ -424,6 +437,10 @@ def test_misuse_is_explained(tmp_path, pendulum):
         write_report(spring(), tmp_path / "report.html", validation=validation)
     with pytest.raises(InputError, match="command is 3"):
         write_report(model, tmp_path / "report.html", command=3)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="names has 'y', which is no coordinate"):
+        write_report(spring(), tmp_path / "report.html", names={"y": "cart"})
+    with pytest.raises(InputError, match="expected a mapping"):
+        write_report(spring(), tmp_path / "report.html", names=["cart"])  # type: ignore[arg-type]
     with pytest.raises(InputError, match="is a directory"):
         write_report(spring(), tmp_path)
     assert not (tmp_path / "report.html").exists()

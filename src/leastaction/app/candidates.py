@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -301,7 +301,9 @@ def _fault(line: str, coordinates: tuple[str, ...]) -> str | None:
     return None
 
 
-def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
+def friction_choices(
+    coordinates: Sequence[str], written: Mapping[str, str] | None = None
+) -> list[tuple[str, str]]:
     """Friction candidates for selection: description and ψ.
 
     Examples
@@ -309,7 +311,7 @@ def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
     >>> friction_choices(["theta1"])
     [('viscous, θ₁', 'theta1_dot**2/2'), ('dry, θ₁', 'abs(theta1_dot)')]
     """
-    shown = shown_names(coordinates)
+    shown = shown_names(coordinates, written)
     found = [(f"viscous, {shown[c]}", f"{c}_dot**2/2") for c in coordinates]
     found += [(f"dry, {shown[c]}", f"abs({c}_dot)") for c in coordinates]
     for a, b in pairwise(coordinates):
@@ -318,17 +320,19 @@ def friction_choices(coordinates: Sequence[str]) -> list[tuple[str, str]]:
     return found
 
 
-def shown_names(coordinates: Sequence[str]) -> dict[str, str]:
-    """Coordinates as displayed.
+def shown_names(coordinates: Sequence[str], written: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Coordinates as displayed; `written` has the names of columns that differ.
 
     Examples
     --------
     >>> shown_names(["theta1"])
     {'theta1': 'θ₁'}
+    >>> shown_names(["Upper_arm"], {"Upper_arm": "Upper arm"})
+    {'Upper_arm': 'Upper arm'}
     """
     from leastaction.model.mathml import Notation
 
-    notation = Notation(coordinates)
+    notation = Notation(coordinates, written=written or {})
     return {c: notation.text(c) for c in coordinates}
 
 

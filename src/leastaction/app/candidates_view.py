@@ -15,7 +15,8 @@ from leastaction.app.candidates import (
     shown_names,
     split_trials,
 )
-from leastaction.app.parts import action, fault, field, math, panel, say, title
+from leastaction.app.columns import written_names
+from leastaction.app.parts import action, fault, math, panel, say, title
 from leastaction.errors import InputError
 from leastaction.identifiers import counted
 
@@ -80,6 +81,11 @@ class CandidatesView:
     def angles(self) -> list[str]:
         unseen = self.names[len(self.data.coordinates) :]
         return [*self.page.session.angles, *(unseen if self.choice.hidden_angles else ())]
+
+    @property
+    def written(self) -> dict[str, str]:
+        """Coordinate -> name of its column, where they differ."""
+        return written_names(self.page.session.moving)
 
     def _candidates(self) -> None:
         title("Candidates")
@@ -148,8 +154,8 @@ class CandidatesView:
     def _friction(self) -> None:
         self.friction.clear()
         words = "Tick every kind that may exist; absent friction is not selected."
-        with self.friction, field("Friction", words):
-            self._boxes("friction", friction_choices(self.names))
+        with self.friction, _field("Friction", words):
+            self._boxes("friction", friction_choices(self.names, self.written))
             more = bool(self.choice.more_friction or self.choice.families)
             with ui.expansion("Other friction", value=more).classes("formulas"):
                 say("In every coordinate:", "help")
@@ -178,7 +184,7 @@ class CandidatesView:
                 "Without known forces, L and 2 L describe the same motion, so one coefficient must be given. "
                 "It sets the scale of the others. One a line."
             )
-        with field("Known coefficients", words):
+        with _field("Known coefficients", words):
             self._area(self.choice.known, "known", "Known coefficients", rows=2).mark("known")
 
     def _lengths(self) -> None:
@@ -188,7 +194,7 @@ class CandidatesView:
             "Optional, in metres: from joint to joint, or of the equivalent simple pendulum. The result then "
             f"states g, which shows whether the units are right. One a line, as in {self.angles[0]} = 0.3."
         )
-        with field("Lengths of links", words):
+        with _field("Lengths of links", words):
             self._area(self.choice.lengths, "lengths", "Lengths of links", rows=2).mark("lengths")
 
     def _hidden(self) -> None:
@@ -196,7 +202,7 @@ class CandidatesView:
             "Names, separated by commas. Their motion is estimated with the law. Offer few candidates: "
             "compact, or written by hand."
         )
-        with field("Coordinates without a sensor", words):
+        with _field("Coordinates without a sensor", words):
             entry = ui.input(value=self.choice.hidden).classes("code").mark("hidden")
             entry.props('outlined dense debounce=300 aria-label="Coordinates without a sensor"')
             entry.on_value_change(self.page.guarded(lambda e: self._rename(hidden=e.value or "")))
@@ -213,21 +219,23 @@ class CandidatesView:
         self._check()
 
     def _forces(self) -> None:
-        names = [(text, c) for c, text in shown_names(self.data.coordinates).items()]
+        names = [(text, c) for c, text in shown_names(self.data.coordinates, self.written).items()]
         if self.data.driven:
             words = (
                 "How much later they act than recorded; half a sampling interval if a controller holds them "
                 "between samples."
             )
-            with field("Delay of the forces", words):
+            with _field("Delay of the forces", words):
                 self._number(
                     "delay", 1e3 * self.choice.delay, "Milliseconds", lambda ms: 1e-3 * ms, suffix="ms"
                 )
-        with field("Unknown constant force", "The bias of a sensor, or a load on one side. It is estimated."):
+        with _field(
+            "Unknown constant force", "The bias of a sensor, or a load on one side. It is estimated."
+        ):
             self._boxes("offsets", names)
         if len(names) > 1:
             words = "By a motor, a hand or the ground. Only the equations of the other coordinates are used."
-            with field("Moved by unmeasured forces", words):
+            with _field("Moved by unmeasured forces", words):
                 self._boxes("prescribed", names)
 
     def _number(
@@ -238,7 +246,7 @@ class CandidatesView:
         number.on_value_change(self.page.guarded(lambda e: self._set(**{name: convert(e.value or 0)})))
 
     def _held_out(self) -> None:
-        with field("Trials held out", "They are not fitted but forecast, as a test of the result."):
+        with _field("Trials held out", "They are not fitted but forecast, as a test of the result."):
             if self.choice.every_third:
                 say("Every third trial, as in the published comparison.")
                 return
@@ -298,7 +306,7 @@ class CandidatesView:
     def _show_formulas(self, library: Library) -> None:
         from leastaction.model.mathml import Notation
 
-        notation = Notation(library.coordinates)
+        notation = Notation(library.coordinates, written=self.written)
         self.formulas.clear()
         with self.formulas:
             for term in library:
@@ -314,3 +322,13 @@ def _problem(bad: list[str]) -> str:
     return (
         f"{counted(len(bad), 'line')} among the candidates cannot be read; see below the text" if bad else ""
     )
+
+
+def _field(label: str, help_text: str = "") -> ui.element:
+    """A labelled part of a form."""
+    box = html.div().classes("field")
+    with box:
+        say(label, "label", "h3")
+        if help_text:
+            say(help_text, "help")
+    return box

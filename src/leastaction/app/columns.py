@@ -13,7 +13,7 @@ import numpy as np
 
 from leastaction.data.formats import dispatch
 from leastaction.data.formats.columns import TIME_NAMES
-from leastaction.data.formats.units import Clock, parted, unit_of
+from leastaction.data.formats.units import Clock, Unit, parted, unit_of
 from leastaction.errors import InputError
 from leastaction.identifiers import ANGLE_NAMES, FUNCTION_NAMES, check_coordinate_names
 
@@ -53,7 +53,8 @@ TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
 _MOVING = (COORDINATE, ANGLE, DEGREES)
 _TRIALS = {"trial", "run", "id", "experiment", "episode", "segment", "recording", "trajectory", "versuch"}
 _IGNORED = {"", "index", "frame", "row", "sample", "n", "unnamed_0"}
-_FORCES = ("tau", "torque", "force", "moment", "u", "f", "input", "τ")
+_EFFORTS = {"force", "torque", "moment", "kraft", "drehmoment", "effort"}  # anywhere in the name
+_FORCES = ("tau", "u", "f", "input", "τ")  # at its beginning
 _RATES = ("_dot", "dot", "_vel", "_velocity", "_rate", "_acc", "_ddot", "_speed")
 _RATE_STARTS = ("omega", "vel", "acc", "dtheta", "dphi", "dx", "dy", "dq", "ω")
 
@@ -68,10 +69,18 @@ class Columns:
 
     def unit(self, column: str, time: bool = False) -> str | None:
         """The unit in the name or in the row below the header; None if there is none."""
+        unit = self._unit(column, time)
+        return None if unit is None else unit.text
+
+    def effort(self, column: str) -> bool:
+        """Whether a column is in a unit of forces or torques."""
+        unit = self._unit(column)
+        return unit is not None and unit.kind in ("force", "torque")
+
+    def _unit(self, column: str, time: bool = False) -> Unit | None:
         place = self.header.index(column)
         by_row = unit_of(self.units[place]) if place < len(self.units) else None
-        unit = by_row or parted(column, time)[1]
-        return None if unit is None else unit.text
+        return by_row or parted(column, time)[1]
 
     def dated(self, column: str) -> bool:
         """Whether the first value of a column is a date."""
@@ -123,7 +132,7 @@ def guess_roles(columns: Columns) -> dict[str, str]:
             roles[column] = TRIAL
         elif columns.numbers(column) is None or word in _IGNORED or _is_rate(word, columns.unit(column)):
             continue
-        elif _is_force(word):
+        elif columns.effort(column) or _is_force(word):
             forces.append(column)
         elif word.startswith(ANGLE_NAMES):
             roles[column] = DEGREES if "deg" in word or columns.unit(column) == "deg" else ANGLE
@@ -283,7 +292,7 @@ def _is_rate(word: str, unit: str | None) -> bool:
 
 
 def _is_force(word: str) -> bool:
-    return word.endswith("_force") or re.sub(r"[\d_].*$", "", word) in _FORCES
+    return bool(_EFFORTS & {*re.split(r"[\d_]+", word)}) or re.sub(r"[\d_].*$", "", word) in _FORCES
 
 
 def _driven(column: str, moving: Sequence[str], place: int) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
@@ -113,7 +113,7 @@ class DataView:
     def _rejected(self) -> None:
         self._fail(
             f"this file was not taken: give one table ({', '.join(SUFFIXES[:5])}, text also with .gz) of at "
-            f"most {MOST_BYTES // 1_000_000} MB"
+            f"most {MOST_BYTES // 1_000_000} MB; the command line reads larger files and other formats"
         )
 
     async def _open_example(self, key: str) -> None:
@@ -168,7 +168,8 @@ class DataView:
     def _roles(self) -> None:
         session = self.session
         assert session.columns is not None
-        names = columns.coordinate_names(columns.moving_columns(session.roles))
+        moving = columns.moving_columns(session.roles)
+        names, written = columns.coordinate_names(moving), columns.written_names(moving)
         options = [*columns.TIMES, columns.COORDINATE, columns.ANGLE, columns.DEGREES, columns.TRIAL]
         kinds = (columns.FORCE, columns.VELOCITY, columns.ACCELERATION)
         options += [kind + name for kind in kinds for name in names.values()] + [columns.UNUSED]
@@ -179,13 +180,11 @@ class DataView:
                     with html.div().classes("column"):
                         say(column or "(no name)", "name", "span")
                         if names.get(column, column) != column:
-                            say(f"called {names[column]} in the formulas", "help", "span")
+                            say(f"called {names[column]} where you write formulas", "help", "span")
                         say(f"{session.columns.sample(column)} …", "help values", "span")
-                    there = options if role in options else [*options, role]
+                    there = {o: _in_words(o, written) for o in dict.fromkeys([*options, role])}
                     set_role = self.page.guarded(lambda new, c=column: self._set_role(c, new))
-                    choice(
-                        f"Meaning of {_plain(column)}", dict(zip(there, there, strict=True)), role, set_role
-                    )
+                    choice(f"Meaning of {_plain(column)}", there, role, set_role)
 
     async def _set_role(self, column: str, role: str) -> None:
         self.session.roles[column] = role
@@ -281,6 +280,15 @@ def labels(names: Sequence[str]) -> list[str]:
     start, stop = (shared(zip(*some, strict=False)) for some in (names, [name[::-1] for name in names]))
     short = [name[start : len(name) - stop] for name in names]
     return short if all(short) and len(set(short)) == len(names) else list(names)
+
+
+def _in_words(role: str, written: Mapping[str, str]) -> str:
+    """A role with the name of its coordinate as the user wrote it."""
+    kind = next(
+        (k for k in (columns.FORCE, columns.VELOCITY, columns.ACCELERATION) if role.startswith(k)), role
+    )
+    name = role.removeprefix(kind)
+    return kind + written.get(name, name)
 
 
 def _plain(text: str) -> str:

@@ -253,7 +253,7 @@ def _links(model: LagrangianModel, slides: int) -> tuple[list[float] | None, boo
 def _scale(lengths: Lengths | None, n: int, way: float | None) -> tuple[float, list[float]]:
     """Pixels of a unit of a cart's position, and of each of n links; `way` is the range of the cart."""
     if lengths is None:
-        return _REACH / (way or 1.0), [_REACH / n] * n
+        return _REACH / (way or 1.0), [_REACH / max(n, 1)] * n
     total = sum(lengths.values)
     # Links on a cart are drawn to scale if both remain visible.
     scale = _REACH / total if way is None else min(_REACH / way, max(_REACH / (3.0 * way), 60.0 / total))

@@ -9,13 +9,12 @@ from markupsafe import Markup
 from nicegui import events, html, run, ui
 
 __all__ = [
-    "Stick",
     "action",
     "aside",
     "choice",
+    "disclosure",
     "drawn",
     "fault",
-    "field",
     "math",
     "panel",
     "say",
@@ -94,6 +93,27 @@ def choice(
     return box
 
 
+def disclosure(name: str, mark: str) -> ui.element:
+    """A list of buttons that a button opens; a click in it, a click elsewhere and Escape close it."""
+    box = html.details().classes("disclosure").mark(mark)
+    with box:
+        html.summary(name).classes("action plain")
+        # With a tab index, a click on a button keeps the focus inside in Safari, too.
+        inside = html.div().classes("choices").props("tabindex=-1")
+    box.on("click", js_handler="(e) => { if (e.target.closest('button')) e.currentTarget.open = false }")
+    box.on(
+        "focusout",
+        js_handler="(e) => { const box = e.currentTarget; "
+        "if (!box.contains(e.relatedTarget)) box.open = false }",
+    )
+    box.on(
+        "keydown.esc",
+        js_handler="(e) => { const box = e.currentTarget; box.open = false; "
+        "box.querySelector('summary').focus() }",
+    )
+    return inside
+
+
 def fault(text: str) -> ui.label:
     """One line with an error and its cure."""
     return say(text, "fault").props("role=alert")
@@ -119,22 +139,3 @@ def action(
         .classes(f"action {kind}")
     )
     return button.mark(mark) if mark else button
-
-
-def field(label: str, help_text: str = "") -> ui.element:
-    """A labelled part of a form."""
-    box = html.div().classes("field")
-    with box:
-        say(label, "label", "h3")
-        if help_text:
-            say(help_text, "help")
-    return box
-
-
-class Stick(ui.element, component="stick.js"):
-    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
-
-    def __init__(self, frames: dict[str, Any]) -> None:
-        super().__init__()
-        self._props["frames"] = frames
-        self.classes("stick")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from nicegui import html, ui
@@ -11,7 +11,19 @@ from leastaction.app.columns import written_names
 from leastaction.app.figures import forecast_figure
 from leastaction.app.files import SESSION, exported
 from leastaction.app.motion import frames, stick_kind, stick_words
-from leastaction.app.parts import Stick, action, aside, drawn, fault, math, panel, say, scroll, table, title
+from leastaction.app.parts import (
+    action,
+    aside,
+    disclosure,
+    drawn,
+    fault,
+    math,
+    panel,
+    say,
+    scroll,
+    table,
+    title,
+)
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
@@ -175,7 +187,7 @@ class ResultView:
                 if kind:
                     with html.div():
                         data = frames(motion, model, kind=kind)
-                        Stick(data)
+                        _Stick(data)
                         say(stick_words(kind, model, data), "help")
                 self.figures = html.div().classes("figures" if kind else "figures side")
         ui.timer(
@@ -233,16 +245,17 @@ class ResultView:
         self.page.show("result")
 
     def _exports(self, fitted: bool) -> None:
-        """A menu of the formats with their descriptions."""
-        button = ui.dropdown_button("Export", auto_close=True, color=None).props("no-caps unelevated no-wrap")
-        button.classes("action plain").mark("export").set_enabled(fitted)
-        with button:
+        """The formats with their descriptions, behind a button."""
+        if not fitted:
+            action("Export", lambda: None, "plain", "export").set_enabled(False)
+            return
+        # Not the menu of Quasar: that lies outside the landmarks of the page.
+        with disclosure("Export", "export"):
             for name, what in FORMATS.items():
-                ask = self.page.guarded(lambda _=None, name=name: self._export(name))
-                item = ui.item(on_click=ask).props("role=menuitem").mark(f"export-{name}")
-                with item, ui.item_section():
-                    ui.item_label(name)
-                    ui.item_label(what).props("caption")
+                with html.button().classes("format").mark(f"export-{name}") as button:
+                    say(name, "name", "span")
+                    say(what, "help", "span")
+                button.on("click", self.page.guarded(lambda _=None, name=name: self._export(name)))
 
     async def _export(self, format: str) -> None:
         name, content = await aside(exported, self.session.current.model, format)
@@ -258,6 +271,15 @@ class ResultView:
     async def _model(self) -> None:
         text = await aside(self.session.write_model)
         ui.download.content(text.encode(), "model.json", "application/json")
+
+
+class _Stick(ui.element, component="stick.js"):
+    """Measured and forecast links, with play, pause, pace and a slider for the time; stick.js draws them."""
+
+    def __init__(self, frames: dict[str, Any]) -> None:
+        super().__init__()
+        self._props["frames"] = frames
+        self.classes("stick")
 
 
 def compared(one: Found, other: Found, notation: Notation) -> list[tuple[str, str, str]]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import html, ui
 
+from leastaction.app.columns import written_names
 from leastaction.app.parts import action, fault, math, panel, say, title
 from leastaction.app.session import in_words
 from leastaction.model.mathml import Notation
@@ -104,7 +105,7 @@ class Running:
         self.law.clear()
         if data is None:
             return
-        notation = Notation(data.coordinates)
+        notation = Notation(data.coordinates, written=written_names(self.page.session.moving))
         with self.law:
             say("Terms so far", "help")
             with html.p().classes("formula"):

@@ -315,7 +315,8 @@ class Session:
         import leastaction as la
 
         path = self.folder / "report.html"
-        la.write_report(self.current.model, path, validation=self.current.validation)
+        current, names = self.current, columns.written_names(self.moving)
+        la.write_report(current.model, path, validation=current.validation, names=names)
         return path.read_text(encoding="utf-8")
 
     def write_model(self) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from nicegui import html, ui
 
+from leastaction.app.columns import written_names
 from leastaction.app.figures import walk_figure
 from leastaction.app.parts import action, aside, drawn, math, panel, say, title
 from leastaction.model.mathml import Notation
@@ -114,7 +115,8 @@ class WalkPanel:
 
     def _list(self, text: str, terms: list[str]) -> None:
         if terms:
-            notation = Notation(self.session.current.model.coordinates)
+            written = written_names(self.session.moving)
+            notation = Notation(self.session.current.model.coordinates, written=written)
             with html.p().classes("terms"):
                 say(text, "help", "span")
                 for term in terms:

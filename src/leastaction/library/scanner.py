@@ -207,7 +207,7 @@ class _Scanner:
             close = _closest(token, self.known)
             names = ", ".join(self.coordinates[:8]) + (", ..." if len(self.coordinates) > 8 else "")
             listing = f"expected a coordinate ({names}), a velocity <coordinate>_dot, "
-            listing += "the time t, a parameter or pi"
+            listing += "the time t, a shape parameter in braces such as {a}, or pi"
             what = "name"
         guess = f"; did you mean {close!r}?" if close else ""
         shown = token if len(token) <= 40 else token[:40] + "..."

@@ -11,7 +11,7 @@ from leastaction.identifiers import quoted
 from leastaction.io import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from leastaction.arms.model import ArmModel
     from leastaction.data.trajectories import Trajectories, Trajectory
@@ -27,6 +27,7 @@ def write_report(
     *,
     validation: ForecastResult | None = None,
     command: str | None = None,
+    names: Mapping[str, str] | None = None,
 ) -> Path:
     """Write a report on a discovered model: one HTML file without scripts or external content.
 
@@ -44,6 +45,8 @@ def write_report(
         Forecasts of held-out trials, from `LagrangianModel.validate`.
     command : str, optional
         Command that reproduces the model, for example the command line.
+    names : mapping of str to str, optional
+        Coordinate -> its name in sentences and figures, for example ``{"Upper_arm": "Upper arm"}``.
 
     Returns
     -------
@@ -90,7 +93,7 @@ def write_report(
             f"{', '.join(model.coordinates)}; use the result of validate() of this model"
         )
     _check_command(command)
-    return write_text(path, render(model, validation, command))
+    return write_text(path, render(model, validation, command, names or {}))
 
 
 def write_arm_report(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from importlib.resources import files
@@ -14,7 +14,9 @@ import jinja2
 import numpy as np
 from markupsafe import Markup
 
+from leastaction.errors import InputError
 from leastaction.findings import because
+from leastaction.identifiers import quoted
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
 from leastaction.report import captions, law, tables
@@ -37,9 +39,33 @@ _TITLES = {
 }
 
 
-def render(model: LagrangianModel, validation: ForecastResult | None, command: str | None) -> str:
-    """Return the page as text; the model has diagnostics."""
-    return rendered("page.html.j2", _context(model, validation, command))
+def render(
+    model: LagrangianModel,
+    validation: ForecastResult | None,
+    command: str | None,
+    names: Mapping[str, str],
+) -> str:
+    """Return the page as text; the model has diagnostics, and `names` are for sentences and figures.
+
+    Raises
+    ------
+    InputError
+        If `names` has anything but texts of coordinates.
+    """
+    _check_names(names, model.coordinates)
+    notation = Notation.of_fit(model.coordinates, model.fit.findings, names)
+    return rendered("page.html.j2", _context(model, validation, command, notation))
+
+
+def _check_names(names: object, coordinates: Sequence[str]) -> None:
+    if not isinstance(names, Mapping) or not all(isinstance(text, str) for text in names.values()):
+        raise InputError(f"names is {quoted(names)}; expected a mapping of coordinates to texts")
+    for name in names:
+        if name not in coordinates:
+            raise InputError(
+                f"names has {quoted(name)}, which is no coordinate; the coordinates are "
+                f"{', '.join(coordinates)}"
+            )
 
 
 def rendered(template: str, context: dict[str, Any]) -> str:
@@ -68,12 +94,11 @@ def rendered(template: str, context: dict[str, Any]) -> str:
 
 
 def _context(
-    model: LagrangianModel, validation: ForecastResult | None, command: str | None
+    model: LagrangianModel, validation: ForecastResult | None, command: str | None, notation: Notation
 ) -> dict[str, Any]:
     diagnostics = model.diagnostics
     assert diagnostics is not None
     series = Series(model)
-    notation = Notation.of_fit(model.coordinates, model.fit.findings)
     widths = notation.widths
     options = {name: _as_given(value, widths) for name, value in _options(model).items()}
     angles = options.get("angles") or ()

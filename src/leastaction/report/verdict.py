@@ -187,5 +187,9 @@ def _size_facts(model: LagrangianModel) -> list[dict[str, Any]]:
     trials = plural(len(data), "trial", "trials")
     return [
         {"name": "Terms found", "value": str(free), "note": note},
-        {"name": "Data", "value": number, "note": f"{noun} in {trials}, {plain(data.duration)} s"},
+        {
+            "name": "Data",
+            "value": number,
+            "note": f"{noun} in {trials}, {plain(data.duration)}\N{NO-BREAK SPACE}s",
+        },
     ]

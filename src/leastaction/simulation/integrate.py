@@ -29,7 +29,7 @@ _BLOW_UP = 1e12
 _SINGULAR = 1e-12
 
 
-def check_times(t) -> np.ndarray:
+def check_times(t: ArrayLike) -> np.ndarray:
     times = np.array(t, dtype=float)
     if times.ndim != 1 or times.size == 0:
         raise InputError(f"t has shape {times.shape}; expected (n_times,) with at least one time")

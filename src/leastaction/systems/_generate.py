@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import TypedDict, Unpack
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import BPoly
 
 from leastaction.data.trajectories import Trajectories, Trajectory
@@ -203,7 +204,7 @@ def noise_std(
 def measure(
     system: str | MechanicalSystem,
     truth: Sequence[TrueMotion],
-    noise_std,
+    noise_std: ArrayLike,
     seed: int = 0,
     missing: float = 0.0,
 ) -> Trajectories:

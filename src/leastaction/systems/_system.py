@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy as sp
+from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
 from leastaction.library import parse_expression
@@ -146,7 +148,7 @@ class MechanicalSystem:
             right[..., i] = next(values)
         return mass, right
 
-    def acceleration(self, q, qdot, forces=None) -> np.ndarray:
+    def acceleration(self, q: ArrayLike, qdot: ArrayLike, forces: ArrayLike | None = None) -> np.ndarray:
         """Return q̈, the solution of M q̈ = f − ∂ψ/∂q̇ + ∂L/∂q − (∂²L/∂q̇∂q) q̇.
 
         Parameters
@@ -162,25 +164,32 @@ class MechanicalSystem:
         q, qdot = self._states(q, qdot)
         mass, right = self.mass_and_force(q, qdot)
         if forces is not None:
-            right = right + forces
+            right = right + np.asarray(forces)
         return np.linalg.solve(mass, right[..., None])[..., 0]
 
-    def mass_matrix(self, q, qdot=None) -> np.ndarray:
+    def mass_matrix(self, q: ArrayLike, qdot: ArrayLike | None = None) -> np.ndarray:
         """Return ∂²L/∂q̇², shape (..., n_dof, n_dof)."""
         return self.mass_and_force(*self._states(q, np.zeros(np.shape(q)) if qdot is None else qdot))[0]
 
-    def energy(self, q, qdot) -> np.ndarray:
+    def energy(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
         """Return q̇·∂L/∂q̇ − L, shape (...): conserved if nothing drives or damps the system."""
         q, qdot = self._states(q, qdot)
         values = self._compiled[1](*np.moveaxis(q, -1, 0), *np.moveaxis(qdot, -1, 0))
         return np.broadcast_to(values, q.shape[:-1]).copy()
 
-    def simulate(self, q0, qdot0, t, forces=None, **options) -> SimulationResult:
+    def simulate(
+        self,
+        q0: ArrayLike,
+        qdot0: ArrayLike,
+        t: ArrayLike,
+        forces: ArrayLike | Callable[[float], Any] | None = None,
+        **options: Any,
+    ) -> SimulationResult:
         """Integrate one motion with `leastaction.simulation.integrate.simulate` (DOP853)."""
         options.setdefault("mass_matrix", self.mass_matrix)
         return simulate(self.acceleration, q0, qdot0, t, forces, **options)
 
-    def _states(self, q, qdot) -> tuple[np.ndarray, np.ndarray]:
+    def _states(self, q: ArrayLike, qdot: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         q, qdot = np.asarray(q, dtype=float), np.asarray(qdot, dtype=float)
         if q.shape != qdot.shape:
             q, qdot = np.broadcast_arrays(q, qdot)

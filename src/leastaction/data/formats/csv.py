@@ -214,6 +214,8 @@ def _refuse_cell(text: Text, line: int, column: str, cell: str, layout: Layout) 
         cure = "remove thousands separators"
     elif text.decimal == "," and re.fullmatch(r"[+-]?\d*\.\d*(?:[eE][+-]?\d+)?", cell):
         cure = "the first fraction has a decimal comma: write all numbers in one way"
+    elif re.fullmatch(r"[+-]?\d{1,3}(?:,\d{3})+", cell):
+        cure = "remove the comma if it separates thousands, or write a decimal point instead"
     elif re.fullmatch(r"[+-]?\d+,\d*(?:[eE][+-]?\d+)?", cell):
         cure = "write a decimal point instead of the comma"
     raise InputError(

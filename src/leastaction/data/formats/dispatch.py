@@ -14,7 +14,7 @@ from leastaction.data.formats.atomic import StrPath, check_path
 from leastaction.data.formats.csv import read_csv_table
 from leastaction.data.formats.frames import peek_excel, read_excel_table, read_parquet_table
 from leastaction.data.formats.layout import BESIDE, Layout, Table
-from leastaction.data.formats.text import Peek, peek_csv
+from leastaction.data.formats.text import Peek, peek_csv, refuse_one_column
 from leastaction.data.formats.units import parted
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray, time_fault
@@ -85,11 +85,13 @@ def peek(path: Path) -> Peek:
         If it is of another kind, or cannot be read.
     """
     reader = reader_for(path)
-    if reader is read_csv_table:
-        return peek_csv(path)
-    if reader is read_excel_table:
-        return peek_excel(path)
-    raise InputError(f"{path} is neither a text table nor an Excel file; save it as CSV")
+    if reader not in (read_csv_table, read_excel_table):
+        raise InputError(f"{path} is neither a text table nor an Excel file; save it as CSV")
+    table = peek_csv(path) if reader is read_csv_table else peek_excel(path)
+    refuse_one_column(table.header, str(path))
+    if not table.rows:
+        raise InputError(f"{path} has a header, but no data lines; at least {MIN_SAMPLES} samples are needed")
+    return table
 
 
 def stem(path: Path) -> str:

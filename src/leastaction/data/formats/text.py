@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +22,17 @@ from leastaction.errors import InputError
 from leastaction.findings import find
 from leastaction.identifiers import quoted
 
-__all__ = ["MISSING", "NUMBER", "Peek", "Text", "opened", "peek_csv", "text_of", "text_pieces"]
+__all__ = [
+    "MISSING",
+    "NUMBER",
+    "Peek",
+    "Text",
+    "opened",
+    "peek_csv",
+    "refuse_one_column",
+    "text_of",
+    "text_pieces",
+]
 
 _PIECE = 8_000_000  # characters of a long file that are read at once
 _DELIMITERS = (",", ";", "\t")
@@ -30,6 +40,18 @@ NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 _FRACTION = re.compile(r"[+-]?\d*([.,])\d*(?:[eE][+-]?\d+)?", re.ASCII)
 MISSING = ("", "NA", "na", "Na", "NaN", "nan", "NAN", "Nan")
 _CURE = "save the table as CSV text in UTF-8"
+_SPREADSHEET = f"it begins like a workbook of a spreadsheet: name it .xlsx if it is one, or {_CURE}"
+_MAGIC = {
+    b"PK\x03\x04": _SPREADSHEET,
+    b"\xd0\xcf\x11\xe0": f"it begins like an old workbook (.xls): save it as .xlsx, or {_CURE}",
+    b"%PDF": f"it is a PDF: {_CURE}",
+}
+_OTHER_TEXT = {
+    "a web page": re.compile(r"\s*<(?:!doctype html|html|head)\b", re.IGNORECASE),
+    "XML": re.compile(r"\s*<\?xml\b", re.IGNORECASE),
+    "JSON": re.compile(r"\s*(?:\{\s*[\"}]|\[\s*[\[{])"),
+}
+_PREAMBLE = 50  # lines above the header that are looked through
 _ENCODINGS = {"utf-16": "UTF-16", "cp1252": "Windows-1252"}
 
 
@@ -80,7 +102,8 @@ def text_of(path: Path) -> tuple[str, str]:
     nul = data.find(b"\0")
     if nul >= 0 and encoding != "utf-16":
         line = data.count(b"\n", 0, nul) + 1
-        raise InputError(f"{path}, line {line}: the file holds binary data, not text; {_CURE}")
+        cure = next((text for magic, text in _MAGIC.items() if data.startswith(magic)), _CURE)
+        raise InputError(f"{path}, line {line}: the file holds binary data, not text; {cure}")
     try:
         text = data.decode(encoding)
     except UnicodeDecodeError as error:
@@ -154,11 +177,7 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
         If there is no header or no data, a column is missing, or units contradict each other.
     """
     text = _split_header(content, source, layout)
-    if len(text.header) == 1:
-        raise InputError(
-            f"{source}, line {text.first_line - 1}: there is only the column {quoted(text.header[0])}; "
-            "separate columns by comma, semicolon, tab or spaces: one for the time, one for each coordinate"
-        )
+    refuse_one_column(text.header, f"{source}, line {text.first_line - 1}")
     found = layout.find(text.header, source, row=dict(zip(text.header, text.units, strict=False)))
     if not text.body.strip():
         raise InputError(f"{source} has a header, but no data lines; at least 5 samples are needed")
@@ -173,6 +192,15 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
     place = text.header.index(found.time)
     clock = Clock.of(first[place]) if place < len(first) else None
     return text, found if clock is None else found.dated(clock, source)
+
+
+def refuse_one_column(header: Sequence[str], place: str) -> None:
+    """Raise InputError if a table cannot hold both times and a coordinate."""
+    if len(header) == 1:
+        raise InputError(
+            f"{place}: there is only the column {quoted(header[0])}; "
+            "separate columns by comma, semicolon, tab or spaces: one for the time, one for each coordinate"
+        )
 
 
 class Peek(NamedTuple):
@@ -236,6 +264,7 @@ def _with_decimal(text: Text, places: Sequence[int]) -> Text:
 
 def _split_header(text: str, source: str, layout: Layout) -> Text:
     """Find header, units and delimiter; leading lines that are blank or start with ``#`` are skipped."""
+    _refuse_other_text(text, source)
     start, number, comment = 0, 1, ""
     while True:
         end = text.find("\n", start)
@@ -249,7 +278,9 @@ def _split_header(text: str, source: str, layout: Layout) -> Text:
     following = end + 1 if end >= 0 else len(text)
     delimiter, header = _sniff(line, layout)
     if not all(map(_is_number, header[0].split() if len(header) == 1 else header)):
-        return _split_units(_parted(Text(source, text[following:], number + 1, delimiter, header)))
+        found = _split_units(_parted(Text(source, text[following:], number + 1, delimiter, header)))
+        _refuse_preamble(found, number)
+        return found
     # numpy.savetxt writes the header as a comment; the last comment then names the columns.
     delimiter, header = _sniff(comment, layout)
     named = _parted(Text(source, text[start:], number, delimiter, header))
@@ -259,6 +290,35 @@ def _split_header(text: str, source: str, layout: Layout) -> Text:
             "add a first line that names the columns"
         )
     return named
+
+
+def _refuse_other_text(text: str, source: str) -> None:
+    """Refuse files that a server or a program has written instead of a table."""
+    for what, pattern in _OTHER_TEXT.items():
+        if pattern.match(text):
+            raise InputError(
+                f"{source} is {what}, not a table; download or save the table itself as CSV text"
+            )
+
+
+def _refuse_preamble(text: Text, number: int) -> None:
+    """Refuse a table below other lines, such as the name of a logger: a later line holds its header."""
+    lines = text.body[:20_000].split("\n")[:_PREAMBLE]
+    filled = [(k, line) for k, line in enumerate(lines, start=text.first_line) if line.strip()]
+    for (place, line), (_, below) in pairwise(filled):
+        for delimiter in _DELIMITERS:
+            names, values = _cells(line, delimiter), _cells(below, delimiter)
+            if len(names) < 2 or len(names) != len(values) or len({*names}) < len(names):
+                continue
+            if place == filled[0][0] and len(names) == len(text.header):
+                continue  # a row of the table with text in it
+            if any(map(_is_number, names)) or not all(_is_number(v) or Clock.of(v) for v in values):
+                continue
+            shown = ", ".join(map(quoted, names[:4]))
+            raise InputError(
+                f"{text.source}, line {number}: this is not the header of the table, which seems to begin at "
+                f"line {place} ({shown}); delete the lines above it, or begin each of them with #"
+            )
 
 
 def _parted(text: Text) -> Text:
