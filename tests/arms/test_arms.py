@@ -143,6 +143,18 @@ def test_torques_depend_on_base_parameters_alone(rng):
     np.testing.assert_allclose(part, whole, atol=1e-10)
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("workers", [2, 3])
+def test_workers_do_not_change_the_result(short, workers):
+    log, tree = short, WRIST
+    alone, together = (arms.identify(log, tree, workers=n) for n in (None, workers))
+    assert [t.text for t in together.terms] == [t.text for t in alone.terms]
+    np.testing.assert_allclose(
+        together.coefficients, alone.coefficients, atol=1e-6 * alone.standard_errors.min()
+    )
+    np.testing.assert_allclose(together.covariance, alone.covariance, rtol=1e-6, atol=1e-12)
+
+
 def test_mass_matrix_gravity_and_friction_are_found(found, rng):
     true, model = found
     q = rng.uniform(-2.0, 2.0, (100, 3))

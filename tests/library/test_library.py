@@ -12,7 +12,7 @@ import sympy
 import sympy as sp
 
 from leastaction import InputError, systems
-from leastaction.estimation.domains import undefined_along
+from leastaction.estimation.problem import undefined_along
 from leastaction.library import Library, Term, make_term, parse_expression, smooth_abs
 from leastaction.library.chains import runs, runs_after
 from leastaction.library.families import ALL_SIZES, SIZES, choose_size, mechanical_terms

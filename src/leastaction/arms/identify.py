@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -31,12 +31,13 @@ from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.blocks import observe
+from leastaction.estimation.crew import Alone, Crew, employ
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.intervals import points_at
 from leastaction.estimation.joint import Physics
-from leastaction.estimation.protocols import Measurements
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.stretches import SharedObservations
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
@@ -62,7 +63,7 @@ class _Laid:
 
     grid: SplineGrid
     smoothed: Smooth
-    observations: Measurements
+    observations: SharedObservations
     forces: GridForces
 
     def under(self, data: Trajectories) -> _Laid:
@@ -83,6 +84,7 @@ def identify(
     springs: bool = False,
     recording: Recording = _TORQUES,
     knots_per_second: float | None = None,
+    workers: int | Any = None,
 ) -> ArmModel:
     """Find the inertial parameters and the friction of an arm.
 
@@ -102,6 +104,9 @@ def identify(
         if the joints agree that there are any.
     knots_per_second : float, optional
         Knots of the spline; by default determined from the data.
+    workers : int or distributed.Client, optional
+        Number of processes, or a Dask client, for the joint fit. The result is the same up to rounding. By
+        default, this process does all.
 
     Returns
     -------
@@ -121,22 +126,23 @@ def identify(
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
     extra = [kind for kind in friction if kind not in _ALWAYS]
-    laid, choice, signals, changes = _calibrated(
-        data, tree, recording, (fixed, always, extra), knots_per_second
-    )
-    begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
-    terms = (
-        *inertial_terms(tree),
-        *joint_terms(tree, fixed, choice.scales),
-        *choice.friction,
-        *signals.terms(tree),
-        *begins,
-    )
-    base = find_base(tree, terms)
-    history = np.concatenate([choice.history, changes, remains])
-    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
-    base, columns, fit = _fitted(laid, columns, base, choice)
-    fit = _weighted(laid, columns, fit)
+    kinds = fixed, always, extra
+    with employ(workers, joins=True) as crew:
+        laid = _lay(data, knots_per_second, crew or Alone())
+        laid, choice, signals, changes = _calibrated(data, tree, recording, kinds, laid)
+        begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
+        terms = (
+            *inertial_terms(tree),
+            *joint_terms(tree, fixed, choice.scales),
+            *choice.friction,
+            *signals.terms(tree),
+            *begins,
+        )
+        base = find_base(tree, terms)
+        history = np.concatenate([choice.history, changes, remains])
+        columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
+        base, columns, fit = _fitted(laid, columns, base, choice)
+        fit = _weighted(laid, columns, fit)
     notes += _doubts(laid, columns, fit, choice.regression.moved, tuple(data.names))
     covariance = _corrected(laid, columns, fit)
     signals = signals.found(columns.terms, fit.coefficients, covariance)
@@ -170,15 +176,15 @@ def _calibrated(
     tree: KinematicTree,
     recording: Recording,
     kinds: tuple[list[str], list[str], list[str]],
-    knots_per_second: float | None,
+    laid: _Laid,
 ) -> _Calibrated:
     """Select friction, and shift and scale the torques, until both stay the same."""
     signals = Signals.of(tree, recording)
-    laid = _lay(data, knots_per_second)
 
     def regress() -> Regression:
         corrected, points = signals.torques(data), laid.smoothed.control_points
-        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds)
+        crew = laid.observations.crew
+        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds, crew)
 
     if signals.unknown:
         signals = signals.first_gains(regress())
@@ -198,7 +204,7 @@ def _calibrated(
     raise AssertionError  # the last round returns
 
 
-def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
+def _lay(data: Trajectories, knots_per_second: float | None, crew: Crew) -> _Laid:
     times, values = [t.t for t in data], [t.q for t in data]
     if knots_per_second is None:
         smoothed = _resolved(data)
@@ -207,7 +213,8 @@ def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
     grid = smoothed.grid
     forces = forces_on(grid, times, [t.forces for t in data])
     assert forces is not None
-    return _Laid(grid, smoothed, observe(grid, times, values), forces)
+    observations = SharedObservations(Observations(grid, times, values), crew)
+    return _Laid(grid, smoothed, observations, forces)
 
 
 def _resolved(data: Trajectories) -> Smooth:

@@ -15,7 +15,6 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.calibration import Calibrated, from_columns
 from leastaction.estimation.crew import Crew
-from leastaction.estimation.domains import undefined_along
 from leastaction.estimation.forces import fast_forces_act
 from leastaction.estimation.hidden import (
     anchored,
@@ -25,7 +24,7 @@ from leastaction.estimation.hidden import (
     with_every_sensor,
     with_hidden,
 )
-from leastaction.estimation.problem import Problem
+from leastaction.estimation.problem import Problem, undefined_along
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.shape_ranges import shape_ranges
 from leastaction.findings import Finding, find

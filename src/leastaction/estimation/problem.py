@@ -10,11 +10,12 @@ known forces f.  It never changes; a step that adds information returns a new pr
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import sympy as sp
 
 from leastaction.curve.knots import excerpt
 from leastaction.data.trajectories import Trajectories
@@ -22,10 +23,10 @@ from leastaction.estimation.crew import Crew
 from leastaction.estimation.forces import Between
 from leastaction.estimation.sensors import Sensors
 from leastaction.estimation.shape_ranges import ShapeRange
-from leastaction.library import Dropped, Term, shape_names
+from leastaction.library import Dropped, Library, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
-__all__ = ["Problem"]
+__all__ = ["Problem", "undefined_along"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,3 +226,54 @@ class Problem:
         """The problem on pieces of its data, about ``n_samples`` in all."""
         pieces = excerpt(self.trajectories, n_samples)
         return self if pieces is self.trajectories else self.on(pieces)
+
+
+#                                                           generated candidates that are undefined along the data
+def undefined_along(
+    library: Library, states: Mapping[str, np.ndarray], keep: Collection[Term] = ()
+) -> tuple[Term, ...]:
+    """Generated terms (with a description length) whose domain the motion leaves: log x for x < 0, 1/0.
+
+    A denominator must not change its sign along the motion. The argument of a root or logarithm must be
+    positive.
+
+    Parameters
+    ----------
+    library : Library
+    states : mapping of str to (n_points,) array
+        Coordinates and velocities along a motion.
+    keep : collection of Term
+        Terms that the user wrote.
+
+    Examples
+    --------
+    >>> motion = {"x": np.linspace(-1.0, 1.0, 5), "x_dot": np.ones(5)}
+    >>> [term.text for term in undefined_along(Library.symbolic(["x"]), motion)]
+    ['1/x', 'log(x)', 'sqrt(x)', '1/x**2']
+    """
+    grown = [t for t, length in zip(library.terms, library.lengths, strict=True) if length is not None]
+    cache: dict[sp.Expr, tuple[float, float]] = {}
+
+    def span(inside: sp.Expr) -> tuple[float, float]:
+        if inside not in cache:
+            symbols = sorted(inside.free_symbols, key=str)
+            function = sp.lambdify(symbols, inside, modules="numpy", dummify=True)
+            with np.errstate(all="ignore"):
+                values = np.asarray(function(*(states[str(s)] for s in symbols)))
+            cache[inside] = float(values.min()), float(values.max())
+        return cache[inside]
+
+    def defined(term: Term) -> bool:
+        spans = ((span(inside), positive) for inside, positive in _conditions(term.expr))
+        return all(low > 0.0 or (high < 0.0 and not positive) for (low, high), positive in spans)
+
+    return tuple(term for term in grown if term not in keep and not defined(term))
+
+
+def _conditions(expr: sp.Expr) -> Iterator[tuple[sp.Expr, bool]]:
+    """Expressions that must not vanish, and whether they must be positive."""
+    for part in sp.preorder_traversal(expr):
+        if isinstance(part, sp.log):
+            yield part.args[0], True
+        elif isinstance(part, sp.Pow) and not (part.exp.is_Integer and int(part.exp) > 0):
+            yield part.base, not part.exp.is_Integer
