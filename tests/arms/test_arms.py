@@ -132,6 +132,19 @@ def test_a_motion_determines_the_known_number_of_base_parameters():
     assert find_base(WRIST, inertial_terms(WRIST)).text(0).startswith("Izz[link1]")
 
 
+@pytest.mark.parametrize("angle", [1.5707963, 1.5708])
+def test_rounded_angles_of_a_file_add_no_base_parameters(angle):
+    """No log determines what depends on the rest of a right angle alone."""
+    counts = []
+    for right in (PI / 2, angle):
+        rows = [{"d": 0.3}, {"alpha": -right, "a": 0.05}, {"a": 0.25, "alpha": right}]
+        tree = arms.KinematicTree.from_dh(rows, modified=True)
+        base = find_base(tree, inertial_terms(tree))
+        counts.append(len(base.members))
+        assert "e-0" not in " ".join(base.text(row) for row in range(len(base.members)))
+    assert counts[0] == counts[1]
+
+
 def test_torques_depend_on_base_parameters_alone(rng):
     scales = JointScales(*np.full((3, 7), 0.1))
     terms = (*inertial_terms(SEVEN), *joint_terms(SEVEN, ("rotor", "offset", "viscous"), scales))
@@ -408,12 +421,13 @@ def test_bad_logs_are_refused_in_one_line(found, rng):
         model.torques([0.0], [0.0], [0.0])
 
 
-def test_a_contact_is_reported_and_a_clean_log_is_not(found):
+@pytest.mark.parametrize("size", [2.0, pytest.param(60.0, id="so strong that it spoils the joint fit")])
+def test_a_contact_is_reported_and_a_clean_log_is_not(found, size):
     true, model = found
     assert not any("contact" in note for note in model.facts.notes)
     log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
     pushed = log.forces.copy()
-    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += 2.0
+    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += size
     again = arms.identify(la.Trajectory(log.t, log.q, pushed, log.coordinates, "run"), WRIST)
     (note,) = [note for note in again.facts.notes if "contact" in note]
     assert note.startswith("from 3.0")
@@ -779,6 +793,15 @@ def test_joints_of_another_name_are_taken_by_number(short_log, file):
 def test_unclear_columns_are_refused_in_one_line(short_log, file, table, words):
     with pytest.raises(la.InputError, match=re.escape(words)) as caught:
         arms.read_log(file(table_text(table(short_log))), NAMED)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_of_more_joints_than_the_arm_has_is_refused(short_log, file):
+    """The lowest numbers need not be those of the arm."""
+    two = arms.KinematicTree.from_dh([{"d": 0.3}, {"alpha": -PI / 2}], modified=True)
+    with pytest.raises(la.InputError, match="describe the whole arm") as caught:
+        arms.read_log(file(table_text(rtde(short_log))), two, currents=True)
+    assert "the 3 columns actual_q_0" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -47,8 +47,10 @@ __all__ = [
 TREE_SHARE = 0.3
 """Standard deviation of the tree's inertias, as a share of each link's mass and size."""
 _STATES = 40  # random states at which dependences are determined
-_DEPENDENT = 1e-8  # largest independent part of a dependent column, relative to its length
-_CLEAN = 1e-9  # smaller coefficients of a combination count as zero
+# Files state angles such as 1.5708.  What depends on the rest of π/2 is undetermined by any log.
+_DEPENDENT = 1e-4  # largest independent part of a dependent column, relative to its length
+_CLEAN = 1e-5  # smaller parts of a dependent column count as zero, relative to its length
+_ROUNDING = 1e-9  # of a coefficient that is whole
 _FREE = ("inertia", "rotor", "spring", "offset")  # kinds among which dependences exist
 _MASS, _SIZE = 2.0, 0.1  # kg and m, assumed for a link without inertia in the tree
 _ROTOR = 1e-3  # kg m², assumed for a rotor
@@ -150,9 +152,9 @@ def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
             found.append(row)
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
     shares = np.linalg.lstsq(columns[found].T, columns.T, rcond=None)[0]
-    shares[np.abs(shares) < _CLEAN] = 0.0
+    shares[np.abs(shares) * length[found, None] < _CLEAN * length] = 0.0
     whole = np.rint(shares)
-    shares = np.where(np.abs(shares - whole) < _CLEAN, whole, shares)
+    shares = np.where(np.abs(shares - whole) < _ROUNDING, whole, shares)
     alone = [k for k, term in enumerate(terms) if term.kind not in _FREE]
     members = sorted([*(linear[row] for row in found), *alone])
     matrix = np.zeros((len(members), len(terms)))

@@ -25,7 +25,7 @@ from leastaction.arms.base import BaseParameters, find_base
 from leastaction.arms.log import FitFacts, contact_notes, load_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel
 from leastaction.arms.regression import Choice, Regression
-from leastaction.arms.signals import Recording, Signals, starts
+from leastaction.arms.signals import Recording, Signals, predicted, starts
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
@@ -54,6 +54,7 @@ _FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
 _MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
 _CALIBRATIONS = 5  # most corrections of delays and gains
 _TORQUES = Recording()
+_RESTS = 0.02  # of the rms velocity; a slower joint may rest at a reversal
 _QUIETER = 1.1  # factor by which doubling the knots must lower the noise of some joint
 
 
@@ -143,7 +144,7 @@ def identify(
         columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
         base, columns, fit = _fitted(laid, columns, base, choice)
         fit = _weighted(laid, columns, fit)
-    notes += _doubts(laid, columns, fit, choice.regression.moved, tuple(data.names))
+    notes += _doubts(laid, columns, fit, choice, tuple(data.names))
     covariance = _corrected(laid, columns, fit)
     signals = signals.found(columns.terms, fit.coefficients, covariance)
     notes += signals.notes(tree)
@@ -262,14 +263,35 @@ def _fitted(
 
 
 def _doubts(
-    laid: _Laid, columns: ArmColumns, fit: JointFit, moved: np.ndarray, names: tuple[str, ...]
+    laid: _Laid, columns: ArmColumns, fit: JointFit, choice: Choice, names: tuple[str, ...]
 ) -> list[str]:
-    """Notes on effects in the log that the arm does not explain; not of joints that have not moved yet."""
-    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)]) * moved
-    notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
+    """Notes on effects that the arm does not explain.
+
+    A strong contact may spoil the joint fit and not show in it; it then shows in least squares along the log.
+    """
+    tree, times = columns.tree, laid.grid.points.mean(axis=1)
+    fitted = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+    said = (
+        contact_notes(tree, times, laid.grid.owner, _unexplained(laid, columns, fit, part, choice), names)
+        for part in (fitted, (predicted(choice) - laid.forces.values).mean(axis=1))
+    )
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
-    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(columns.tree), -1)
-    return notes + scale_notes(columns.tree, points, torques)
+    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(tree), -1)
+    return next((notes for notes in said if notes), []) + scale_notes(tree, points, torques)
+
+
+def _unexplained(
+    laid: _Laid, columns: ArmColumns, fit: JointFit, residuals: np.ndarray, choice: Choice
+) -> np.ndarray:
+    """Errors that are not those of a joint at rest, which friction of unknown size holds."""
+    speed = np.abs(laid.grid.at_quadrature(fit.control_points, most=1)[1]).min(axis=1)
+    rests = speed < _RESTS * np.sqrt(np.mean(speed**2, axis=0))
+    dry = np.zeros(len(columns.tree))
+    for term, value in zip(columns.terms, fit.coefficients.tolist(), strict=True):
+        if term.kind == "dry":
+            dry[term.place] = abs(value)
+    left = np.sign(residuals) * np.maximum(np.abs(residuals) - 2.0 * dry * rests, 0.0)
+    return left * choice.regression.moved
 
 
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:

@@ -228,7 +228,7 @@ class Problem:
         return self if pieces is self.trajectories else self.on(pieces)
 
 
-#                                                           generated candidates that are undefined along the data
+#                                                       generated candidates that are undefined along the data
 def undefined_along(
     library: Library, states: Mapping[str, np.ndarray], keep: Collection[Term] = ()
 ) -> tuple[Term, ...]:
