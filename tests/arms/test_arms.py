@@ -801,7 +801,7 @@ def test_a_log_of_more_joints_than_the_arm_has_is_refused(short_log, file):
     two = arms.KinematicTree.from_dh([{"d": 0.3}, {"alpha": -PI / 2}], modified=True)
     with pytest.raises(la.InputError, match="describe the whole arm") as caught:
         arms.read_log(file(table_text(rtde(short_log))), two, currents=True)
-    assert "the 3 columns actual_q_0" in str(caught.value)
+    assert "the 3 columns" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

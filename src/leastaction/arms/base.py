@@ -28,6 +28,7 @@ from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
 
 __all__ = [
+    "BALL",
     "TREE_SHARE",
     "BaseParameters",
     "Bodies",
@@ -53,6 +54,8 @@ _CLEAN = 1e-5  # smaller parts of a dependent column count as zero, relative to 
 _ROUNDING = 1e-9  # of a coefficient that is whole
 _FREE = ("inertia", "rotor", "spring", "offset")  # kinds among which dependences exist
 _MASS, _SIZE = 2.0, 0.1  # kg and m, assumed for a link without inertia in the tree
+BALL = f"{_MASS:g} kg and {_SIZE:g} m"
+"""The ball that stands for a link without inertia in the tree, in words."""
 _ROTOR = 1e-3  # kg m², assumed for a rotor
 _NEWTON = 200  # limit on steps
 

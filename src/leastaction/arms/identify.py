@@ -271,13 +271,13 @@ def _doubts(
     """
     tree, times = columns.tree, laid.grid.points.mean(axis=1)
     fitted = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
-    said = (
-        contact_notes(tree, times, laid.grid.owner, _unexplained(laid, columns, fit, part, choice), names)
-        for part in (fitted, (predicted(choice) - laid.forces.values).mean(axis=1))
-    )
+    notes: list[str] = []
+    for part in (fitted, (predicted(choice) - laid.forces.values).mean(axis=1)):
+        left = _unexplained(laid, columns, fit, part, choice)
+        notes = notes or contact_notes(tree, times, laid.grid.owner, left, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
     torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(tree), -1)
-    return next((notes for notes in said if notes), []) + scale_notes(tree, points, torques)
+    return notes + scale_notes(tree, points, torques)
 
 
 def _unexplained(
@@ -290,8 +290,8 @@ def _unexplained(
     for term, value in zip(columns.terms, fit.coefficients.tolist(), strict=True):
         if term.kind == "dry":
             dry[term.place] = abs(value)
-    left = np.sign(residuals) * np.maximum(np.abs(residuals) - 2.0 * dry * rests, 0.0)
-    return left * choice.regression.moved
+    held = np.clip(residuals, -2.0 * dry * rests, 2.0 * dry * rests)
+    return (residuals - held) * choice.regression.moved
 
 
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:

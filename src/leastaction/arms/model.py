@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from leastaction.arms.base import (
+    BALL,
     TREE_SHARE,
     BaseParameters,
     Bodies,
@@ -271,7 +272,7 @@ class ArmModel:
         if unknown:
             notes.append(
                 f"the tree has no inertia for {', '.join(unknown)}: what the log leaves open there is as in "
-                "balls of 2 kg and 0.1 m; add the manufacturer's values to the file or by with_inertias(...)"
+                f"balls of {BALL}; add the manufacturer's values to the file or by with_inertias(...)"
             )
         notes.append(
             f"bodies that can exist: chi-squared of the {len(self.coefficients)} base parameters rises by "
