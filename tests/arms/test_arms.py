@@ -19,11 +19,12 @@ from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import contact_notes, load_notes, prepared
 from leastaction.arms.planning import Bounds, Limits, Plan, Series
+from leastaction.arms.signals import bounded_starts
 from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
 from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm, JointScales, inertial_terms, joint_terms
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.report.axes import Axes
 from leastaction.report.figures_arm import ArmFigures, density, sides
@@ -474,6 +475,23 @@ def rested(true: arms.ArmModel, rng: np.random.Generator, rest: float) -> la.Tra
     torques += 0.02 * torques.std(axis=0) * rng.normal(size=torques.shape)
     kept = t > begin + 0.55
     return la.Trajectory(t[kept], q[kept], torques[kept], true.coordinates, "run")
+
+
+def test_friction_at_the_start_is_bounded_by_dry_friction(rng):
+    """As least squares with one more observation of each: zero, with the variance of a value within ± dry."""
+    scales = JointScales(np.ones(2), np.ones(2), np.ones(2))
+    tree = arms.KinematicTree.from_dh([{}, {"a": 1.0}], modified=True)
+    starts = [ArmTerm("start", "start", i) for i in (1, 0)]
+    terms = [*joint_terms(tree, ("dry", "viscous"), scales), *starts]
+    root = rng.normal(size=(9, 6))
+    information, dry = root.T @ root, np.array([0.5, -2.0])
+    values = np.concatenate([dry, rng.normal(size=4)])
+    found, covariance = bounded_starts(terms, values, np.linalg.inv(information))
+    more = information + np.diag([0.0] * 4 + [3.0 / 4.0, 3.0 / 0.25])
+    np.testing.assert_allclose(covariance, np.linalg.inv(more), atol=1e-12)
+    np.testing.assert_allclose(found, np.linalg.solve(more, information @ values), atol=1e-12)
+    same = bounded_starts(terms[:4], values[:4], np.eye(4))
+    np.testing.assert_array_equal(same[0], values[:4])
 
 
 @pytest.mark.parametrize(("rest", "seed", "copies"), [(0.7, 9, 2), (3.0, 11, 1)])

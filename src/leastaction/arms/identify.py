@@ -1,7 +1,6 @@
 """identify(): parameters with standard errors, from a torque log and a kinematic tree.
 
 The tree determines the form of the equations. Only the friction is selected.
-
 1. A smoothing spline is fitted to the angles. Least squares along it, weighted by joint, select the friction
    of each joint, the distance over which it reverses, and start values.
 2. Curve, parameters, noise and the equation error of each joint are fitted together
@@ -25,7 +24,7 @@ from leastaction.arms.base import BaseParameters, find_base
 from leastaction.arms.log import FitFacts, contact_notes, load_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel
 from leastaction.arms.regression import Choice, Regression
-from leastaction.arms.signals import Recording, Signals, predicted, starts
+from leastaction.arms.signals import Recording, Signals, bounded_starts, predicted, starts
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
@@ -145,8 +144,9 @@ def identify(
         base, columns, fit = _fitted(laid, columns, base, choice)
         fit = _weighted(laid, columns, fit)
     notes += _doubts(laid, columns, fit, choice, tuple(data.names))
-    covariance = _corrected(laid, columns, fit)
-    signals = signals.found(columns.terms, fit.coefficients, covariance)
+    values, covariance = bounded_starts(columns.terms, fit.coefficients, _corrected(laid, columns, fit))
+    fit = replace(fit, coefficients=values)
+    signals = signals.found(columns.terms, values, covariance)
     notes += signals.notes(tree)
     base, coefficients, covariance = _turned(base, columns, fit, covariance)
     notes += load_notes(tree, base, coefficients, covariance)
@@ -267,7 +267,7 @@ def _doubts(
 ) -> list[str]:
     """Notes on effects that the arm does not explain.
 
-    A strong contact may spoil the joint fit and not show in it; it then shows in least squares along the log.
+    A strong contact may spoil the joint fit and show in least squares along the log alone.
     """
     tree, times = columns.tree, laid.grid.points.mean(axis=1)
     fitted = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
