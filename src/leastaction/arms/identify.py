@@ -53,7 +53,7 @@ _FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
 _MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
 _CALIBRATIONS = 5  # most corrections of delays and gains
 _TORQUES = Recording()
-_RESTS = 0.02  # of the rms velocity; a slower joint may rest at a reversal
+_RESTS, _SPOILED = 0.02, 2.0  # of the rms velocity, below which a joint may rest; of errors of least squares
 _QUIETER = 1.1  # factor by which doubling the knots must lower the noise of some joint
 
 
@@ -150,11 +150,10 @@ def identify(
     notes += signals.notes(tree)
     base, coefficients, covariance = _turned(base, columns, fit, covariance)
     notes += load_notes(tree, base, coefficients, covariance)
-    weights = fit.weights
     facts = FitFacts(
         tuple(data.names),
-        tuple(weights.noise_std[: len(tree)].tolist()),
-        tuple((1.0 / weights.physics).tolist()),
+        tuple(fit.weights.position_std.tolist()),
+        tuple((1.0 / fit.weights.physics).tolist()),
         laid.grid.n_intervals / laid.grid.duration,
         fit.status,
         tuple(notes),
@@ -267,17 +266,18 @@ def _doubts(
 ) -> list[str]:
     """Notes on effects that the arm does not explain.
 
-    A strong contact may spoil the joint fit and show in least squares along the log alone.
+    A strong contact may spoil the joint fit; least squares along the log then leaves much smaller errors.
     """
-    tree, times = columns.tree, laid.grid.points.mean(axis=1)
-    fitted = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
-    notes: list[str] = []
-    for part in (fitted, (predicted(choice) - laid.forces.values).mean(axis=1)):
-        left = _unexplained(laid, columns, fit, part, choice)
-        notes = notes or contact_notes(tree, times, laid.grid.owner, left, names)
+    times = laid.grid.points.mean(axis=1)
+    errors = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+    others = (predicted(choice) - laid.forces.values).mean(axis=1)
+    if np.any(errors.std(axis=0) > _SPOILED * others.std(axis=0)):
+        errors = others
+    left = _unexplained(laid, columns, fit, errors, choice)
+    notes = contact_notes(columns.tree, times, laid.grid.owner, left, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
-    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(tree), -1)
-    return notes + scale_notes(tree, points, torques)
+    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(columns.n_dof, -1)
+    return notes + scale_notes(columns.tree, points, torques)
 
 
 def _unexplained(
@@ -290,8 +290,8 @@ def _unexplained(
     for term, value in zip(columns.terms, fit.coefficients.tolist(), strict=True):
         if term.kind == "dry":
             dry[term.place] = abs(value)
-    held = np.clip(residuals, -2.0 * dry * rests, 2.0 * dry * rests)
-    return (residuals - held) * choice.regression.moved
+    most = 2.0 * dry * rests
+    return (residuals - np.clip(residuals, -most, most)) * choice.regression.moved
 
 
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:
