@@ -86,7 +86,7 @@ Example:
     "--workers",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Processes that compute; worth it for logs of a minute and more (default: 1).",
+    help="Processes that share the work; a further one takes a second to start (default: 1).",
 )
 @click.option(
     "--output",
