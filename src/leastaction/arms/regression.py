@@ -48,8 +48,8 @@ _WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
 _WIDTHS = (0.1, 30.0)  # over which ε may change, times its start value
-# On eight simulated logs that begin at rest, half and twice of it change the mass matrix by at most 0.01 %; half
-# of it reports one contact that is not there.
+# On eight simulated logs that begin at rest, half and twice of it change the mass matrix by at most 0.01 %;
+# half of it reports one contact that is not there.
 _MOVED = 0.02  # of the standard deviation of a joint, some times δ, by which it has moved
 _FEWEST = 0.2  # of the log; a joint that moves less keeps its whole equation
 _DISTANCES = np.geomspace(1e-4, 3e-2, 9)  # δ over the standard deviation of the joint
