@@ -8,6 +8,9 @@ parameters per link, and no terms of L are searched. `leastaction.arms` fits the
 friction together.
 """
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import matplotlib.pyplot as plt
 import numpy as np
 
@@ -123,6 +126,19 @@ last.hist(scores, bins=np.arange(-4.0, 4.1, 0.5), color="0.6")
 last.set(title="parameters", xlabel="error / standard error")
 axes[0, 0].legend()
 plt.show()
+
+# %%
+# Your own log is read from a file. Columns are recognised by the names that ROS, libfranka and the RTDE of
+# Universal Robots give them, also in bags of ROS 2. Here the simulated log passes for a table of libfranka.
+
+with TemporaryDirectory() as folder:
+    path = Path(folder) / "log.csv"
+    quantities = {"q": other.q, "tau_J": other.forces}
+    names = [f"state.{key}[{i}]" for key in quantities for i in range(7)]
+    rows = np.hstack([other.t[:, None], *quantities.values()])
+    np.savetxt(path, rows, delimiter=",", header=",".join(["time", *names]), comments="")
+    print(arms.log_columns(path, tree))
+    print(solid.validate(arms.read_log(path, tree)))
 
 # %%
 # **What to learn.** With the geometry known, a log of some seconds predicts the torques of other motions to

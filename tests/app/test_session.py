@@ -45,7 +45,7 @@ from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_k
 from leastaction.app.remedies import proposed
 from leastaction.app.session import EXAMPLES, Session, Walk, in_words
 from leastaction.app.worker import Worker
-from leastaction.exporters.formats import FORMATS
+from leastaction.exporters import FORMATS
 from leastaction.findings import CODES, Finding
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import state_symbols

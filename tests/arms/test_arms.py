@@ -19,11 +19,12 @@ from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import contact_notes, load_notes, prepared
 from leastaction.arms.planning import Bounds, Limits, Plan, Series
+from leastaction.arms.signals import bounded_starts
 from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
 from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm, JointScales, inertial_terms, joint_terms
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.report.axes import Axes
 from leastaction.report.figures_arm import ArmFigures, density, sides
@@ -132,6 +133,19 @@ def test_a_motion_determines_the_known_number_of_base_parameters():
     assert find_base(WRIST, inertial_terms(WRIST)).text(0).startswith("Izz[link1]")
 
 
+@pytest.mark.parametrize("angle", [1.5707963, 1.5708])
+def test_rounded_angles_of_a_file_add_no_base_parameters(angle):
+    """No log determines what depends on the rest of a right angle alone."""
+    counts = []
+    for right in (PI / 2, angle):
+        rows = [{"d": 0.3}, {"alpha": -right, "a": 0.05}, {"a": 0.25, "alpha": right}]
+        tree = arms.KinematicTree.from_dh(rows, modified=True)
+        base = find_base(tree, inertial_terms(tree))
+        counts.append(len(base.members))
+        assert "e-0" not in " ".join(base.text(row) for row in range(len(base.members)))
+    assert counts[0] == counts[1]
+
+
 def test_torques_depend_on_base_parameters_alone(rng):
     scales = JointScales(*np.full((3, 7), 0.1))
     terms = (*inertial_terms(SEVEN), *joint_terms(SEVEN, ("rotor", "offset", "viscous"), scales))
@@ -141,6 +155,18 @@ def test_torques_depend_on_base_parameters_alone(rng):
     whole = np.tensordot(x, columns.strong(points), 1)
     part = np.tensordot(base.matrix @ x, columns.strong(points, base.members), 1)
     np.testing.assert_allclose(part, whole, atol=1e-10)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("workers", [2, 3])
+def test_workers_do_not_change_the_result(short, workers):
+    log, tree = short, WRIST
+    alone, together = (arms.identify(log, tree, workers=n) for n in (None, workers))
+    assert [t.text for t in together.terms] == [t.text for t in alone.terms]
+    np.testing.assert_allclose(
+        together.coefficients, alone.coefficients, atol=1e-6 * alone.standard_errors.min()
+    )
+    np.testing.assert_allclose(together.covariance, alone.covariance, rtol=1e-6, atol=1e-12)
 
 
 def test_mass_matrix_gravity_and_friction_are_found(found, rng):
@@ -396,12 +422,13 @@ def test_bad_logs_are_refused_in_one_line(found, rng):
         model.torques([0.0], [0.0], [0.0])
 
 
-def test_a_contact_is_reported_and_a_clean_log_is_not(found):
+@pytest.mark.parametrize("size", [2.0, pytest.param(60.0, id="so strong that it spoils the joint fit")])
+def test_a_contact_is_reported_and_a_clean_log_is_not(found, size):
     true, model = found
     assert not any("contact" in note for note in model.facts.notes)
     log = recorded(true, np.random.default_rng(4), 8.0, 200.0)
     pushed = log.forces.copy()
-    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += 2.0
+    pushed[(log.t > 3.0) & (log.t < 3.6), 1] += size
     again = arms.identify(la.Trajectory(log.t, log.q, pushed, log.coordinates, "run"), WRIST)
     (note,) = [note for note in again.facts.notes if "contact" in note]
     assert note.startswith("from 3.0")
@@ -448,6 +475,23 @@ def rested(true: arms.ArmModel, rng: np.random.Generator, rest: float) -> la.Tra
     torques += 0.02 * torques.std(axis=0) * rng.normal(size=torques.shape)
     kept = t > begin + 0.55
     return la.Trajectory(t[kept], q[kept], torques[kept], true.coordinates, "run")
+
+
+def test_friction_at_the_start_is_bounded_by_dry_friction(rng):
+    """As least squares with one more observation of each: zero, with the variance of a value within ± dry."""
+    scales = JointScales(np.ones(2), np.ones(2), np.ones(2))
+    tree = arms.KinematicTree.from_dh([{}, {"a": 1.0}], modified=True)
+    starts = [ArmTerm("start", "start", i) for i in (1, 0)]
+    terms = [*joint_terms(tree, ("dry", "viscous"), scales), *starts]
+    root = rng.normal(size=(9, 6))
+    information, dry = root.T @ root, np.array([0.5, -2.0])
+    values = np.concatenate([dry, rng.normal(size=4)])
+    found, covariance = bounded_starts(terms, values, np.linalg.inv(information))
+    more = information + np.diag([0.0] * 4 + [3.0 / 4.0, 3.0 / 0.25])
+    np.testing.assert_allclose(covariance, np.linalg.inv(more), atol=1e-12)
+    np.testing.assert_allclose(found, np.linalg.solve(more, information @ values), atol=1e-12)
+    same = bounded_starts(terms[:4], values[:4], np.eye(4))
+    np.testing.assert_array_equal(same[0], values[:4])
 
 
 @pytest.mark.parametrize(("rest", "seed", "copies"), [(0.7, 9, 2), (3.0, 11, 1)])
@@ -767,6 +811,15 @@ def test_joints_of_another_name_are_taken_by_number(short_log, file):
 def test_unclear_columns_are_refused_in_one_line(short_log, file, table, words):
     with pytest.raises(la.InputError, match=re.escape(words)) as caught:
         arms.read_log(file(table_text(table(short_log))), NAMED)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_log_of_more_joints_than_the_arm_has_is_refused(short_log, file):
+    """The lowest numbers need not be those of the arm."""
+    two = arms.KinematicTree.from_dh([{"d": 0.3}, {"alpha": -PI / 2}], modified=True)
+    with pytest.raises(la.InputError, match="describe the whole arm") as caught:
+        arms.read_log(file(table_text(rtde(short_log))), two, currents=True)
+    assert "the 3 columns" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -29,12 +29,13 @@ from leastaction.estimation import candidates, elimination, joint, recipes, volu
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
-from leastaction.estimation.crew import DaskCrew, employ
+from leastaction.estimation.crew import Alone, DaskCrew, employ
 from leastaction.estimation.elimination import BandedFactor, trace_product
 from leastaction.estimation.gauss_newton import fit_joint, score_candidates
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.protocols import linearise
+from leastaction.estimation.stretches import SharedObservations
 
 
 # --------------------- trials as blocks: the same sums, whoever computes them, and whoever is lost on the way
@@ -72,6 +73,25 @@ def test_blocks_give_the_sums_of_the_whole(intervals, n_blocks, crew, monkeypatc
     assert found.logdet == pytest.approx(expected.logdet, abs=1e-9)
     step = np.array([0.1, -0.2, 0.3, 0.4])
     close(found.curve_step(step), expected.curve_step(step), 1e-8)
+
+
+@pytest.mark.parametrize("n_stretches", [1, 3, 200])
+def test_stretches_of_a_motion_give_the_sums_of_the_whole(n_stretches, monkeypatch):
+    """They cut trials, so that neighbours share control points."""
+    monkeypatch.setattr(volume, "_CHUNK", 13)
+    monkeypatch.setattr(volume, "_VOLUME_POINTS", 4)
+    grid, data, physics, control = problem()
+    whole, alone = Observations(grid, *data), Alone()
+    alone.size = n_stretches
+    parts = SharedObservations(whole, alone)
+    assert len(parts.stretches) == min(n_stretches, grid.n_intervals)
+    here, there = linearised_alike(whole, parts, physics, control)
+    ahead = linearise(parts, physics, control, VALUES, WEIGHTS)
+    for found in (there.normal(WEIGHTS), ahead.normal(WEIGHTS), ahead.lean().normal(WEIGHTS)):
+        for mine, other in zip(found, here.normal(WEIGHTS), strict=True):
+            close(mine, other)
+    more = euler_lagrange(MORE, ["x", "y"])
+    close(score_candidates(there, WEIGHTS, more).matrix, score_candidates(here, WEIGHTS, more).matrix)
 
 
 def test_blocks_score_candidates_as_the_whole(crew):

@@ -18,8 +18,8 @@ import leastaction as la
 from helpers import COMPILER, MODELS, finite_difference, states, timed
 from leastaction.cli import program
 from leastaction.errors import InputError
+from leastaction.exporters import FORMATS
 from leastaction.exporters.chains import chain_of
-from leastaction.exporters.formats import FORMATS
 from leastaction.exporters.write import export
 from leastaction.library import format_expression
 from leastaction.model.model import LagrangianModel, ModelTerm

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from leastaction.app.candidates import Choice
 from leastaction.errors import DataError, InputError
-from leastaction.exporters.formats import FORMATS
+from leastaction.exporters import FORMATS
 
 if TYPE_CHECKING:
     from leastaction import LagrangianModel

@@ -29,7 +29,7 @@ from leastaction.app.running_view import Running, ended
 from leastaction.app.session import in_words
 from leastaction.app.verdict_view import gravity, in_names, notes, status
 from leastaction.app.walk_view import WalkPanel
-from leastaction.exporters.formats import FORMATS
+from leastaction.exporters import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions
 from leastaction.report.tables import coefficient_groups, motion_rows, simple_rows, symmetry_rows

@@ -28,6 +28,7 @@ from leastaction.mechanics import Points
 from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
 
 __all__ = [
+    "BALL",
     "TREE_SHARE",
     "BaseParameters",
     "Bodies",
@@ -47,10 +48,14 @@ __all__ = [
 TREE_SHARE = 0.3
 """Standard deviation of the tree's inertias, as a share of each link's mass and size."""
 _STATES = 40  # random states at which dependences are determined
-_DEPENDENT = 1e-8  # largest independent part of a dependent column, relative to its length
-_CLEAN = 1e-9  # smaller coefficients of a combination count as zero
+# Files state angles such as 1.5708.  What depends on the rest of π/2 is undetermined by any log.
+_DEPENDENT = 1e-4  # largest independent part of a dependent column, relative to its length
+_CLEAN = 1e-5  # smaller parts of a dependent column count as zero, relative to its length
+_ROUNDING = 1e-9  # of a coefficient that is whole
 _FREE = ("inertia", "rotor", "spring", "offset")  # kinds among which dependences exist
 _MASS, _SIZE = 2.0, 0.1  # kg and m, assumed for a link without inertia in the tree
+BALL = f"{_MASS:g} kg and {_SIZE:g} m"
+"""The ball that stands for a link without inertia in the tree, in words."""
 _ROTOR = 1e-3  # kg m², assumed for a rotor
 _NEWTON = 200  # limit on steps
 
@@ -98,6 +103,15 @@ class BaseParameters:
     def _place(self, k: int, tree: KinematicTree) -> str:
         term = self.terms[k]
         return tree.links[term.place] if term.kind == "inertia" else f"joint {tree.coordinates[term.place]}"
+
+    def in_joints(self, values: np.ndarray, inertias: np.ndarray) -> list[tuple[ArmTerm, float]]:
+        """Parameters of joints that, beside given inertias of the links, have base parameters as given."""
+        given = np.nan_to_num(inertias)
+        links = np.array([given[t.place, t.component] if t.kind == "inertia" else 0.0 for t in self.terms])
+        of_joints = [k for k, t in enumerate(self.terms) if t.kind != "inertia" and self.matrix[:, k].any()]
+        left = values - self.matrix @ links
+        found: np.ndarray = np.linalg.lstsq(self.matrix[:, of_joints], left, rcond=None)[0]
+        return [(self.terms[k], float(value)) for k, value in zip(of_joints, found, strict=True)]
 
     def subset(self, kept: Sequence[int]) -> BaseParameters:
         """The base parameters without some members that depend on no others, such as friction."""
@@ -150,9 +164,9 @@ def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
             found.append(row)
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
     shares = np.linalg.lstsq(columns[found].T, columns.T, rcond=None)[0]
-    shares[np.abs(shares) < _CLEAN] = 0.0
+    shares[np.abs(shares) * length[found, None] < _CLEAN * length] = 0.0
     whole = np.rint(shares)
-    shares = np.where(np.abs(shares - whole) < _CLEAN, whole, shares)
+    shares = np.where(np.abs(shares - whole) < _ROUNDING, whole, shares)
     alone = [k for k, term in enumerate(terms) if term.kind not in _FREE]
     members = sorted([*(linear[row] for row in found), *alone])
     matrix = np.zeros((len(members), len(terms)))

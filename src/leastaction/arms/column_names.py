@@ -108,6 +108,11 @@ def _by_joint(
             )
         places = [numbers[tokens_of(joint)] for joint in joints]
     else:
+        if len(group) > len(joints):
+            raise InputError(
+                f"{source} has the {len(group)} columns {listed([*group.values()])} for the {len(joints)} "
+                f"joints {listed(joints)}; describe the whole arm, or name the columns of these joints"
+            )
         start = 0 if "0" in group else 1
         places = [str(start + k) for k in range(len(joints))]
     return {j: group[k] for j, k in zip(joints, places, strict=True)} if {*places} <= {*group} else None

@@ -1,7 +1,6 @@
 """identify(): parameters with standard errors, from a torque log and a kinematic tree.
 
 The tree determines the form of the equations. Only the friction is selected.
-
 1. A smoothing spline is fitted to the angles. Least squares along it, weighted by joint, select the friction
    of each joint, the distance over which it reverses, and start values.
 2. Curve, parameters, noise and the equation error of each joint are fitted together
@@ -16,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -25,18 +24,19 @@ from leastaction.arms.base import BaseParameters, find_base
 from leastaction.arms.log import FitFacts, contact_notes, load_notes, prepared, scale_notes
 from leastaction.arms.model import ArmModel
 from leastaction.arms.regression import Choice, Regression
-from leastaction.arms.signals import Recording, Signals, starts
+from leastaction.arms.signals import Recording, Signals, bounded_starts, predicted, starts
 from leastaction.curve.bspline import SplineGrid, uniform_grid
 from leastaction.curve.knots import lay_knots
 from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
-from leastaction.estimation.blocks import observe
+from leastaction.estimation.crew import Alone, Crew, employ
 from leastaction.estimation.forces import GridForces, forces_on
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.intervals import points_at
 from leastaction.estimation.joint import Physics
-from leastaction.estimation.protocols import Measurements
+from leastaction.estimation.observations import Observations
+from leastaction.estimation.stretches import SharedObservations
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
@@ -53,6 +53,7 @@ _FALSE_ALARM = 0.01  # probability that an arm without friction keeps any
 _MOST_KNOTS = 100.0  # a second; above 30 Hz, links bend and gears vibrate, which the model does not describe
 _CALIBRATIONS = 5  # most corrections of delays and gains
 _TORQUES = Recording()
+_RESTS, _SPOILED = 0.02, 2.0  # of the rms velocity, below which a joint may rest; of errors of least squares
 _QUIETER = 1.1  # factor by which doubling the knots must lower the noise of some joint
 
 
@@ -62,7 +63,7 @@ class _Laid:
 
     grid: SplineGrid
     smoothed: Smooth
-    observations: Measurements
+    observations: SharedObservations
     forces: GridForces
 
     def under(self, data: Trajectories) -> _Laid:
@@ -83,6 +84,7 @@ def identify(
     springs: bool = False,
     recording: Recording = _TORQUES,
     knots_per_second: float | None = None,
+    workers: int | Any = None,
 ) -> ArmModel:
     """Find the inertial parameters and the friction of an arm.
 
@@ -102,6 +104,9 @@ def identify(
         if the joints agree that there are any.
     knots_per_second : float, optional
         Knots of the spline; by default determined from the data.
+    workers : int or distributed.Client, optional
+        Number of processes, or a Dask client, for the joint fit. The result is the same up to rounding. By
+        default, this process does all.
 
     Returns
     -------
@@ -121,33 +126,34 @@ def identify(
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
     extra = [kind for kind in friction if kind not in _ALWAYS]
-    laid, choice, signals, changes = _calibrated(
-        data, tree, recording, (fixed, always, extra), knots_per_second
-    )
-    begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
-    terms = (
-        *inertial_terms(tree),
-        *joint_terms(tree, fixed, choice.scales),
-        *choice.friction,
-        *signals.terms(tree),
-        *begins,
-    )
-    base = find_base(tree, terms)
-    history = np.concatenate([choice.history, changes, remains])
-    columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
-    base, columns, fit = _fitted(laid, columns, base, choice)
-    fit = _weighted(laid, columns, fit)
-    notes += _doubts(laid, columns, fit, choice.regression.moved, tuple(data.names))
-    covariance = _corrected(laid, columns, fit)
-    signals = signals.found(columns.terms, fit.coefficients, covariance)
+    kinds = fixed, always, extra
+    with employ(workers, joins=True) as crew:
+        laid = _lay(data, knots_per_second, crew or Alone())
+        laid, choice, signals, changes = _calibrated(data, tree, recording, kinds, laid)
+        begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
+        terms = (
+            *inertial_terms(tree),
+            *joint_terms(tree, fixed, choice.scales),
+            *choice.friction,
+            *signals.terms(tree),
+            *begins,
+        )
+        base = find_base(tree, terms)
+        history = np.concatenate([choice.history, changes, remains])
+        columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
+        base, columns, fit = _fitted(laid, columns, base, choice)
+        fit = _weighted(laid, columns, fit)
+    notes += _doubts(laid, columns, fit, choice, tuple(data.names))
+    values, covariance = bounded_starts(columns.terms, fit.coefficients, _corrected(laid, columns, fit))
+    fit = replace(fit, coefficients=values)
+    signals = signals.found(columns.terms, values, covariance)
     notes += signals.notes(tree)
     base, coefficients, covariance = _turned(base, columns, fit, covariance)
     notes += load_notes(tree, base, coefficients, covariance)
-    weights = fit.weights
     facts = FitFacts(
         tuple(data.names),
-        tuple(weights.noise_std[: len(tree)].tolist()),
-        tuple((1.0 / weights.physics).tolist()),
+        tuple(fit.weights.position_std.tolist()),
+        tuple((1.0 / fit.weights.physics).tolist()),
         laid.grid.n_intervals / laid.grid.duration,
         fit.status,
         tuple(notes),
@@ -170,15 +176,15 @@ def _calibrated(
     tree: KinematicTree,
     recording: Recording,
     kinds: tuple[list[str], list[str], list[str]],
-    knots_per_second: float | None,
+    laid: _Laid,
 ) -> _Calibrated:
     """Select friction, and shift and scale the torques, until both stay the same."""
     signals = Signals.of(tree, recording)
-    laid = _lay(data, knots_per_second)
 
     def regress() -> Regression:
         corrected, points = signals.torques(data), laid.smoothed.control_points
-        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds)
+        crew = laid.observations.crew
+        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds, crew)
 
     if signals.unknown:
         signals = signals.first_gains(regress())
@@ -198,7 +204,7 @@ def _calibrated(
     raise AssertionError  # the last round returns
 
 
-def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
+def _lay(data: Trajectories, knots_per_second: float | None, crew: Crew) -> _Laid:
     times, values = [t.t for t in data], [t.q for t in data]
     if knots_per_second is None:
         smoothed = _resolved(data)
@@ -207,7 +213,8 @@ def _lay(data: Trajectories, knots_per_second: float | None) -> _Laid:
     grid = smoothed.grid
     forces = forces_on(grid, times, [t.forces for t in data])
     assert forces is not None
-    return _Laid(grid, smoothed, observe(grid, times, values), forces)
+    observations = SharedObservations(Observations(grid, times, values), crew)
+    return _Laid(grid, smoothed, observations, forces)
 
 
 def _resolved(data: Trajectories) -> Smooth:
@@ -255,14 +262,36 @@ def _fitted(
 
 
 def _doubts(
-    laid: _Laid, columns: ArmColumns, fit: JointFit, moved: np.ndarray, names: tuple[str, ...]
+    laid: _Laid, columns: ArmColumns, fit: JointFit, choice: Choice, names: tuple[str, ...]
 ) -> list[str]:
-    """Notes on effects in the log that the arm does not explain; not of joints that have not moved yet."""
-    residuals = np.concatenate([mean for _, mean in _scores(laid, columns, fit)]) * moved
-    notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, residuals, names)
+    """Notes on effects that the arm does not explain.
+
+    A strong contact may spoil the joint fit; least squares along the log then leaves much smaller errors.
+    """
+    times = laid.grid.points.mean(axis=1)
+    errors = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+    others = (predicted(choice) - laid.forces.values).mean(axis=1)
+    if np.any(errors.std(axis=0) > _SPOILED * others.std(axis=0)):
+        errors = others
+    left = _unexplained(laid, columns, fit, errors, choice)
+    notes = contact_notes(columns.tree, times, laid.grid.owner, left, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
-    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(len(columns.tree), -1)
+    torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(columns.n_dof, -1)
     return notes + scale_notes(columns.tree, points, torques)
+
+
+def _unexplained(
+    laid: _Laid, columns: ArmColumns, fit: JointFit, residuals: np.ndarray, choice: Choice
+) -> np.ndarray:
+    """Errors that are not those of a joint at rest, which friction of unknown size holds."""
+    speed = np.abs(laid.grid.at_quadrature(fit.control_points, most=1)[1]).min(axis=1)
+    rests = speed < _RESTS * np.sqrt(np.mean(speed**2, axis=0))
+    dry = np.zeros(len(columns.tree))
+    for term, value in zip(columns.terms, fit.coefficients.tolist(), strict=True):
+        if term.kind == "dry":
+            dry[term.place] = abs(value)
+    most = 2.0 * dry * rests
+    return (residuals - np.clip(residuals, -most, most)) * choice.regression.moved
 
 
 def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:

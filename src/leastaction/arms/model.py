@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from leastaction.arms.base import (
+    BALL,
     TREE_SHARE,
     BaseParameters,
     Bodies,
@@ -271,7 +272,7 @@ class ArmModel:
         if unknown:
             notes.append(
                 f"the tree has no inertia for {', '.join(unknown)}: what the log leaves open there is as in "
-                "balls of 2 kg and 0.1 m; add the manufacturer's values to the file or by with_inertias(...)"
+                f"balls of {BALL}; add the manufacturer's values to the file or by with_inertias(...)"
             )
         notes.append(
             f"bodies that can exist: chi-squared of the {len(self.coefficients)} base parameters rises by "
@@ -373,13 +374,7 @@ class ArmModel:
 
         A base parameter of a link may hold a rotor: it is what the inertias of the tree leave of it.
         """
-        terms, matrix = self.base.terms, self.base.matrix
-        given = np.nan_to_num(self.tree.inertias)
-        links = np.array([given[t.place, t.component] if t.kind == "inertia" else 0.0 for t in terms])
-        places = [k for k, term in enumerate(terms) if term.kind != "inertia" and matrix[:, k].any()]
-        left = self.coefficients - matrix @ links
-        found: np.ndarray = np.linalg.lstsq(matrix[:, places], left, rcond=None)[0]
-        return [(terms[k], float(value)) for k, value in zip(places, found, strict=True)]
+        return self.base.in_joints(self.coefficients, self.tree.inertias)
 
     def save(self, path: str | Path) -> None:
         """Write the model to a JSON file; `load` reads it."""

@@ -34,7 +34,7 @@ from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import ArmTerm, remembered
 
-__all__ = ["Recording", "Signals", "starts"]
+__all__ = ["Recording", "Signals", "bounded_starts", "predicted", "starts"]
 
 _CHUNK = 512  # knot intervals handled at once
 _FAR = 0.1  # of a sampling interval, or of a gain: after a larger step the columns are computed again
@@ -168,7 +168,7 @@ class Signals:
     def changes(self, choice: Choice) -> np.ndarray:
         """(2, n_intervals, n_quadrature, n_dof) derivatives of the torques in delay and log gain."""
         regression = choice.regression
-        tau = _predicted(choice)
+        tau = predicted(choice)
         out, stop = np.zeros((2, *tau.shape)), 0
         for k, space in enumerate(regression.grid.spaces):
             own = slice(stop, stop := stop + space.n_intervals)
@@ -257,7 +257,7 @@ class Signals:
         return (said if late else []) + ([f"torque per unit of the log: {', '.join(gains)}"] if gains else [])
 
 
-def _predicted(choice: Choice) -> np.ndarray:
+def predicted(choice: Choice) -> np.ndarray:
     """(n_intervals, n_quadrature, n_dof) torques of the regression."""
     regression, values = choice.regression, choice.solution.values
     whole = np.zeros(len(regression.columns))
@@ -317,3 +317,18 @@ def starts(
     assert runs is not None
     terms = [term for _, term in longest[:_MOST_STARTS]]
     return terms, np.array([remains.values, np.rint(runs.values)])
+
+
+def bounded_starts(
+    terms: Sequence[ArmTerm], coefficients: np.ndarray, covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients and covariance if dry friction bounds the friction at the start of a run.
+
+    A value between −dry and dry, all equally probable, has the variance dry²/3. Without this prior, the
+    friction may absorb other slow errors in the first part of a log.
+    """
+    dry = {t.place: c for t, c in zip(terms, coefficients.tolist(), strict=True) if t.kind == "dry"}
+    rows = [k for k, term in enumerate(terms) if term.kind == "start"]
+    prior = np.diag([dry[terms[k].place] ** 2 / 3.0 for k in rows])
+    gain = np.linalg.solve(covariance[np.ix_(rows, rows)] + prior, covariance[rows]).T
+    return coefficients - gain @ coefficients[rows], covariance - gain @ covariance[rows]

@@ -83,6 +83,12 @@ Example:
     "or trials by name.",
 )
 @click.option(
+    "--workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Processes that share the work; a further one takes a second to start (default: 1).",
+)
+@click.option(
     "--output",
     required=True,
     metavar="DIR",
@@ -96,6 +102,7 @@ def arm(
     gains: str | None,
     hold_out: str | None,
     output: str,
+    workers: int | None,
     urdf: str | None,
     mjcf: str | None,
     **geometry: Any,
@@ -119,7 +126,7 @@ def arm(
     fitted, rest = _split(log, hold_out)
     recording = arms.Recording() if gains is None else arms.Recording(gains=_gains(gains))
     with live_progress("verify"):
-        found = arms.identify(fitted, tree, recording=recording)
+        found = arms.identify(fitted, tree, recording=recording, workers=workers)
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
     report = partial(write_arm_report, found, log=fitted, held_out=rest, command=command_line(ctx))

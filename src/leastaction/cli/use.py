@@ -17,7 +17,7 @@ from leastaction.cli.show import live_progress, say, show_forecast, show_model, 
 from leastaction.cli.text import complete_file, one_line, shown
 from leastaction.cli.values import assignments, blame, number
 from leastaction.errors import DataError, InputError
-from leastaction.exporters.formats import FORMATS, check_format
+from leastaction.exporters import FORMATS, check_format
 from leastaction.identifiers import quoted
 
 if TYPE_CHECKING:

@@ -259,6 +259,32 @@ class SplineGrid:
         """Runs of at most ``size`` knot intervals; one may hold several short trajectories."""
         return [slice(a, min(a + size, self.n_intervals)) for a in range(0, self.n_intervals, size)]
 
+    def part(self, intervals: slice) -> SplineGrid:
+        """Some successive knot intervals, with their control points numbered from zero.
+
+        The basis is that of the whole grid: a trajectory may be cut, and neighbouring parts share control
+        points.  The part serves sums over quadrature points; samples and curves belong to the whole grid.
+        """
+        out = SplineGrid(
+            self.spaces, self.n_quadrature, before=self.before + intervals.start, total=self.total
+        )
+        patterns, tables = self._quadrature_tables
+        first = self.first[intervals]
+        vars(out).update(
+            first=first - first[0],
+            owner=self.owner[intervals],
+            points=self.points[intervals],
+            weights=self.weights[intervals],
+            _quadrature_tables=(patterns[intervals], tables),
+            n_intervals=first.size,
+            n_ctrl=int(first[-1] - first[0]) + self.degree + 1,
+        )
+        return out
+
+    def points_within(self, intervals: slice) -> slice:
+        """The control points that matter in some successive knot intervals."""
+        return slice(int(self.first[intervals.start]), int(self.first[intervals.stop - 1]) + self.degree + 1)
+
     def _runs(self, chunk: slice) -> list[tuple[slice, int]]:
         """Parts of a chunk within one trajectory, each with the number of its first control point."""
         owner = self.owner[chunk]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import itertools
 import os
 import signal
 import threading
@@ -70,9 +71,10 @@ class Task:
 
 
 class Crew(Protocol):
-    """Computes tasks."""
+    """Computes tasks; ``size`` is the number of workers."""
 
     keeps: bool
+    size: int
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         """Start a task; arguments may be other tasks of this crew."""
@@ -94,7 +96,7 @@ class Crew(Protocol):
 class Alone:
     """The calling thread: a task is computed when its result is requested."""
 
-    keeps = False
+    keeps, size = False, 1
 
     def __init__(self) -> None:
         self._folder = Folder()
@@ -123,6 +125,12 @@ class ProcessCrew:
     Large arguments and results pass through files in a temporary folder, which takes a fraction of the time
     of a pipe. No task is an argument of another one.
 
+    Parameters
+    ----------
+    workers : int
+    joins : bool
+        Whether this process is one of them. It then takes tasks in turn, and there is one child less.
+
     Attributes
     ----------
     keeps : bool
@@ -131,13 +139,16 @@ class ProcessCrew:
 
     keeps = False
 
-    def __init__(self, workers: int) -> None:
-        self._workers, self._starts_left = workers, _MOST_STARTS
+    def __init__(self, workers: int, joins: bool = False) -> None:
+        self.size, self._starts_left, self._children = workers, _MOST_STARTS, workers - joins
+        self._turns = itertools.cycle([joins, *[False] * (workers - 1)])
         self._pool: ProcessPoolExecutor | None = None
         self._folder = Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
+        if next(self._turns):
+            return task
         try:
             pool = self._started()
             if pool is not None:
@@ -169,7 +180,7 @@ class ProcessCrew:
 
             self._starts_left -= 1
             self._pool = ProcessPoolExecutor(
-                self._workers,
+                self._children,
                 timeout=_IDLE,
                 initializer=_begin_child,
                 initargs=(os.getpid(),),
@@ -202,6 +213,7 @@ class DaskCrew:
 
     def __init__(self, client: Any) -> None:
         self._client, self._alone = client, False
+        self.size = max(len(self._workers()), 1)
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)
@@ -244,18 +256,23 @@ class DaskCrew:
     def _anybody(self) -> bool:
         """Whether the cluster has any worker."""
         try:
-            return bool(self._client.scheduler_info(n_workers=-1)["workers"])
+            return bool(self._workers())
         except Exception:
             return False
 
+    def _workers(self) -> Any:
+        return self._client.scheduler_info(n_workers=-1)["workers"]
+
 
 @contextmanager
-def employ(workers: Any) -> Generator[Crew | None, None, None]:
+def employ(workers: Any, joins: bool = False) -> Generator[Crew | None, None, None]:
     """The crew for the argument ``workers``: None for one worker, which is this thread.
 
     Parameters
     ----------
     workers : int, distributed.Client or None
+    joins : bool
+        Whether this process is one of several workers.
 
     Raises
     ------
@@ -264,7 +281,9 @@ def employ(workers: Any) -> Generator[Crew | None, None, None]:
     if workers is None or (isinstance(workers, int) and not isinstance(workers, bool) and workers == 1):
         yield None
     elif isinstance(workers, int) and not isinstance(workers, bool) and workers >= 1:
-        crew = ProcessCrew(min(workers, 4 * (os.cpu_count() or 1)))
+        crew = ProcessCrew(min(workers, 4 * (os.cpu_count() or 1)), joins)
+        for _ in range(crew.size if joins else 0):
+            crew.task(int)  # children import while this process prepares the data
         try:
             yield crew
         finally:

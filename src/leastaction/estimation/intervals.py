@@ -9,11 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from leastaction.curve.bspline import SplineGrid
+from leastaction.mechanics import Columns
 from leastaction.mechanics.euler_lagrange import Points
 
-__all__ = ["by_interval", "first_points", "local_jacobian", "points_at"]
+__all__ = ["by_interval", "by_point", "column_products", "first_points", "local_jacobian", "points_at"]
 
 _TRANSPOSED, _STRIPE = 128, 256  # knot intervals of a piece
+_CHUNK = 512  # knot intervals whose columns are in memory at once
 
 
 def points_at(grid: SplineGrid, control_points: np.ndarray, chunk: slice) -> Points:
@@ -55,3 +57,37 @@ def local_jacobian(
             sums[i, :, j] += np.multiply(value[:, :, run], parts[nu], out=product)
         local[run] = sums.transpose(4, 0, 1, 3, 2)
     return local.reshape(m, n, n_quad, n_basis * n)
+
+
+def by_point(values: np.ndarray) -> np.ndarray:
+    """(n, n_intervals, n_quadrature, n_dof) → (n, n_dof, n_points), in the sequence of `Points`."""
+    return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
+
+
+def column_products(
+    grid: SplineGrid, control_points: np.ndarray, columns: Columns, more: np.ndarray, used: np.ndarray
+) -> np.ndarray:
+    """Integrals of the products of columns, and of given values after them, in each equation.
+
+    Parameters
+    ----------
+    more : (n_more, n_intervals, n_quadrature, n_dof) array
+    used : (n_intervals, n_dof) array
+        1 where an equation is used, else 0.
+
+    Returns
+    -------
+    (n_dof, n, n) array
+    """
+    n, k, size = control_points.shape[1], len(columns), len(columns) + len(more)
+    out = np.zeros((n, size, size))
+    for chunk in grid.chunks(_CHUNK):
+        points = points_at(grid, control_points, chunk)
+        rows = np.empty((size, n, int(points.n_points)))
+        rows[:k] = columns.strong(points)
+        rows[k:] = by_point(more[:, chunk])
+        rows *= np.sqrt(grid.weights[chunk].T.ravel())
+        rows *= np.tile(used[chunk], (grid.n_quadrature, 1)).T
+        for i in range(n):
+            out[i] += rows[:, i] @ rows[:, i].T
+    return out

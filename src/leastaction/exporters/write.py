@@ -7,8 +7,7 @@ from typing import Literal, TypeAlias, overload
 
 from leastaction.data.formats.atomic import check_path
 from leastaction.errors import InputError
-from leastaction.exporters import c, casadi, chains, fmu, julia, matlab, python
-from leastaction.exporters.formats import check_format
+from leastaction.exporters import c, casadi, chains, check_format, fmu, julia, matlab, python
 from leastaction.io import write_bytes
 from leastaction.model.model import LagrangianModel
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -152,16 +153,21 @@ def presliding(q: np.ndarray, distance: float) -> np.ndarray:
     """(2, n_times): dry friction of Dahl along a motion q of one joint, and its derivative in log δ.
 
     dz = (1 − z sgn q̇) |dq| / δ sgn q̇ in units of full friction, exact between samples that move in one
-    direction; it starts at zero.
+    direction; it starts at zero.  Between two reversals, with the path p since the first of them,
+
+        z = s + (z₀ − s) exp(−p/δ),    s = sgn q̇.
     """
     steps = np.diff(q)
-    ways = np.abs(steps) / distance
+    path = np.concatenate([[0.0], np.cumsum(np.abs(steps))]) / distance
+    moving = np.flatnonzero(steps)
+    turns = moving[np.flatnonzero(np.diff(np.sign(steps[moving]), prepend=0.0))].tolist()
     out, z, slope = np.zeros((2, q.size)), 0.0, 0.0
-    given = zip(np.sign(steps).tolist(), ways.tolist(), np.exp(-ways).tolist(), strict=True)
-    for k, (sign, way, stay) in enumerate(given, 1):
-        slope = (slope + (z - sign) * way) * stay
-        z = sign + (z - sign) * stay
-        out[:, k] = z, slope
+    for begin, end in pairwise([*turns, q.size - 1]):
+        sign, way = float(np.sign(steps[begin])), path[begin + 1 : end + 1] - path[begin]
+        stay = np.exp(-way)
+        out[0, begin + 1 : end + 1] = sign + (z - sign) * stay
+        out[1, begin + 1 : end + 1] = (slope + (z - sign) * way) * stay
+        z, slope = out[:, end].tolist()
     return out
 
 

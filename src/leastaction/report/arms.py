@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from leastaction.arms.base import TREE_SHARE
+from leastaction.arms.base import BALL, TREE_SHARE
 from leastaction.arms.compare import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.data.trajectories import Trajectories
@@ -76,7 +76,7 @@ def _words(figures: ArmFigures) -> dict[str, Any]:
     bare = np.isnan(figures.model.tree.inertias).any(axis=1)
     prior = f"the tree, uncertain by {percent(TREE_SHARE)} of mass and size"
     if bare.any():
-        ball = "a ball of 2 kg and 0.1 m, uncertain by 100 %"
+        ball = f"a ball of {BALL}, uncertain by 100 %"
         prior = ball if bare.all() else f"{prior}, or {ball} where it states none"
     return {
         "prior": prior,
