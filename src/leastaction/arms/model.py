@@ -344,8 +344,8 @@ class ArmModel:
     def _calibrated(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
         """The log with torques on time and in N m, by the delays and gains of the fitted log."""
         data, n = prepared(Trajectories.coerce(trajectories), self.tree)[0], len(self.tree)
-        delays, gains = np.array(self.facts.delays or [0.0] * n), np.array(self.facts.gains or [1.0] * n)
-        return Signals(delays, gains, False, ()).torques(data)
+        delays, gains = self.facts.delays or [0.0] * n, self.facts.gains or [1.0] * n
+        return Signals(np.array(delays), np.array(gains), False, ()).torques(data)
 
     def _smoothed(self, run: Trajectory) -> list[np.ndarray]:
         grid = uniform_grid([run.t], self.facts.knots_per_second, 5)
@@ -361,13 +361,12 @@ class ArmModel:
 
         Joints of MuJoCo have no other friction and no constant torques: these are left out.
         """
-        values = np.zeros((4, len(self.tree)))
-        kinds = ("rotor", "viscous", "dry", "spring")
+        values = {kind: np.zeros(len(self.tree)) for kind in ("rotor", "viscous", "dry", "spring")}
         for term, value in self.in_joints():
-            if term.kind in kinds:
-                values[kinds.index(term.kind), term.place] = value
-        np.maximum(values[0], 0.0, out=values[0])  # without bodies() the links may have too much inertia
-        write_mjcf(self.tree, path, dict(zip(kinds, values, strict=True)))
+            if term.kind in values:
+                values[term.kind][term.place] = value
+        values["rotor"] = np.maximum(values["rotor"], 0.0)  # without bodies() links may have too much inertia
+        write_mjcf(self.tree, path, values)
 
     def in_joints(self) -> list[tuple[ArmTerm, float]]:
         """Rotors, friction, springs and constant torques, beside the inertias of the tree; see `bodies`.
@@ -396,6 +395,6 @@ class ArmModel:
 
     def to_casadi(self) -> dict[str, Any]:
         """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as CasADi functions, by name."""
-        from leastaction.arms import files
+        from leastaction.arms.files import casadi_functions
 
-        return files.casadi_functions(self)
+        return casadi_functions(self)

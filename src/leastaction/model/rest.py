@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["RestLaw", "checked_forces", "find_rests", "periodic"]
 
 _STEP = 0.01  # standard errors: derivatives along the principal directions of the covariance
-_SETTLED = 1e-12  # last step of Newton's method, relative
+_LAST_STEP = 1e-12  # last step of Newton's method, relative
 
 
 class RestLaw:
@@ -112,8 +112,8 @@ class RestLaw:
                 break
             step = np.linalg.lstsq(stiffness, missing, rcond=1e-10)[0]
             q[self.free] += step
-            if np.all(np.abs(step) <= _SETTLED * (1.0 + np.abs(q[self.free]))):
-                return np.where(np.abs(q) <= _SETTLED, 0.0, q)  # less is rounding
+            if np.all(np.abs(step) <= _LAST_STEP * (1.0 + np.abs(q[self.free]))):
+                return np.where(np.abs(q) <= _LAST_STEP, 0.0, q)  # less is rounding
         return np.full_like(q, np.nan)
 
     def changes(self, q: np.ndarray, forces: np.ndarray) -> list[list[np.ndarray]] | None:
@@ -131,7 +131,7 @@ class RestLaw:
                 at = self.settled(q, forces, numbers)
                 ends.append([*self.matrices(at, numbers), at])
             *matrices, moved = (a - b for a, b in zip(*ends, strict=True))
-            moved[np.abs(moved) <= _SETTLED * (1.0 + np.abs(q))] = 0.0
+            moved[np.abs(moved) <= _LAST_STEP * (1.0 + np.abs(q))] = 0.0
             out.append([change / (2.0 * _STEP) for change in (*matrices, moved)])
         return out
 
@@ -191,7 +191,6 @@ def checked_forces(law: RestLaw, forces: ArrayLike | None) -> np.ndarray:
 _STARTS, _MOST_WORK = 256, 2**14  # starts, and numbers in all; n coordinates need n² numbers a start
 _SAMPLES = 64  # states at which equations are compared
 _STEPS, _LEAP = 100, 0.02  # steps, and longest step as a share of the width
-_SETTLED = 1e-12  # last step of Newton's method, relative
 _CELL = 1e-4  # of a width: closer starts count as one
 _CELLS = 1000  # of a single coordinate, searched for a change of sign
 _EVERY = 0.7  # a shift that is not a fraction of 2π
