@@ -45,35 +45,39 @@ def undefined_along(
 
     def span(inside: sp.Expr) -> tuple[float, float]:
         if inside not in cache:
-            symbols = sorted(inside.free_symbols, key=str)
-            function = sp.lambdify(symbols, inside, modules="numpy", dummify=True)
-            with np.errstate(all="ignore"):
-                values = np.asarray(function(*(states[str(s)] for s in symbols)))
+            (values,) = _along(inside, [inside], states)
             cache[inside] = float(values.min()), float(values.max())
         return cache[inside]
 
     rates = [states[f"{name}_dot_dot"] for name in library.coordinates if f"{name}_dot_dot" in states]
+    sharpest = _PEAKED * _crest(rates) if rates else np.inf
 
     def defined(term: Term) -> bool:
         spans = [(span(inside), positive) for inside, positive in _conditions(term.expr)]
         if not all(low > 0.0 or (high < 0.0 and not positive) for (low, high), positive in spans):
             return False
-        return not (spans and rates) or _crest(_slopes(term.expr, states)) < _PEAKED * _crest(rates)
+        return not (spans and rates) or _crest(_slopes(term.expr, states)) < sharpest
 
     return tuple(term for term in grown if term not in keep and not defined(term))
 
 
 def _slopes(expr: sp.Expr, states: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-    """Derivatives of an expression along a motion, (n_points,) each."""
-    symbols = sorted(expr.free_symbols, key=str)
-    slopes = [sp.diff(expr, symbol) for symbol in symbols]
-    values = sp.lambdify(symbols, slopes, modules="numpy", dummify=True)(*(states[str(s)] for s in symbols))
-    return [np.broadcast_to(value, next(iter(states.values())).shape) for value in values]
+    """Derivatives of an expression along a motion."""
+    return _along(expr, [sp.diff(expr, name) for name in sorted(expr.free_symbols, key=str)], states)
 
 
+def _along(expr: sp.Expr, values: Sequence[sp.Expr], states: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Values along a motion, in the symbols of an expression: (n_points,) each, or a number."""
+    names = sorted(expr.free_symbols, key=str)
+    function = sp.lambdify(names, values, modules="numpy", dummify=True)
+    with np.errstate(all="ignore"):
+        return [np.asarray(value) for value in function(*(states[str(name)] for name in names))]
+
+
+@np.errstate(all="ignore")
 def _crest(vectors: Sequence[np.ndarray]) -> float:
-    """Largest length of some vectors over its root mean square; their components are (n_points,) each."""
-    squares = np.sum(np.square(vectors), axis=0)
+    """Largest length of some vectors over its root mean square; NaN if one is not finite."""
+    squares = np.asarray(sum(np.square(part) for part in vectors))
     return float(np.sqrt(squares.max() / max(squares.mean(), np.finfo(float).tiny)))
 
 
