@@ -13,8 +13,8 @@ from leastaction.data.formats.arrays import read_mat_table, read_npz_table
 from leastaction.data.formats.atomic import StrPath, check_path
 from leastaction.data.formats.csv import read_csv_table
 from leastaction.data.formats.frames import peek_excel, read_excel_table, read_parquet_table
-from leastaction.data.formats.layout import BESIDE, Layout, Table
-from leastaction.data.formats.text import Peek, peek_csv, refuse_one_column
+from leastaction.data.formats.layout import BESIDE, MIN_SAMPLES, Layout, Table
+from leastaction.data.formats.text import Peek, peek_csv, refuse_one_column, without_data
 from leastaction.data.formats.units import parted
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import FloatArray, time_fault
@@ -23,7 +23,6 @@ from leastaction.findings import Finding, find
 from leastaction.identifiers import counted, quoted
 
 __all__ = [
-    "MIN_SAMPLES",
     "combined_trajectories",
     "group_names",
     "listed_paths",
@@ -33,9 +32,6 @@ __all__ = [
     "to_trajectories",
     "trial_name",
 ]
-
-MIN_SAMPLES = 5
-"""Fewest measured samples of a coordinate in a trial."""
 
 LONG_STEP = 1.0
 """Seconds between samples above which times without a unit may be in milliseconds. Logs of mechanical systems
@@ -90,7 +86,7 @@ def peek(path: Path) -> Peek:
     table = peek_csv(path) if reader is read_csv_table else peek_excel(path)
     refuse_one_column(table.header, str(path))
     if not table.rows:
-        raise InputError(f"{path} has a header, but no data lines; at least {MIN_SAMPLES} samples are needed")
+        raise without_data(path)
     return table
 
 

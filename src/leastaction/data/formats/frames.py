@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leastaction.data.formats.atomic import read_bytes
-from leastaction.data.formats.layout import Layout, Table
+from leastaction.data.formats.layout import MIN_SAMPLES, Layout, Table
 from leastaction.data.formats.text import MISSING, NUMBER, Peek
 from leastaction.data.formats.units import Clock, Unit, is_units_row
 from leastaction.data.validation import FloatArray
@@ -158,7 +158,9 @@ def read_excel_table(path: Path, layout: Layout) -> tuple[Layout, Table]:
         note = find("first-sheet", sheet=sheet.name, others=sheet.others)
         found = replace(found, findings=(note, *found.findings))
     if not sheet.rows:
-        raise InputError(f"{path} has a header, but no rows below it; at least 5 samples are needed")
+        raise InputError(
+            f"{path} has a header, but no rows below it; at least {MIN_SAMPLES} samples are needed"
+        )
 
     def place(row: int) -> str:
         return f"row {sheet.lines[row]}"

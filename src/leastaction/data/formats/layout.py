@@ -13,7 +13,10 @@ from leastaction.errors import InputError
 from leastaction.findings import Finding, find
 from leastaction.identifiers import check_coordinate_names, quoted
 
-__all__ = ["BESIDE", "Coordinates", "Forces", "Layout", "Table", "UnitOptions", "Units"]
+__all__ = ["BESIDE", "MIN_SAMPLES", "Coordinates", "Forces", "Layout", "Table", "UnitOptions", "Units"]
+
+MIN_SAMPLES = 5
+"""Fewest measured samples of a coordinate in a trial."""
 
 Coordinates = Sequence[str] | Mapping[str, str] | str
 Forces = Mapping[str, str] | Sequence[str | None] | str | None

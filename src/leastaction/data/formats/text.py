@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from leastaction.data.formats.atomic import read_bytes
-from leastaction.data.formats.layout import Layout
+from leastaction.data.formats.layout import MIN_SAMPLES, Layout
 from leastaction.data.formats.units import Clock, is_units_row, parted
 from leastaction.errors import InputError
 from leastaction.findings import find
@@ -32,6 +32,7 @@ __all__ = [
     "refuse_one_column",
     "text_of",
     "text_pieces",
+    "without_data",
 ]
 
 _PIECE = 8_000_000  # characters of a long file that are read at once
@@ -180,7 +181,9 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
     refuse_one_column(text.header, f"{source}, line {text.first_line - 1}")
     found = layout.find(text.header, source, row=dict(zip(text.header, text.units, strict=False)))
     if not text.body.strip():
-        raise InputError(f"{source} has a header, but no data lines; at least 5 samples are needed")
+        raise InputError(
+            f"{source} has a header, but no data lines; at least {MIN_SAMPLES} samples are needed"
+        )
     text = _with_decimal(text, [text.header.index(name) for name in found.numbers])
     notes = list(found.findings)
     if encoding in _ENCODINGS:
@@ -201,6 +204,11 @@ def refuse_one_column(header: Sequence[str], place: str) -> None:
             f"{place}: there is only the column {quoted(header[0])}; "
             "separate columns by comma, semicolon, tab or spaces: one for the time, one for each coordinate"
         )
+
+
+def without_data(source: object) -> InputError:
+    """The error of a table that ends with its header."""
+    return InputError(f"{source} has a header, but no data lines; at least {MIN_SAMPLES} samples are needed")
 
 
 class Peek(NamedTuple):
