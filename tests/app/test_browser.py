@@ -79,6 +79,11 @@ class Tab:
     def click(self, text: str) -> None:
         self.page.get_by_role("button", name=text).first.click()
 
+    def open_example(self, name: str) -> None:
+        """Open a measured example; the columns and buttons of the table before it are gone afterwards."""
+        self.click(name)
+        self.page.get_by_role("heading", name=name, exact=True).wait_for()
+
 
 @pytest.fixture
 def open_tab(chromium: str, address: str, tmp_path: Path):
@@ -200,7 +205,7 @@ def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):
     nothing.write_bytes(b"\x89PNG\0\0\0")
     page.locator("input[type=file]").set_input_files(nothing)
     tab.see("holds binary data, not text")
-    tab.click("Single pendulum")
+    tab.open_example("Single pendulum")
     tab.see("What was measured")
     assert page.locator(".fault").count() == 0
 
@@ -209,7 +214,7 @@ def test_a_bad_file_is_one_line_and_the_page_goes_on(open_tab, tmp_path):
 def test_a_cancelled_run_leaves_the_app_usable(open_tab):
     tab = open_tab()
     page = tab.page
-    tab.click("Double pendulum")
+    tab.open_example("Double pendulum")
     tab.click("Continue to the candidates")
     tab.click("Find the Lagrangian")
     tab.see("Preparing")
@@ -220,7 +225,7 @@ def test_a_cancelled_run_leaves_the_app_usable(open_tab):
     tab.click("Back to the candidates")
     tab.see("16 candidates, 5 for friction; 18 trials fitted, 8 held out")
     page.locator(".step").first.click()
-    tab.click("Single pendulum")
+    tab.open_example("Single pendulum")
     tab.click("Continue to the candidates")
     tab.click("Find the Lagrangian")
     tab.see("How many terms?")
@@ -241,7 +246,7 @@ def test_a_cancelled_run_leaves_the_app_usable(open_tab):
 def test_what_is_typed_is_checked_and_never_run(open_tab):
     tab = open_tab()
     page = tab.page
-    tab.click("Single pendulum")
+    tab.open_example("Single pendulum")
     tab.click("Continue to the candidates")
     area = page.get_by_label("Candidates, one expression a line")
     area.fill("theta_dot**2\ncos(thet)\n<img src=x onerror=document.title='run'>\n__import__('os').abort()")
@@ -267,7 +272,7 @@ def test_every_screen_fits_its_window(open_tab, size, scheme):
     assert tab.overflow() <= 0
     dark = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(20, 23, 26)"
     assert dark == (scheme == "dark")
-    tab.click("Single pendulum")
+    tab.open_example("Single pendulum")
     page.locator(".figure svg").first.wait_for(state="attached")
     assert tab.overflow() <= 0
     # Of the two shapes of a figure one is seen.
@@ -396,7 +401,7 @@ def states_of_the_data(tab: Tab, look, folder: Path) -> None:
     tab.see("No model")
     look("no model")
     tab.page.locator(".step").first.click()
-    tab.click("Double pendulum")
+    tab.open_example("Double pendulum")
     tab.page.locator(".trial .choice").wait_for()
     look("several trials")
 
@@ -427,8 +432,7 @@ def states_of_the_candidates(tab: Tab, look) -> None:
 def states_of_the_result(tab: Tab, look) -> None:
     page = tab.page
     page.locator(".step").first.click()
-    tab.click("Single pendulum")
-    page.get_by_text("theta", exact=True).first.wait_for()  # no longer the columns of the other example
+    tab.open_example("Single pendulum")
     tab.click("Continue to the candidates")
     tab.click("Find the Lagrangian")
     tab.see("How many terms?")
