@@ -181,9 +181,7 @@ def opened(content: str, encoding: str, source: str, layout: Layout) -> tuple[Te
     refuse_one_column(text.header, f"{source}, line {text.first_line - 1}")
     found = layout.find(text.header, source, row=dict(zip(text.header, text.units, strict=False)))
     if not text.body.strip():
-        raise InputError(
-            f"{source} has a header, but no data lines; at least {MIN_SAMPLES} samples are needed"
-        )
+        raise without_data(source)
     text = _with_decimal(text, [text.header.index(name) for name in found.numbers])
     notes = list(found.findings)
     if encoding in _ENCODINGS:
