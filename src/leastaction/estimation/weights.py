@@ -17,10 +17,7 @@ For an exact model, w grows without bound. On real hardware, or with knots that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -33,10 +30,10 @@ __all__ = ["Start", "evidence", "fit_curve", "fit_weights", "start_weights"]
 
 # of ∫ r²: smaller values count as zero, because products of their reciprocals overflow
 _NOTHING = 1e-150
-_FARTHEST = np.log(30.0)  # largest change of log w in a round
+_FARTHEST = np.log(30.0)  # largest change of log w in an update, and after a reversal
 _FARTHEST_DOWN = np.log(3.0)  # of a nearly exact equation
-_MEMORY = 2  # earlier rounds that correct a step of the weights
 _HALVINGS = 4  # of a step of the weights
+_SHORTEST = 0.1  # smallest share of a change of the weights in one step
 _MOST_STEPS = 100  # limit for a structure
 
 
@@ -166,8 +163,8 @@ def fit_weights(
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
-    steps, farthest = best.n_steps, 2.0 * _FARTHEST
-    rounds: list[_Proposed] = []
+    steps, stride = best.n_steps, 1.0
+    taken = before = np.zeros(0)
     tolerance = ESTIMATION.evidence_settled * shared(observations)
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
@@ -176,13 +173,16 @@ def fit_weights(
             update = update_weights(observations, best)
         except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
-        place = np.log(best.weights.physics)
-        rounds = [*rounds[-_MEMORY:], _Proposed(place, np.log(update.physics) - place)]
-        step = _step(rounds)
-        update = replace(update, physics=np.exp(place + np.clip(step, -farthest, farthest)))
-        for halvings in range(_HALVINGS):
-            # two equations may compete for the same error: then a whole step goes too far
-            weights = _part_of_the_way(best.weights, update, 0.5**halvings)
+        change = _change(best.weights, update)
+        if taken.size and float(taken @ change) < 0.0:
+            update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
+            change = _change(best.weights, update)
+            stride = _secant(taken, before, change)
+        else:  # a reversal needs no further acceleration
+            update = _accelerate(best.weights, update)
+        before = change
+        for _ in range(_HALVINGS):
+            weights = _part_of_the_way(best.weights, update, stride)
             fit = fit_joint(
                 observations,
                 physics,
@@ -195,46 +195,34 @@ def fit_weights(
             value = evidence(observations, fit)
             if np.isfinite(value) and value >= best_evidence - tolerance:
                 break
+            stride *= 0.5  # two equations compete for the same error, and the weights oscillate
         else:
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
         settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
         settled = settled and _have_settled(weights.slack, best.weights.slack)
+        taken = _change(best.weights, fit.weights)
         best, best_evidence = fit, value
         if settled:
             break
-        taken = float(np.abs(np.log(weights.physics) - place).max())
-        farthest = 1.5 * taken if halvings else min(max(2.0 * taken, farthest), _FARTHEST)
     return best
 
 
-class _Proposed(NamedTuple):
-    """Logarithms of the equations' weights, and the changes of them that the fixed-point update proposes."""
+def _change(old: Weights, new: Weights) -> np.ndarray:
+    """Changes of the logarithms of all weights."""
+    pairs = ((old.physics, new.physics), (old.noise_std, new.noise_std))
+    return np.concatenate([np.log(b / a) for a, b in pairs])
 
-    place: np.ndarray
-    change: np.ndarray
 
+def _secant(taken: np.ndarray, before: np.ndarray, change: np.ndarray) -> float:
+    """The share of the changes that reaches the fixed point, after a step that reversed them.
 
-def _step(rounds: Sequence[_Proposed]) -> np.ndarray:
-    """Step of the logarithms of the equations' weights towards the fixed point of the update.
-
-    The update alone needs many rounds where an equation has an error within the noise, and it oscillates
-    where equations compete for one error.  Broyden's method (1965, Math. Comp. 19:577) corrects it by the
-    changes that the last rounds have seen.  Large growth in the first round is squared.
+    The weights of equations that compete for one error oscillate.  Along the step, changes fall linearly,
+    from ``before`` to ``change``, and to zero at the fixed point.
     """
-    change = rounds[-1].change
-    if len(rounds) == 1:
-        return np.where(change > np.log(1.5), change + np.minimum(change, np.log(10.0)), change)
-    slope = np.eye(change.size)  # of −change
-    for last, new in pairwise(rounds):
-        taken, seen = new.place - last.place, last.change - new.change
-        slope += np.outer(seen - slope @ taken, taken) / max(float(taken @ taken), _NOTHING)
-    try:
-        step = np.linalg.solve(slope, change)
-    except np.linalg.LinAlgError:
-        return change
-    return step if float(step @ change) > 0.0 else change
+    along = float(taken @ taken) / float(taken @ (before - change))
+    return float(np.clip(along, _SHORTEST, 1.0))
 
 
 def _have_settled(slack: np.ndarray, before: np.ndarray) -> bool:
@@ -251,6 +239,12 @@ def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
     """Weights between old and new ones, interpolated by their logarithms."""
     noise_std = old.noise_std * (new.noise_std / old.noise_std) ** share
     return replace(new, noise_std=noise_std, physics=old.physics * (new.physics / old.physics) ** share)
+
+
+def _accelerate(old: Weights, new: Weights) -> Weights:
+    """Square the growth of w while it is large, because the plain fixed point needs many rounds."""
+    ratio = new.physics / old.physics
+    return replace(new, physics=new.physics * np.where(ratio > 1.5, np.minimum(ratio, 10.0), 1.0))
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
