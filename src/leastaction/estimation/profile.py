@@ -22,8 +22,11 @@ from leastaction.estimation.weights import evidence
 
 __all__ = ["profiled"]
 
-_PLACES = (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # standard errors from the most likely value
-_FAR = 6.0  # rise at which a side ends, well beyond the interval
+_FIRST = 1.0  # standard errors from the most likely value
+_FARTHEST = 6.0  # standard errors
+_END = 2.0  # square root of the rise at which a side ends; the 95 % interval ends at 1.96
+_AIM = 2.2  # square root of the rise at which a place is meant to lie
+_LEAST, _MOST = 1.25, 2.5  # ratio of a distance to the last one
 _STEPS = 6  # of the other shape parameters at each place
 _SETTLED = 0.02  # standard errors
 _TOLERANCE = 1e-3  # of −2 log likelihood
@@ -32,15 +35,16 @@ _TOLERANCE = 1e-3  # of −2 log likelihood
 def profiled(fit: Fit) -> Fit:
     """The fit with the profile of every shape parameter that has a standard error.
 
-    Cost: some ten fits at fixed weights for each parameter. No profile is computed if the parameters have not
+    Cost: some four fits at fixed weights for each parameter. No profile is computed if the parameters have not
     converged, or if the errors of the fit do not come from its likelihood.
     """
     found, n = fit.shapes, len(fit.structure)
     if found is None or not found.settled or not np.array_equal(found.covariance[:n, :n], fit.covariance):
         return fit
     errors = found.standard_errors.tolist()
+    best = _Profile(fit, found.names[0]).best()
     profiles = tuple(
-        _Profile(fit, name).both_sides(float(value), error) if error > 0.0 else ()
+        _Profile(fit, name).both_sides(float(value), error, best) if error > 0.0 and best is not None else ()
         for name, value, error in zip(found.names, found.values, errors, strict=True)
     )
     return replace(fit, shapes=replace(found, profiles=profiles))
@@ -60,19 +64,23 @@ class _Profile:
         self.coefficients_follow = follow[:n]
         self.shapes_follow = dict(zip(fit.shapes.names, follow[n:].tolist(), strict=True))
 
-    def both_sides(self, value: float, error: float) -> tuple[tuple[float, float], ...]:
+    def best(self) -> float | None:
+        """The log likelihood at the values of the fit, as exactly as at other values."""
+        found = self._value_at(self.fit.problem, self._moved(0.0), self.fit.control_points)
+        return None if found is None else found[0]
+
+    def both_sides(self, value: float, error: float, best: float) -> tuple[tuple[float, float], ...]:
         """Values in rising order, and the rise at each."""
-        best = self._value_at(self.fit.problem, self._moved(0.0), self.fit.control_points)
-        if best is None:
-            return ()
-        sides = [self._side(value, sign * error, best[0]) for sign in (-1.0, 1.0)]
+        sides = [self._side(value, sign * error, best) for sign in (-1.0, 1.0)]
         # zero at the value of the fit, although this is the maximum only up to rounding
         return (*reversed(sides[0]), (value, 0.0), *sides[1])
 
     def _side(self, value: float, error: float, best: float) -> list[tuple[float, float]]:
+        """Each place is where the square root of the rise, which is nearly linear, should end the side."""
         out: list[tuple[float, float]] = []
         where, curve = self.fit.problem.ranges[self.name], self.fit.control_points
-        for places in _PLACES:
+        places, root = _FIRST, 0.0
+        while root < _END and places <= _FARTHEST:
             step = places * error
             if where.bounded and not where.low <= value + step <= where.high:
                 break
@@ -80,10 +88,10 @@ class _Profile:
             found = self._value_at(problem, self._moved(step), curve)
             if found is None:
                 break
-            rise, curve = 2.0 * (best - found[0]), found[1]
-            out.append((value + step, max(rise, 0.0)))
-            if rise > _FAR:
-                break
+            rise, curve = max(2.0 * (best - found[0]), 0.0), found[1]
+            out.append((value + step, rise))
+            root = float(np.sqrt(rise))
+            places *= min(max(_AIM / max(root, 1e-9), _LEAST), _MOST)
         return out
 
     def _expected(self, step: float) -> Problem:
