@@ -35,8 +35,8 @@ _TOLERANCE = 1e-3  # of −2 log likelihood
 def profiled(fit: Fit) -> Fit:
     """The fit with the profile of every shape parameter that has a standard error.
 
-    Cost: some four fits at fixed weights for each parameter. No profile is computed if the parameters have not
-    converged, or if the errors of the fit do not come from its likelihood.
+    Cost: some four fits at fixed weights for each parameter. No profile is computed if the parameters have
+    not converged, or if the errors of the fit do not come from its likelihood.
     """
     found, n = fit.shapes, len(fit.structure)
     if found is None or not found.settled or not np.array_equal(found.covariance[:n, :n], fit.covariance):
