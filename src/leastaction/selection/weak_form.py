@@ -114,13 +114,14 @@ class WeakForm:
         self._take(columns, known)
         self.widths = tuple(widths)
         owners = [np.flatnonzero(grid.owner == k) for k in range(len(grid.spaces))]
-        self._chunks = [slice(index[0], index[-1] + 1) for index in owners]
-        self._blocks = [
+        chunks = [slice(index[0], index[-1] + 1) for index in owners]
+        blocks = [
             _in_blocks(
                 [_Windows.lay(points, width, uneven) for width in self.widths], grid.weights[c].ravel()
             )
-            for c, points in ((c, grid.points[c].ravel()) for c in self._chunks)
+            for c, points in ((c, grid.points[c].ravel()) for c in chunks)
         ]
+        self._laid = _side_by_side(list(zip(chunks, blocks, strict=True)))
 
     def _take(self, columns: EulerLagrange, known: np.ndarray) -> None:
         self.columns = columns
@@ -153,7 +154,7 @@ class WeakForm:
 
     def states(self, control_points: np.ndarray) -> Iterator[Points]:
         """Points of a curve, block by block; a list of them serves for several calls of `rows`."""
-        for chunk, blocks in zip(self._chunks, self._blocks, strict=True):
+        for chunk, blocks in self._laid:
             q, qdot = (
                 s.reshape(-1, s.shape[2]) for s in self.grid.at_quadrature(control_points, chunk, most=1)
             )
@@ -164,9 +165,7 @@ class WeakForm:
     def rows(self, states: Iterable[Points]) -> list[tuple[np.ndarray, np.ndarray]]:
         """For each width the two parts of the rows, inertial and potential, (n_rows, n_columns) each."""
         rows: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in self.widths]
-        blocks = (
-            (c, block) for c, blocks in zip(self._chunks, self._blocks, strict=True) for block in blocks
-        )
+        blocks = ((chunk, block) for chunk, blocks in self._laid for block in blocks)
         for (chunk, block), points in zip(blocks, states, strict=True):
             values = self.columns.weak(points)
             forces = None
@@ -242,6 +241,30 @@ class _Block(NamedTuple):
 
     here: slice
     tests: list[tuple[sp.csr_array, sp.csr_array]]
+
+    @classmethod
+    def of(cls, blocks: Sequence[_Block]) -> _Block:
+        """Blocks of several trajectories, each of which has only one."""
+        tests: list[tuple[sp.csr_array, sp.csr_array]] = []
+        for width in zip(*(block.tests for block in blocks), strict=True):
+            chi, chi_dot = (sp.csr_array(sp.block_diag(part)) for part in zip(*width, strict=True))
+            tests.append((chi, chi_dot))
+        return cls(slice(0, sum(b.here.stop for b in blocks)), tests)
+
+
+def _side_by_side(laid: Sequence[tuple[slice, list[_Block]]]) -> list[tuple[slice, list[_Block]]]:
+    """Knot intervals and their blocks; short trajectories that follow one another share a block."""
+    runs: list[list[tuple[slice, list[_Block]]]] = []
+    points = 0
+    for intervals, blocks in laid:
+        points += blocks[-1].here.stop
+        if not runs or points > _BLOCK:
+            runs.append([])
+            points = blocks[-1].here.stop
+        runs[-1].append((intervals, blocks))
+    wholes = [slice(run[0][0].start, run[-1][0].stop) for run in runs]
+    shared = [run[0][1] if len(run) == 1 else [_Block.of([block for _, (block,) in run])] for run in runs]
+    return list(zip(wholes, shared, strict=True))
 
 
 def _in_blocks(windows: Sequence[_Windows], weights: np.ndarray) -> list[_Block]:
