@@ -132,12 +132,14 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str):
-    if name in _MODULES:
-        return import_module(f"leastaction.{name}")
-    if name in _HOMES:
-        return getattr(import_module(f"leastaction.{_HOMES[name]}"), name)
-    raise AttributeError(f"module 'leastaction' has no attribute {name!r}")
+if not TYPE_CHECKING:  # a type checker, which reads the imports above, then reports misspelt names
+
+    def __getattr__(name: str):
+        if name in _MODULES:
+            return import_module(f"leastaction.{name}")
+        if name in _HOMES:
+            return getattr(import_module(f"leastaction.{_HOMES[name]}"), name)
+        raise AttributeError(f"module 'leastaction' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from leastaction.errors import InputError
 from leastaction.identifiers import check_coordinate_names
@@ -109,8 +109,10 @@ def imu(
     return out
 
 
-def __getattr__(name: str) -> Any:
-    """Linkages need NumPy and SciPy, which are imported when they are first used."""
-    if name in ("Linkage", "linkage"):
-        return getattr(import_module("leastaction.estimation.linkage"), name)
-    raise AttributeError(f"module 'leastaction.measure' has no attribute {name!r}")
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str):
+        """Linkages need NumPy and SciPy, which are imported when they are first used."""
+        if name in ("Linkage", "linkage"):
+            return getattr(import_module("leastaction.estimation.linkage"), name)
+        raise AttributeError(f"module 'leastaction.measure' has no attribute {name!r}")

@@ -37,11 +37,11 @@ def _key(key):
     return "".join(key.split()) if isinstance(key, str) else key
 
 
-def _support(coefficients, exclude: Iterable) -> set:
+def _support(coefficients, exclude: Iterable[object]) -> set:
     return {k for k, c in _as_mapping(coefficients).items() if c != 0.0} - {_key(k) for k in exclude}
 
 
-def l2_error(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
+def l2_error(estimated: Coefficients, true: Coefficients, exclude: Iterable[object] = ()) -> float:
     """Return ‖Λ̂ − Λ‖ / ‖Λ‖ over the union of both supports.
 
     Parameters
@@ -69,7 +69,7 @@ def l2_error(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()
     return float(np.linalg.norm([estimated.get(k, 0.0) - true.get(k, 0.0) for k in keys])) / norm
 
 
-def precision(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
+def precision(estimated: Coefficients, true: Coefficients, exclude: Iterable[object] = ()) -> float:
     """Return the fraction of the discovered terms that are true; 0 if nothing was discovered.
 
     Examples
@@ -81,13 +81,13 @@ def precision(estimated: Coefficients, true: Coefficients, exclude: Iterable = (
     return len(found & _support(true, exclude)) / len(found) if found else 0.0
 
 
-def recall(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> float:
+def recall(estimated: Coefficients, true: Coefficients, exclude: Iterable[object] = ()) -> float:
     """Return the fraction of the true terms that were discovered; 1 if there are none."""
     wanted = _support(true, exclude)
     return len(wanted & _support(estimated, exclude)) / len(wanted) if wanted else 1.0
 
 
-def exact_support(estimated: Coefficients, true: Coefficients, exclude: Iterable = ()) -> bool:
+def exact_support(estimated: Coefficients, true: Coefficients, exclude: Iterable[object] = ()) -> bool:
     """Return whether exactly the true terms were discovered.
 
     Examples

@@ -289,7 +289,8 @@ class Display:
     lines_: list[list[Artist]]
 
     def __init__(self, panels: Sequence[Panel], title: str = "") -> None:
-        self.panels, self.title = tuple(panels), title
+        self.panels: tuple[Panel, ...] = tuple(panels)
+        self.title: str = title
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None, **kwargs: Any) -> Display:
         """Draw the plot, possibly again in other axes.

@@ -171,9 +171,9 @@ class SparseLagrangian(BaseEstimator):
             options=self.options,
         )
         terms = (*self.model_.terms, *self.model_.dissipation)
-        self.coef_ = np.array([term.coefficient for term in terms])
-        self.coordinates_ = self.model_.coordinates
-        self.n_features_in_ = self.model_.n_dof
+        self.coef_: np.ndarray = np.array([term.coefficient for term in terms])
+        self.coordinates_: tuple[str, ...] = self.model_.coordinates
+        self.n_features_in_: int = self.model_.n_dof
         self.t_: float | np.ndarray | None = None
         if t is not None and not one_each(t):
             self.t_ = float(t) if np.ndim(t) == 0 else np.array(t, dtype=float)

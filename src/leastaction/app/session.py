@@ -84,8 +84,8 @@ class Session:
     place: int = 0
 
     def __post_init__(self) -> None:
-        self.folder = Path(tempfile.mkdtemp(prefix="leastaction-app-"))
-        self.worker = Worker()
+        self.folder: Path = Path(tempfile.mkdtemp(prefix="leastaction-app-"))
+        self.worker: Worker = Worker()
         self._paths: list[Path] = []
         self._job_place: int | None = None
         self._smooth: dict[int, SmoothMotion] = {}

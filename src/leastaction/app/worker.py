@@ -46,7 +46,7 @@ class Job:
         self.stage, self.details = "", {}
         self.stages: list[tuple[str, float]] = []
         self.result: Any = None
-        self.message = ""
+        self.message: str = ""
         self._began, self._ended = time.monotonic(), 0.0
 
     @property

@@ -76,8 +76,12 @@ class ArmModel:
         reference: np.ndarray,
         facts: FitFacts,
     ) -> None:
-        self.tree, self.base, self.facts = tree, base, facts
-        self.coefficients, self.covariance, self.reference = coefficients, covariance, reference
+        self.tree: KinematicTree = tree
+        self.base: BaseParameters = base
+        self.coefficients: np.ndarray = coefficients
+        self.covariance: np.ndarray = covariance
+        self.reference: np.ndarray = reference
+        self.facts: FitFacts = facts
 
     @classmethod
     def of_tree(
@@ -112,20 +116,17 @@ class ArmModel:
         if np.isnan(tree.inertias).any():
             raise InputError("the tree has links without inertia; give them with tree.with_inertias(...)")
         known = ("rotor", "spring", "offset", "viscous", "dry", "quadratic", "asymmetric")
-        for kind in joints or ():
-            if kind not in known:
-                raise InputError(f"joints hold {quoted(kind)}; expected {', '.join(known)}")
+        joints = dict(joints or {})
+        for kind in [kind for kind in joints if kind not in known]:
+            raise InputError(f"joints hold {quoted(kind)}; expected {', '.join(known)}")
         n = len(tree)
         widths, ways = (np.broadcast_to(np.asarray(x, float), n) for x in (width, distance))
-        kinds = list(joints or ())
-        terms = (*inertial_terms(tree), *joint_terms(tree, kinds, JointScales(widths, widths, ways)))
-        values = [tree.inertias.ravel()]
-        values += [np.broadcast_to(np.asarray(x, float), n) for x in (joints or {}).values()]
+        terms = (*inertial_terms(tree), *joint_terms(tree, list(joints), JointScales(widths, widths, ways)))
+        each = (np.broadcast_to(np.asarray(x, float), n) for x in joints.values())
         base = find_base(tree, terms)
-        size = len(base.members)
         facts = FitFacts((), (0.0,) * n, (0.0,) * n, 50.0, "given")
-        coefficients = base.matrix @ np.concatenate(values)
-        return cls(tree, base, coefficients, np.zeros((size, size)), tree.inertias, facts)
+        coefficients = base.matrix @ np.concatenate([tree.inertias.ravel(), *each])
+        return cls(tree, base, coefficients, np.zeros((len(coefficients),) * 2), tree.inertias, facts)
 
     def __repr__(self) -> str:
         return f"<ArmModel of {self.tree.name!r}: {len(self.coefficients)} base parameters>"
@@ -214,9 +215,8 @@ class ArmModel:
     def gravity(self, q: ArrayLike) -> np.ndarray:
         """(n_times, n_dof) torques that hold the arm still, without friction and constant torques."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
-        inertial = self._only("inertia")
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
-        return np.tensordot(inertial, columns, 1).T
+        return np.tensordot(self._only("inertia"), columns, 1).T
 
     def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
         """(n_times, n_dof) torques of friction alone, for compensation."""

@@ -191,11 +191,12 @@ class Series:
 
     def __init__(self, period: float, harmonics: int) -> None:
         self.period = period
-        self.frequencies = 2.0 * np.pi / period * np.arange(1, harmonics + 1)
+        self.frequencies: np.ndarray = 2.0 * np.pi / period * np.arange(1, harmonics + 1)
         at_rest = np.stack([self._waves(np.zeros(1), nu)[:, 0] for nu in (1, 2)])
         scaled = at_rest / np.linalg.norm(at_rest, axis=1, keepdims=True)
-        self.mix = np.linalg.qr(scaled.T, mode="complete")[0][:, len(scaled) :]  # at rest at both ends
-        self.size = 1 + len(self.mix.T)
+        # at rest at both ends
+        self.mix: np.ndarray = np.linalg.qr(scaled.T, mode="complete")[0][:, len(scaled) :]
+        self.size: int = 1 + len(self.mix.T)
 
     def _waves(self, t: np.ndarray, nu: int) -> np.ndarray:
         """(2 n_harmonics, n_times) derivatives of waves of unit speed."""

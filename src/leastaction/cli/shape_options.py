@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -30,7 +30,7 @@ __all__ = [
 _SIZES = ("auto", "compact", "chain", "standard", "large")
 _RANGE = re.compile(r"\s*\{?\s*(?P<name>\w+)\s*\}?\s*=\s*(?P<low>.+?)\s*\.\.\s*(?P<high>.+?)\s*")
 
-length_option = click.option(
+length_option: Final = click.option(
     "--length",
     "lengths",
     multiple=True,
@@ -38,7 +38,7 @@ length_option = click.option(
     help="Length of the link of a coordinate, from joint to joint (of a simple pendulum for a single one): "
     "then the law shows g, which is wrong where times are not in seconds. May be given several times.",
 )
-term_option = click.option(
+term_option: Final = click.option(
     "--term",
     "terms",
     multiple=True,
@@ -46,7 +46,7 @@ term_option = click.option(
     help="An additional candidate. Repeatable. Write unknown numbers as names in braces, e.g. 'exp(-{a}*x)' "
     "or 'sqrt((x-{p})**2+(y-{r})**2)'.",
 )
-shape_option = click.option(
+shape_option: Final = click.option(
     "--shape",
     "shapes",
     multiple=True,
@@ -55,7 +55,7 @@ shape_option = click.option(
     "to search. Repeatable.",
 )
 # text, not click.FLOAT, so that the error is one line that says what to do
-relevance_option = click.option(
+relevance_option: Final = click.option(
     "--relevance",
     default="0.05",
     show_default=True,
@@ -63,7 +63,7 @@ relevance_option = click.option(
     help="Share of the equation error that a term must explain in order to stay. Lower it if weak friction "
     "of a real machine is left out. 0: significance alone decides.",
 )
-size_option = click.option(
+size_option: Final = click.option(
     "--size",
     type=click.Choice(_SIZES),
     metavar="NAME",

@@ -165,13 +165,15 @@ class SplineGrid:
         before: int = 0,
         total: int | None = None,
     ) -> None:
-        self.spaces = tuple(spaces)
-        self.degree, self.n_quadrature = self.spaces[0].degree, n_quadrature
+        self.spaces: tuple[SplineSpace, ...] = tuple(spaces)
+        self.degree: int = self.spaces[0].degree
+        self.n_quadrature: int = n_quadrature
         counts = np.array([s.n_ctrl for s in self.spaces])
-        self.offsets = np.concatenate([[0], np.cumsum(counts)])
-        self.n_ctrl = int(self.offsets[-1])
-        self.n_intervals = self.n_ctrl - self.degree * len(self.spaces)
-        self.before, self.total = before, self.n_intervals if total is None else total
+        self.offsets: np.ndarray = np.concatenate([[0], np.cumsum(counts)])
+        self.n_ctrl: int = int(self.offsets[-1])
+        self.n_intervals: int = self.n_ctrl - self.degree * len(self.spaces)
+        self.before: int = before
+        self.total: int = self.n_intervals if total is None else total
         nodes, weights = np.polynomial.legendre.leggauss(n_quadrature)
         if n_quadrature == 1 and self.degree % 2:  # at midpoints the fastest spline vanishes
             nodes = nodes - 1.0

@@ -194,14 +194,16 @@ class AdamProblem:
         options: AdamOptions,
         rng: np.random.Generator,
     ) -> None:
-        self.grid, self.physics, self.options = grid, physics, options
+        self.grid: SplineGrid = grid
+        self.physics: Physics = physics
+        self.options: AdamOptions = options
         self.n_dof = values[0].shape[1]
         stacked = np.concatenate(values)
-        self.observed = np.isfinite(stacked)
-        self.y = np.where(self.observed, stacked, 0.0)
+        self.observed: np.ndarray = np.isfinite(stacked)
+        self.y: np.ndarray = np.where(self.observed, stacked, 0.0)
         self.design = grid.design(times)
         self.transposed = self.design.T.tocsr()
-        self.ends = np.concatenate([grid.offsets[:-1], grid.offsets[1:] - 1])
+        self.ends: np.ndarray = np.concatenate([grid.offsets[:-1], grid.offsets[1:] - 1])
         self._collocate(times, force, rng)
 
     def _collocate(self, times: Sequence[np.ndarray], force: Force | None, rng: np.random.Generator) -> None:
@@ -219,11 +221,11 @@ class AdamProblem:
             if force is not None:
                 forces.append(force(k, at))
         local = np.arange(self.grid.degree + 1)
-        self.index = np.concatenate(firsts)[:, None] + local
-        self.basis = np.concatenate(bases, axis=1)
-        self.times = np.concatenate(drawn)
-        self.forces = np.concatenate(forces) if forces else None
-        self.n_collocation = len(self.index)
+        self.index: np.ndarray = np.concatenate(firsts)[:, None] + local
+        self.basis: np.ndarray = np.concatenate(bases, axis=1)
+        self.times: np.ndarray = np.concatenate(drawn)
+        self.forces: np.ndarray | None = np.concatenate(forces) if forces else None
+        self.n_collocation: int = len(self.index)
 
     def data_part(self, control_points: np.ndarray) -> tuple[float, np.ndarray]:
         """α/N_m Σ ‖y − N P‖² and its gradient in P."""

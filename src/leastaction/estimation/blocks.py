@@ -67,7 +67,7 @@ class BlockedObservations(InBlocks):
 
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         super().__init__(grid, recipes, counts, crew)
-        self.blocks = tuple(crew.task(observed, recipe) for recipe in recipes)
+        self.blocks: tuple[Task, ...] = tuple(crew.task(observed, recipe) for recipe in recipes)
 
     def linearise(
         self,

@@ -213,7 +213,7 @@ class DaskCrew:
 
     def __init__(self, client: Any) -> None:
         self._client, self._alone = client, False
-        self.size = max(len(self._workers()), 1)
+        self.size: int = max(len(self._workers()), 1)
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
         task = Task(function, given)

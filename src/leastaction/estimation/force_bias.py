@@ -79,8 +79,9 @@ class SlowForces:
     """
 
     def __init__(self, grid: Grid, seconds: Mapping[int, float]) -> None:
-        self.times, spline = grid.times, grid.spline
-        self.spaces = {
+        self.times: list[np.ndarray] = grid.times
+        spline = grid.spline
+        self.spaces: dict[tuple[int, int], SplineSpace] = {
             (i, k): SplineSpace(
                 _DEGREE, np.linspace(float(t[0]), float(t[-1]), 1 + max(1, round((t[-1] - t[0]) / every)))
             )
@@ -97,7 +98,7 @@ class SlowForces:
             columns = own[0] * n + points  # the intervals of a trajectory are successive
             shape = (space.n_ctrl, spline.n_intervals * n)
             rows.append(sp.csr_array((values.data, (functions, columns)), shape=shape))
-        self.basis = _Basis(equations, sp.vstack(rows).tocsc(), n)
+        self.basis: _Basis = _Basis(equations, sp.vstack(rows).tocsc(), n)
 
     def _parts(self) -> Iterator[tuple[tuple[int, int], slice]]:
         """(coordinate, trajectory) of every spline, and where its coefficients are."""

@@ -268,7 +268,8 @@ class WithPushes(EulerLagrange):
 
     def __init__(self, columns: EulerLagrange, pushes: Pushes) -> None:
         super().__init__(columns.terms, columns.coordinates, columns.prescribed)
-        self.own, self.pushes = columns, pushes
+        self.own: EulerLagrange = columns
+        self.pushes: Pushes = pushes
 
     def __len__(self) -> int:
         return len(self.terms) + len(self.pushes)

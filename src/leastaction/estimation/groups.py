@@ -174,7 +174,9 @@ class GroupedColumns(EulerLagrange):
         labels: np.ndarray,
     ) -> None:
         super().__init__([_whole(term) for term in terms], coordinates, prescribed)
-        self.terms, self.names, self.labels = tuple(terms), tuple(names), labels
+        self.terms: tuple[Term, ...] = tuple(terms)
+        self.names: tuple[str, ...] = tuple(names)
+        self.labels: np.ndarray = labels
 
     @cached_property
     def _groups(self) -> list[int | None]:

@@ -55,7 +55,8 @@ class Observations:
         floors: np.ndarray | None = None,
     ) -> None:
         stacked = np.concatenate(values)
-        self.grid, self.n_dof = grid, stacked.shape[1]
+        self.grid: SplineGrid = grid
+        self.n_dof: int = stacked.shape[1]
         measured = [(i, 0, column) for i, column in enumerate(stacked.T)]
         measured += [(r.coordinate, r.derivative, np.concatenate(r.values)) for r in rates]
         designs = {nu: grid.design(times, nu) for nu in dict.fromkeys(nu for _, nu, _ in measured)}
@@ -72,10 +73,10 @@ class Observations:
             self._channels.append(_Channel(i, design, gram, y[keep]))
             if complete:
                 whole[nu] = self._channels[-1]
-        self.counts = np.array([c.y.size for c in self._channels])
-        self.coordinates = np.array([c.coordinate for c in self._channels])
-        self.floors = counts_and_floors(values, rates)[1] if floors is None else floors
-        self.noise_floor = self.floors[: self.n_dof]
+        self.counts: np.ndarray = np.array([c.y.size for c in self._channels])
+        self.coordinates: np.ndarray = np.array([c.coordinate for c in self._channels])
+        self.floors: np.ndarray = counts_and_floors(values, rates)[1] if floors is None else floors
+        self.noise_floor: np.ndarray = self.floors[: self.n_dof]
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""

@@ -75,12 +75,15 @@ class InBlocks:
 
     def __init__(self, grid: SplineGrid, recipes: Sequence[Recipe], counts: np.ndarray, crew: Crew) -> None:
         values, rates = recipes[0].samples[1:]
-        self.grid, self.crew, self.counts, self.n_dof = grid, crew, counts, values[0].shape[1]
-        self.floors = recipes[0].floors
-        self.noise_floor = self.floors[: self.n_dof]
-        self.coordinates = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
-        self.points = tuple(recipe.points for recipe in recipes)
-        self.intervals = tuple(recipe.intervals for recipe in recipes)
+        self.grid: SplineGrid = grid
+        self.crew: Crew = crew
+        self.counts: np.ndarray = counts
+        self.n_dof: int = values[0].shape[1]
+        self.floors: np.ndarray = recipes[0].floors
+        self.noise_floor: np.ndarray = self.floors[: self.n_dof]
+        self.coordinates: np.ndarray = np.array([*range(self.n_dof), *(rate.coordinate for rate in rates)])
+        self.points: tuple[slice, ...] = tuple(recipe.points for recipe in recipes)
+        self.intervals: tuple[slice, ...] = tuple(recipe.intervals for recipe in recipes)
 
 
 def cut(grid: SplineGrid, samples: Samples, floors: np.ndarray) -> tuple[Recipe, ...]:

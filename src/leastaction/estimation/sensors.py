@@ -265,9 +265,9 @@ class SensorObservations(Observations):
         self, grid: SplineGrid, times: Sequence[np.ndarray], sensors: Sensors, rates: Sequence[Rate] = ()
     ) -> None:
         super().__init__(grid, times, sensors.direct, rates)
-        self.functions = sensors.functions
+        self.functions: SensorFunctions = sensors.functions
         self.calibration: np.ndarray | None = sensors.numbers
-        self.directions = np.eye(len(sensors.functions.names))
+        self.directions: np.ndarray = np.eye(len(sensors.functions.names))
         self._times, self._y = np.concatenate(times), np.concatenate(sensors.samples).T
         self._valid = np.isfinite(self._y)
         designs = [grid.design(times, nu) for nu in range(max(self.functions.degrees) + 1)]
@@ -276,8 +276,10 @@ class SensorObservations(Observations):
         self._bases = [design.data.reshape(-1, width) for design in designs]
         self._sights: tuple[_Sight, ...] = ()
         spread = np.array([np.std(y[good]) for y, good in zip(self._y, self._valid, strict=True)])
-        self.counts = np.concatenate([self.counts, self._valid.sum(axis=1)])
-        self.floors = np.concatenate([self.floors, np.where(spread > 0.0, RELATIVE_FLOOR * spread, 1.0)])
+        self.counts: np.ndarray = np.concatenate([self.counts, self._valid.sum(axis=1)])
+        self.floors: np.ndarray = np.concatenate(
+            [self.floors, np.where(spread > 0.0, RELATIVE_FLOOR * spread, 1.0)]
+        )
 
     def along(self, directions: np.ndarray) -> SensorObservations:
         """The observations with calibration numbers that move in some directions only."""

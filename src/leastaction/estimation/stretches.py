@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.elimination import NormalEquations
 from leastaction.estimation.files import opened
@@ -40,12 +41,20 @@ class SharedObservations:
 
     def __init__(self, whole: Observations, crew: Crew) -> None:
         grid = whole.grid
-        self.whole, self.grid, self.n_dof, self.counts = whole, grid, whole.n_dof, whole.counts
-        self.coordinates, self.floors, self.noise_floor = whole.coordinates, whole.floors, whole.noise_floor
-        self.crew, self._physics = crew, _Held(None, [])
+        self.whole: Observations = whole
+        self.grid: SplineGrid = grid
+        self.n_dof: int = whole.n_dof
+        self.counts: np.ndarray = whole.counts
+        self.coordinates: np.ndarray = whole.coordinates
+        self.floors: np.ndarray = whole.floors
+        self.noise_floor: np.ndarray = whole.noise_floor
+        self.crew: Crew = crew
+        self._physics = _Held(None, [])
         edges = np.linspace(0, grid.n_intervals, max(self.crew.size, -(-grid.n_intervals // _MOST)) + 1)
-        self.stretches = [slice(a, b) for a, b in pairwise(np.unique(edges.astype(int)).tolist())]
-        self.points = [grid.points_within(s) for s in self.stretches]
+        self.stretches: list[slice] = [
+            slice(a, b) for a, b in pairwise(np.unique(edges.astype(int)).tolist())
+        ]
+        self.points: list[slice] = [grid.points_within(s) for s in self.stretches]
         n = len(grid.spaces)  # the samples belong to the whole motion
         nothing = [np.zeros(0)] * n, [np.zeros((0, self.n_dof))] * n, (), whole.floors
         self._parts = [self.crew.held(Observations(grid.part(s), *nothing)) for s in self.stretches]

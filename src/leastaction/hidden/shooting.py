@@ -89,8 +89,10 @@ class Shooter:
     """
 
     def __init__(self, mechanics: Mechanics, windows: Windows, unit: np.ndarray) -> None:
-        self.mechanics, self.windows, self.unit = mechanics, windows, unit
-        self.n_dof = mechanics.n_dof
+        self.mechanics: Mechanics = mechanics
+        self.windows: Windows = windows
+        self.unit: np.ndarray = unit
+        self.n_dof: int = mechanics.n_dof
 
     def on(self, windows: Windows) -> Shooter:
         """The same laws in other windows."""

@@ -7,7 +7,7 @@ ten parameters a link.  These constructors therefore return the tree, whose colu
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from leastaction.library.mjcf import read_mjcf
 from leastaction.library.tree import GRAVITY, KinematicTree
@@ -22,8 +22,8 @@ __all__ = ["FromGeometry"]
 class FromGeometry:
     """Constructors of `Library` that return a `KinematicTree`, for ``leastaction.arms.identify``."""
 
-    from_urdf = staticmethod(read_urdf)
-    from_mjcf = staticmethod(read_mjcf)
+    from_urdf: Final = staticmethod(read_urdf)
+    from_mjcf: Final = staticmethod(read_mjcf)
 
     @staticmethod
     def from_joints(

@@ -226,9 +226,10 @@ class Invariance:
     """
 
     def __init__(self, terms: Sequence[Term], coordinates: Sequence[str]) -> None:
-        self.terms, self.coordinates = tuple(terms), tuple(coordinates)
+        self.terms: tuple[Term, ...] = tuple(terms)
+        self.coordinates: tuple[str, ...] = tuple(coordinates)
         n_points = 2 * len(terms) + _SPARE_POINTS
-        self.points = Points.draw(np.random.default_rng(0), len(coordinates), n_points)
+        self.points: Points = Points.draw(np.random.default_rng(0), len(coordinates), n_points)
         self._effects, self._rest = self._at(self.points)
         finite = np.where(np.isfinite(self._effects), np.abs(self._effects), 0.0)
         self._sizes = finite.max(axis=(1, 2))

@@ -48,8 +48,11 @@ class Points:
         times: np.ndarray | None = None,
         digits: int | None = None,
     ) -> None:
-        self.q, self.qdot, self.qddot, self.digits = q, qdot, qddot, digits
-        self.times = np.zeros(q.shape[1]) if times is None else times
+        self.q: np.ndarray = q
+        self.qdot: np.ndarray = qdot
+        self.qddot: np.ndarray = qddot
+        self.digits: int | None = digits
+        self.times: np.ndarray = np.zeros(q.shape[1]) if times is None else times
 
     @classmethod
     def draw(cls, rng: np.random.Generator, n_dof: int, n_points: int) -> Points:
@@ -144,9 +147,10 @@ class Jets:
     """
 
     def __init__(self, coordinates: Sequence[str], points: Points, prescribed: Collection[int] = ()) -> None:
-        self.n_dof = n = len(coordinates)
+        n = len(coordinates)
+        self.n_dof: int = n
         self._equations = [i for i in range(n) if i not in prescribed]
-        self.n_points = points.n_points
+        self.n_points: int = points.n_points
         self._digits = points.digits
         self._arithmetic = _Arithmetic(points.digits)
         self._q, self._v, self._vt = slice(2, 2 + n), slice(2 + n, 2 + 2 * n), slice(2 + 2 * n, 2 + 3 * n)

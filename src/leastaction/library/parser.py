@@ -11,6 +11,7 @@ import math
 import unicodedata
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from typing import Final
 
 import sympy
 
@@ -127,7 +128,7 @@ def shape_symbol(name: str) -> sympy.Symbol:
     return sympy.Symbol(f"{{{name}}}", real=True)
 
 
-time_symbol = sympy.Symbol(TIME, real=True)
+time_symbol: Final = sympy.Symbol(TIME, real=True)
 """The time in expressions, in seconds, as the time column of the data has it."""
 
 

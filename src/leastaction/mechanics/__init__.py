@@ -36,9 +36,12 @@ class Points:
     ) -> None:
         self.intervals = intervals
         self._times = times
-        self.n_points, self.n_dof = q.shape
+        self.n_points: int = q.shape[0]
+        self.n_dof: int = q.shape[1]
         blocks = [q, qdot] if qddot is None else [q, qdot, qddot]
-        self.columns = [np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)]
+        self.columns: list[np.ndarray] = [
+            np.ascontiguousarray(block[:, i]) for block in blocks for i in range(self.n_dof)
+        ]
         self._cache: dict[tuple[sp.Basic, tuple[float, ...]], np.ndarray] = {}
         self._kept: dict[int, tuple[object, Any]] = {}
 

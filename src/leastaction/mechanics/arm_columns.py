@@ -262,9 +262,13 @@ class ArmColumns:
         prescribed: Sequence[int] = (),
         history: np.ndarray | None = None,
     ) -> None:
-        self.tree, self.terms, self.reference = tree, tuple(terms), reference
-        self.prescribed, self.history = tuple(prescribed), history
-        self.coordinates, self.n_dof = tree.coordinates, len(tree)
+        self.tree: KinematicTree = tree
+        self.terms: tuple[ArmTerm, ...] = tuple(terms)
+        self.reference: np.ndarray | None = reference
+        self.prescribed: tuple[int, ...] = tuple(prescribed)
+        self.history: np.ndarray | None = history
+        self.coordinates: tuple[str, ...] = tree.coordinates
+        self.n_dof: int = len(tree)
 
     def __len__(self) -> int:
         return len(self.terms)

@@ -91,14 +91,14 @@ class Mechanics:
         parameters: Sequence[sp.Symbol] = (),
         prescribed: Sequence[int] = (),
     ) -> None:
-        self.prescribed = tuple(prescribed)
-        self.n_dof = len(coordinates)
-        self.parameters = tuple(parameters)
+        self.prescribed: tuple[int, ...] = tuple(prescribed)
+        self.n_dof: int = len(coordinates)
+        self.parameters: tuple[Any, ...] = tuple(parameters)
         self._named = state_symbols(coordinates)
-        self.q = [sp.Symbol(f"q_{i}", real=True) for i in range(self.n_dof)]
-        self.qdot = [sp.Symbol(f"v_{i}", real=True) for i in range(self.n_dof)]
+        self.q: list[Any] = [sp.Symbol(f"q_{i}", real=True) for i in range(self.n_dof)]
+        self.qdot: list[Any] = [sp.Symbol(f"v_{i}", real=True) for i in range(self.n_dof)]
         self._lagrangian, self._dissipation = self._neutral(lagrangian), self._neutral(dissipation)
-        self.timed = time_symbol in self._lagrangian.free_symbols | self._dissipation.free_symbols
+        self.timed: bool = time_symbol in self._lagrangian.free_symbols | self._dissipation.free_symbols
 
     @classmethod
     def of_terms(

@@ -213,10 +213,10 @@ class EulerLagrange:
         prescribed: Sequence[int] = (),
         values: Sequence[Mapping[str, float]] | None = None,
     ) -> None:
-        self.terms = tuple(terms)
-        self.coordinates = tuple(coordinates)
-        self.prescribed = tuple(prescribed)
-        self.n_dof = len(self.coordinates)
+        self.terms: tuple[Term, ...] = tuple(terms)
+        self.coordinates: tuple[str, ...] = tuple(coordinates)
+        self.prescribed: tuple[int, ...] = tuple(prescribed)
+        self.n_dof: int = len(self.coordinates)
         self._values = values
         templates = [term.template for term in self.terms]
         if values is not None:

@@ -53,9 +53,9 @@ class Notation:
         widths: Sequence[float] = (),
         written: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
-        self.coordinates = tuple(coordinates)
-        self.widths = tuple(widths)
-        self.written = dict(written)
+        self.coordinates: tuple[str, ...] = tuple(coordinates)
+        self.widths: tuple[float, ...] = tuple(widths)
+        self.written: dict[str, str] = dict(written)
         self._parts = split_names(self.coordinates)
 
     @classmethod

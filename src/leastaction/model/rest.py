@@ -49,12 +49,14 @@ class RestLaw:
                 "the law depends on time, so it has no equilibria and no modes; "
                 "leastaction.control.linearize with t gives the linear system of one instant"
             )
-        self.names = model.coordinates
-        self.free = [i for i, name in enumerate(self.names) if name not in model.prescribed]
-        self.numbers = values_of(model)
+        self.names: tuple[str, ...] = model.coordinates
+        self.free: list[int] = [i for i, name in enumerate(self.names) if name not in model.prescribed]
+        self.numbers: np.ndarray = values_of(model)
         both = (*model.terms, *model.dissipation)
         lacking = any(math.isnan(x.standard_error) for x in (*both, *model.shapes))
-        self.directions = None if lacking and model.covariance is None else principal(covariance_of(model))
+        self.directions: np.ndarray | None = (
+            None if lacking and model.covariance is None else principal(covariance_of(model))
+        )
         names, n_lagrangian = names_in_terms(self.names), len(model.terms)
         v = state_symbols(self.names)[1]
         widths = [w for found in model.fit.findings for w in _widths(found.values)]
@@ -74,7 +76,9 @@ class RestLaw:
             parts[k >= n_lagrangian] += coefficient * expr
         fixed = [self.names.index(name) for name in model.prescribed]
         self._shapes = list(swap.values())
-        self.mechanics = Mechanics(parts[0], parts[1], self.names, [*coefficients, *self._shapes], fixed)
+        self.mechanics: Mechanics = Mechanics(
+            parts[0], parts[1], self.names, [*coefficients, *self._shapes], fixed
+        )
 
     def check_smooth(self, q: np.ndarray) -> None:
         """Refuse a state in which L has a kink."""

@@ -80,7 +80,8 @@ class Axes:
     def __init__(
         self, size: tuple[float, float] = THIRD, *, x: Scale | None = None, y: Scale | None = None
     ) -> None:
-        self.width, self.height = size
+        self.width: float = size[0]
+        self.height: float = size[1]
         self._scales: tuple[Scale, Scale] = (x or Linear(), y or _UPRIGHT)
         self._parts: list[tuple[int, Callable[[Frame], str]]] = []
         self._spans: tuple[list[float], list[float]] = ([], [])

@@ -131,11 +131,11 @@ class QuadraticModel:
     ) -> None:
         scale = 1.0 / np.sqrt(np.clip(np.diag(matrix), 1e-300, None))
         self.scale = scale
-        self.matrix = matrix * np.outer(scale, scale)
-        self.gradient = gradient * scale
-        self.here = coefficients / scale
-        self.n = len(scale)
-        self.surcharges = np.zeros(self.n) if surcharges is None else surcharges
+        self.matrix: np.ndarray = matrix * np.outer(scale, scale)
+        self.gradient: np.ndarray = gradient * scale
+        self.here: np.ndarray = coefficients / scale
+        self.n: int = len(scale)
+        self.surcharges: np.ndarray = np.zeros(self.n) if surcharges is None else surcharges
 
     def costs(self, supports: np.ndarray) -> np.ndarray:
         """Costs of many supports of one size, (n_supports, size)."""

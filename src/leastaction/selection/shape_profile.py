@@ -167,7 +167,7 @@ class Profile:
         self.problem: Problem = grid.problem
         terms = self.problem.terms
         free: list[int] = self.problem.free.tolist()
-        self.plain = [k for k in free if not terms[k].shapes]
+        self.plain: list[int] = [k for k in free if not terms[k].shapes]
         fixed = [k for k in range(len(terms)) if self.problem.is_known[k] and not terms[k].shapes]
         index = [*self.plain, *fixed]
         known = np.append(np.full(len(self.plain), np.nan), self.problem.known[fixed])

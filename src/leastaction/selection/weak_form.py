@@ -108,11 +108,12 @@ class WeakForm:
         scale: np.ndarray,
         uneven: bool = False,
     ) -> None:
-        self.grid, self.forces = grid, forces
-        self.equations = np.setdiff1d(np.arange(columns.n_dof), columns.prescribed)
-        self.scale = scale[self.equations]
+        self.grid: SplineGrid = grid
+        self.forces: np.ndarray | None = forces
+        self.equations: np.ndarray = np.setdiff1d(np.arange(columns.n_dof), columns.prescribed)
+        self.scale: np.ndarray = scale[self.equations]
         self._take(columns, known)
-        self.widths = tuple(widths)
+        self.widths: tuple[float, ...] = tuple(widths)
         owners = [np.flatnonzero(grid.owner == k) for k in range(len(grid.spaces))]
         chunks = [slice(index[0], index[-1] + 1) for index in owners]
         blocks = [
@@ -125,8 +126,8 @@ class WeakForm:
 
     def _take(self, columns: EulerLagrange, known: np.ndarray) -> None:
         self.columns = columns
-        self.is_free = np.isnan(known)
-        self.fixed = np.where(self.is_free, 0.0, known)
+        self.is_free: np.ndarray = np.isnan(known)
+        self.fixed: np.ndarray = np.where(self.is_free, 0.0, known)
 
     def of(self, columns: EulerLagrange, known: np.ndarray) -> WeakForm:
         """The same test functions for other columns, without forces."""

@@ -69,8 +69,8 @@ class ScaledGram:
         reference = gram.noise + error * gram.size
         scale = 1.0 / np.sqrt(np.clip(np.diag(reference), 1e-300, None))
         self.scale = scale
-        self.residual = gram.residual * np.outer(scale, scale)
-        self.reference = reference * np.outer(scale, scale)
+        self.residual: np.ndarray = gram.residual * np.outer(scale, scale)
+        self.reference: np.ndarray = reference * np.outer(scale, scale)
         self.known = self.residual.shape[0] - 1
 
     def ratio(self, members: tuple[int, ...]) -> float:

@@ -72,7 +72,7 @@ class MechanicalSystem:
     parameters: Mapping[str, float] = field(default_factory=dict)
     reference: str = ""
 
-    def __getstate__(self) -> dict:
+    def __getstate__(self) -> dict[str, Any]:
         # Compiled functions cannot be pickled; another process derives them again.
         return {k: v for k, v in self.__dict__.items() if k in self.__dataclass_fields__}
 
