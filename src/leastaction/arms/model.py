@@ -117,8 +117,9 @@ class ArmModel:
             raise InputError("the tree has links without inertia; give them with tree.with_inertias(...)")
         known = ("rotor", "spring", "offset", "viscous", "dry", "quadratic", "asymmetric")
         joints = dict(joints or {})
-        for kind in [kind for kind in joints if kind not in known]:
-            raise InputError(f"joints hold {quoted(kind)}; expected {', '.join(known)}")
+        for kind in joints:
+            if kind not in known:
+                raise InputError(f"joints hold {quoted(kind)}; expected {', '.join(known)}")
         n = len(tree)
         widths, ways = (np.broadcast_to(np.asarray(x, float), n) for x in (width, distance))
         terms = (*inertial_terms(tree), *joint_terms(tree, list(joints), JointScales(widths, widths, ways)))
@@ -216,7 +217,8 @@ class ArmModel:
         """(n_times, n_dof) torques that hold the arm still, without friction and constant torques."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
-        return np.tensordot(self._only("inertia"), columns, 1).T
+        kept = np.where([term.kind == "inertia" for term in self.terms], self.coefficients, 0.0)
+        return np.tensordot(kept, columns, 1).T
 
     def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
         """(n_times, n_dof) torques of friction alone, for compensation."""
@@ -230,10 +232,6 @@ class ArmModel:
         rest = self.torques(q, qdot, np.zeros_like(q))
         right = np.atleast_2d(np.asarray(torques, float)) - rest
         return np.linalg.solve(self.mass_matrix(q), right[..., None])[..., 0]
-
-    def _only(self, kind: str) -> np.ndarray:
-        keep = np.array([term.kind == kind for term in self.terms])
-        return np.where(keep, self.coefficients, 0.0)
 
     def parameters(self, share: float = TREE_SHARE) -> Posterior:
         """All parameters; the inertias of the tree serve as priors.
