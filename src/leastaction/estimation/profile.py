@@ -41,10 +41,12 @@ def profiled(fit: Fit) -> Fit:
     found, n = fit.shapes, len(fit.structure)
     if found is None or not found.settled or not np.array_equal(found.covariance[:n, :n], fit.covariance):
         return fit
-    errors = found.standard_errors.tolist()
     best = _Profile(fit, found.names[0]).best()
+    if best is None:
+        return fit
+    errors = found.standard_errors.tolist()
     profiles = tuple(
-        _Profile(fit, name).both_sides(float(value), error, best) if error > 0.0 and best is not None else ()
+        _Profile(fit, name).both_sides(float(value), error, best) if error > 0.0 else ()
         for name, value, error in zip(found.names, found.values, errors, strict=True)
     )
     return replace(fit, shapes=replace(found, profiles=profiles))
