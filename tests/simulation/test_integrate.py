@@ -11,6 +11,7 @@ import pytest
 import leastaction as la
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.estimation.error_spectrum import _bands
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.simulation.integrate import rk4, simulate
 from leastaction.simulation.law import Spectrum
@@ -354,6 +355,22 @@ def test_the_density_of_a_slow_force_is_found():
     ratio = density[:-1][seen] * (1.0 + (middle[seen] / SLOW) ** 2) / 0.3
     assert np.all(np.abs(np.log(ratio)) < np.log(3.0))
     assert abs(np.log(ratio).mean()) < np.log(1.5)
+
+
+@pytest.mark.parametrize("n_samples", range(20, 400, 4))
+def test_every_band_of_frequencies_has_transforms(n_samples):
+    steps = 0.01 * np.array([1.0, 1.0, 1.0, 1.0, 1.0 - 1e-7])  # equal but for their rounding
+    frequencies = [np.fft.rfftfreq(n_samples, step) for step in steps]
+    edges = _bands(frequencies)
+    every = np.concatenate(frequencies)
+    assert edges[-1] == min(f[-1] for f in frequencies)
+    assert np.all(np.diff(edges) > 0.0)
+    numbers = [
+        np.where(every[(every >= low) & (every < high)] > 0.0, 2, 1).sum()
+        for low, high in zip(edges, edges[1:], strict=False)
+    ]
+    assert all(n >= 8 for n in numbers[:-1])
+    assert numbers[-1] >= (8 if len(numbers) > 1 else 1)
 
 
 @pytest.mark.parametrize(

@@ -90,11 +90,11 @@ def _bands(frequencies: list[np.ndarray]) -> np.ndarray:
     every, counts = np.unique(np.concatenate(frequencies), return_counts=True)
     numbers = counts * np.where(every > 0.0, 2, 1)
     ends, inside = [0.0], 0
-    for middle, more in zip(0.5 * (every[:-1] + every[1:]), numbers, strict=False):
+    middles = 0.5 * (every[:-1] + every[1:])
+    below = np.flatnonzero(every[:-1] < highest)  # what lies at the highest frequency is in no band
+    for middle, more in zip(middles[below], numbers[below], strict=True):
         inside += int(more)
-        if middle >= highest:
-            break
-        if inside >= _FEWEST and middle >= _RATIO * ends[-1]:
+        if inside >= _FEWEST and _RATIO * ends[-1] <= middle < highest:
             ends.append(float(middle))
             inside = 0
     if inside < _FEWEST and len(ends) > 1:
