@@ -445,6 +445,26 @@ def test_a_distance_to_an_unknown_point_grows_from_names_alone():
         assert abs(abs(found[name].value) - abs(truth)) < 4.5 * found[name].standard_error
 
 
+def test_exponentials_take_the_place_of_the_powers_that_imitate_them():
+    """A Morse oscillator: powers to the sixth degree leave the exponentials little to gain beside them."""
+    t, rng, runs = np.arange(0.0, 20.0, 0.02), np.random.default_rng(5), []
+
+    def rates(_, state):
+        x, v = state
+        return [v, 7.2 * (np.exp(-2.4 * x) - np.exp(-1.2 * x))]
+
+    for start in ([1.2, 0.0], [-0.4, 0.5], [0.1, 1.6], [0.6, -1.0]):
+        x = solve_ivp(rates, (0.0, t[-1]), start, t_eval=t, rtol=1e-10, atol=1e-10).y[0]
+        runs.append(la.Trajectory(t, x + rng.normal(0.0, 0.004, x.size), coordinates=["x"]))
+    model = la.discover(runs, la.Library.symbolic("x"), known={"x_dot**2": 0.5})
+    assert model.fit.status == "ok", model.fit.warnings
+    (rate,) = model.shapes
+    assert rate.value == pytest.approx(1.2, abs=4.5 * rate.standard_error)
+    double, single = sorted((term for term in model.terms if not term.known), key=lambda t: t.coefficient)
+    assert double.coefficient == pytest.approx(-3.0, abs=4.5 * double.standard_error)
+    assert single.coefficient == pytest.approx(6.0, abs=4.5 * single.standard_error)
+
+
 def test_what_is_undefined_along_the_data_is_left_out_and_said():
     data = systems.generate("double_well", noise=0.01, trials=2, duration=8.0, seed=2)
     assert min(run.q.min() for run in data) < 0.0

@@ -425,7 +425,7 @@ def test_the_terms_that_are_named_lead_to_the_law(force, starts, texts, numbers)
 def helped():
     """What a search of powers for a Morse oscillator was asked for, and what it tried."""
     asked: list[tuple[Any, ...]] = []
-    tried: dict[str, list[Any]] = {"best_families": [], "searched_with": []}
+    tried: dict[str, list[Any]] = {"helpful_families": [], "searched_with": []}
     real = families._helpful
     with pytest.MonkeyPatch.context() as patch:
 
@@ -443,7 +443,7 @@ def helped():
 
 def recorded(function, kept: list[Any]):
     """A function that keeps its answers; families come one after another and are listed."""
-    all_at_once = function is families.best_families
+    all_at_once = function is families.helpful_families
 
     def run(*args):
         found = function(*args)

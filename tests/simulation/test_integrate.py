@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -366,8 +367,7 @@ def test_every_band_of_frequencies_has_transforms(n_samples):
     assert edges[-1] == min(f[-1] for f in frequencies)
     assert np.all(np.diff(edges) > 0.0)
     numbers = [
-        np.where(every[(every >= low) & (every < high)] > 0.0, 2, 1).sum()
-        for low, high in zip(edges, edges[1:], strict=False)
+        np.where(every[(every >= low) & (every < high)] > 0.0, 2, 1).sum() for low, high in pairwise(edges)
     ]
     assert all(n >= 8 for n in numbers[:-1])
     assert numbers[-1] >= (8 if len(numbers) > 1 else 1)

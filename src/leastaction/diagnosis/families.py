@@ -17,7 +17,7 @@ from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.wider_search import MOST_SAMPLES
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
-from leastaction.selection.families import best_families, looks_imitated, searched_with
+from leastaction.selection.families import helpful_families, looks_imitated, searched_with
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.strategies import feeding_friction, finer_knots, shape_fit
@@ -93,7 +93,7 @@ def _helpful(search: Search, kinetic: bool) -> tuple[Fit, list[str], float] | No
     fit = search.found
     if fit.problem.trajectories.n_samples > MOST_SAMPLES:
         return None
-    for at in best_families(search, kinetic):
+    for at in helpful_families(search, kinetic):
         gain = value(at.found) - value(fit)
         if not gain > 0.0:
             continue

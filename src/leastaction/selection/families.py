@@ -5,10 +5,10 @@ they are exponentials of all positions and of their differences, with one rate, 
 to the origin, to one unknown point or to three.  Angles have none: their waves are in every library.
 
 For the numbers κ of a family a profile of the weak form is computed, and the families that it finds the
-simplest laws with are searched with.  Of one coordinate all families are first scored on the quadratic model
-of the likelihood about a fit, and the profile is left to those whose gain is worth their price.  Of several
-the many terms that imitate a law leave its own terms nothing to gain, so the profile is computed beside short
-candidates only.
+simplest laws with are searched with.  Where candidates imitate a law its own terms have nothing to gain
+beside them, so the profile is computed beside short candidates only.  That takes a search or two whether or
+not a family helps.  A check of a law of one coordinate therefore first scores all families on the quadratic
+model of the likelihood about the fit, and profiles those whose gain is worth their price.
 """
 
 from __future__ import annotations
@@ -33,7 +33,14 @@ from leastaction.selection.strategies import shape_fit, weak_start
 from leastaction.selection.strategies.shape_start import places
 from leastaction.selection.weak_proposals import explicable
 
-__all__ = ["Offer", "best_families", "looks_imitated", "offered", "searched_with"]
+__all__ = [
+    "Offer",
+    "helpful_families",
+    "looks_imitated",
+    "offered",
+    "replacing_families",
+    "searched_with",
+]
 
 _STARTS = 64  # values tried for a family with several shape parameters
 _PLACES = 512  # the same where several unknown points are placed together
@@ -100,34 +107,43 @@ def searched_with(search: Search, *strategies: ModuleType) -> Search:
     return search
 
 
-def best_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
-    """Searches with the families that promise most, each with what it found, one after another.
+def helpful_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
+    """Searches with the families that promise to help a law, each with what it found, one after another.
 
-    With ``kinetic`` the families are masses that depend on the coordinate, of one coordinate.  Distances to
-    unknown points cost the most to place: they come last, and only where the equations do not hold.
+    Families of one coordinate are scored beside the terms of the law, those of several take the place of
+    long candidates.  With ``kinetic`` they are masses that depend on the one coordinate.
     """
     fit = search.found
-    if not (fit.converged and np.isfinite(fit.evidence)):
-        return
-    states = _states(fit)
-    positions = _positions(fit)
-    if len(fit.problem.coordinates) == 1:
-        some = _families(fit, states, _of_one(positions, states), kinetic)
+    if len(fit.problem.coordinates) > 1:
+        yield from replacing_families(search)
+    elif fit.converged and np.isfinite(fit.evidence):
+        states = _states(fit)
+        some = _families(fit, states, _of_one(_positions(fit), states), kinetic)
         offers = sorted((_scored(fit, *family) for family in some), key=lambda offer: -offer.worth)
         posed = [offered(search, offer) for offer in offers[:_PROFILED] if offer.worth > 0.0]
         yield from _searched(posed, fit)
+
+
+def replacing_families(search: Search) -> Iterator[Search]:
+    """Searches with the best families in place of the candidates that may imitate them.
+
+    Distances to unknown points cost the most to place: they come last, and only where the equations do not
+    hold.
+    """
+    fit = search.found
+    holds, n_coordinates = equations_hold(fit), len(fit.problem.coordinates)
+    if not (fit.converged and np.isfinite(fit.evidence)) or (holds and n_coordinates > _COORDINATES):
         return
-    short, holds = _short(fit), equations_hold(fit)
-    if holds and len(fit.problem.coordinates) > _COORDINATES:
-        return
-    rounds = [_of_several(positions, states)]
+    states, positions, short = _states(fit), _positions(fit), _short(fit)
+    rounds = [_of_one(positions, states) if n_coordinates == 1 else _of_several(positions, states)]
     if 1 < len(positions) <= len(_POINT) and not holds:
         rounds.append(_of_distances(positions))
     for texts in rounds:
         offers = [_unscored(*family) for family in _families(fit, states, texts)]
         posed = [offered(search, offer).posed(short) for offer in offers]
-        # on the weak form a good imitation is hardly distinguishable from the law
-        yield from _searched(posed, fit, 2 * _SEARCHED if holds else _SEARCHED)
+        # of several coordinates, the weak form hardly distinguishes a good imitation from the law
+        many = holds and n_coordinates > 1
+        yield from _searched(posed, fit, 2 * _SEARCHED if many else _SEARCHED)
 
 
 def looks_imitated(fit: Fit) -> bool:

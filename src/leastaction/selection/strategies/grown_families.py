@@ -7,16 +7,18 @@ equations hold and it is likelier by the evidence, less the price of its terms a
 Cost: a profile of the weak form for each family, beside few candidates, and a search with each of the best.
 Families of distances cost the most and are tried only where the equations do not hold.  The others are also
 tried where more than two terms of the potential go beyond the second degree, or a mass depends on its own
-position: imitations of exponentials and powers do.  Skipped otherwise, and where a library has no
-description lengths.
+position: imitations of exponentials and powers do.  A family takes the place of the candidates that may
+imitate it, since it has nothing to gain beside them.  Where the equations of one coordinate do not hold, it
+is then tried beside the law.  Skipped otherwise, and where a library has no description lengths.
 Without it exponentials and distances to unknown points are not found from names alone.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 
-from leastaction.selection.families import best_families, looks_imitated
+from leastaction.selection.families import helpful_families, looks_imitated, replacing_families
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search, equations_hold, explains
 from leastaction.selection.strategies import finer_knots, shape_fit
@@ -34,7 +36,10 @@ def run(search: Search) -> Search:
     if explains(fit, value(fit)) and not looks_imitated(fit):
         return search
     search.report("families", {})
-    for at in best_families(search):
+    ways = [replacing_families]
+    if len(fit.problem.coordinates) == 1 and not equations_hold(fit):
+        ways.append(helpful_families)
+    for at in chain.from_iterable(way(search) for way in ways):
         if value(at.found) <= value(fit):
             continue
         found = shape_fit.run(finer_knots.run(at))
