@@ -44,6 +44,7 @@ from studies.run import PLANS, RESULTS
 
 # ok with the right terms and coefficients within this of the truth: as good as right
 _RIGHT = 0.05
+_STATUSES = ("ok", "usable", "doubtful")
 
 
 def tables(study: str, records: Records) -> list[Table]:
@@ -62,7 +63,7 @@ def _structure(records: Records) -> Iterator[Table]:
         yield support_table(title[0].upper() + title[1:], group)
         levels = cells(group, lambda c: (c["noise"],)).items()
         by_level = [(percent(noise), *_outcome(some)) for (noise,), some in levels]
-        head = ("noise", "exact, 95 % interval", "doubtful if exact", "doubtful if wrong")
+        head = ("noise", "exact, 95 % interval", f"{' / '.join(_STATUSES)} if exact", "if wrong")
         yield Table(f"{title[0].upper() + title[1:]}: by noise", head, by_level)
     yield failures(records)
 
@@ -73,8 +74,10 @@ def _outcome(records: Records) -> tuple[str, ...]:
     wrong = [r for r in run if not r.get("exact")]
     return (
         f"{len(exact)}/{len(run)} = {binomial(len(exact), len(run))} %",
-        share(r["status"] != "ok" for r in exact),
-        share(r["status"] != "ok" for r in wrong),
+        *(
+            " / ".join(str(sum(r["status"] == status for r in some)) for status in _STATUSES)
+            for some in (exact, wrong)
+        ),
     )
 
 
@@ -191,7 +194,7 @@ def _verdict(result: dict, cause: str) -> str:
 
 def _faults(records: Records) -> Iterator[Table]:
     head = (
-        *("set-up", "runs", "ok, right", "ok, wrong", "doubtful, cause named", "doubtful, not named"),
+        *("set-up", "runs", "ok, right", "ok, wrong", "not ok, cause named", "not ok, not named"),
         *("no model", "failed", "causes named (mean)", "ok, a note names it", "covered if ok", "median s"),
     )
     order = {name: k for k, name in enumerate(FAULTS)}
