@@ -7,6 +7,7 @@ import re
 import time
 from functools import cache
 from itertools import combinations, islice, product
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.likelihood_search import QuadraticModel, search_subsets, term_penalty
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
-from leastaction.selection.strategies import shape_start, shortest_form
+from leastaction.selection.strategies import finer_knots, shape_start, shortest_form
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakGram, weak_grams
 from leastaction.selection.weak_search import cheapest_combinations, noise_ratio, support_score
@@ -778,3 +779,26 @@ def test_stribeck_friction_is_found_with_its_speed():
 def test_dry_friction_alone_is_no_stribeck_friction():
     found = friction_of(rubbing(1, lambda q, v: 0.5 * sign(v)), "auto", "stribeck")
     assert list(found) == ["abs(q_dot)"]
+
+
+def test_intervals_that_narrow_while_estimates_stand_still_are_recognised():
+    """More information moves an estimate by the variance that it removes; rounding does not move it."""
+    rng, before, now = np.random.default_rng(0), np.full(4, 1e-3), np.full(4, 4e-4)
+    coarser = SimpleNamespace(estimates=np.ones(4), standard_errors=before)
+
+    def still(move, errors):
+        finer = SimpleNamespace(estimates=coarser.estimates + move, standard_errors=errors)
+        return finer_knots._stands_still(coarser, finer)
+
+    informed = np.sqrt(before**2 - now**2) * rng.standard_normal((2000, 4))
+    assert sum(still(move, now) for move in informed) <= 2
+    assert still(1e-6, now)
+    assert not still(0.0, 0.9 * before)
+
+
+@pytest.mark.thorough
+def test_intervals_hold_the_truth_where_the_equations_hold_to_rounding():
+    """A pendulum between three magnets, whose equation error falls to 1e-9 of the forces on finer knots."""
+    result = solve.solve(Case("calibration", "magnetic_pendulum", 0.01, trial=16))
+    assert result["exact"]
+    assert max(abs(term["z"]) for term in result["terms"].values()) < 4.0

@@ -25,6 +25,9 @@ __all__ = ["run"]
 
 _DIGITS = 1e-6  # of an estimate: finer knots are not worth a smaller change
 _FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
+_ROUNDING = 1.5e-8  # relative equation error whose square is lost in the normal equations
+_NARROWED = 0.2  # of a standard error: less is the work of a knot grid
+_STILL = 0.05  # of the expected change: estimates that move less did not move
 _MOST_ROUNDS = 6  # grids, at most
 
 
@@ -55,6 +58,8 @@ def run(search: Search) -> Search:
             return search.now(fit, knots_settled=True, vibrates=True)
         if done and np.any(off > SELECTION.holds):  # not caused by too few knots
             return search.now(finer, knots_settled=False, vibrates=False)
+        if np.any(off < _ROUNDING) and _stands_still(fit, finer):
+            return search.now(fit, knots_settled=True, vibrates=False)
         # finer splines leave a smaller equation error, by nearly the same factor in every round, until
         # hardly any of it is left and its weight no longer matters
         growth = np.clip(finer.weights.physics / fit.weights.physics, 1.0, _FASTEST_GROWTH)
@@ -91,13 +96,30 @@ def _likelier(carried: Fit, other: Fit) -> Fit:
     )
 
 
+def _stands_still(coarser: Fit, finer: Fit) -> bool:
+    """Whether the intervals narrow although the estimates stay where they were.
+
+    Of two efficient estimates the difference has the variance by which that of the first exceeds that of the
+    second (Hausman 1978).  Estimates that move much less say that rounding has narrowed the intervals, not
+    information.
+    """
+    before, now = (np.maximum(fit.standard_errors, _least(finer)) for fit in (coarser, finer))
+    narrowed = np.sqrt(np.maximum(before**2 - now**2, 0.0))
+    much = now < (1.0 - _NARROWED) * before
+    return bool(much.any() and np.all(np.abs(finer.estimates - coarser.estimates) <= _STILL * narrowed))
+
+
+def _least(fit: Fit) -> np.ndarray:
+    """Standard errors below which nobody needs more digits: without noise they are tiny."""
+    return np.maximum(_DIGITS * np.abs(fit.estimates), 1e-150)
+
+
 def _change_ahead(coarser: Fit, finer: Fit, share: float) -> float:
     """By how much still finer knots will change a fit, relative to what is allowed.
 
     Where errors fall with a power of the spacing, that is a fixed share of what the last round changed.
     """
-    # without noise standard errors are tiny: digits that nobody needs do not ask for finer knots
-    least = np.maximum(_DIGITS * np.abs(finer.estimates), 1e-150)
+    least = _least(finer)
     before, now = (np.maximum(fit.standard_errors, least) for fit in (coarser, finer))
     move = share * np.abs(finer.estimates - coarser.estimates) / now
     shrink = np.minimum(share * (before - now), now - least) / now
