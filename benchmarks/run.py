@@ -145,6 +145,7 @@ def row(record: dict) -> str:
 # ------------------------------------------------------------- long recordings, one worker and more
 _SYSTEM, _TRIAL, _RATE = "double_pendulum", 20.0, 100.0
 _BATCH = 500  # trials simulated at once: the simulation must not take more memory than the search
+_PASSED = 200  # trials of one pass
 
 
 @main.command("workers")
@@ -235,7 +236,7 @@ def compare_passes(repeats: int = 10) -> None:
 
     walls: dict[str, list[float]] = {"alone": [], "two workers": [], "nothing shared": []}
     with single_threaded(), employ(2) as crew:
-        alone, shared, halves = one_pass(100), one_pass(100, crew), (one_pass(50), one_pass(50))
+        alone, shared, halves = one_pass(_PASSED), one_pass(_PASSED, crew), [one_pass(_PASSED // 2)] * 2
         shared()  # children start
         for _ in range(repeats):
             for name, run in (
@@ -252,9 +253,10 @@ def compare_passes(repeats: int = 10) -> None:
 
 
 def one_pass(trials: int, crew: Any = None) -> Callable[[], object]:
-    """What a Gauss–Newton step does with so many trials, from a curve that noise has bent."""
+    """What a Gauss–Newton step does with so many trials, from the smoothed samples."""
     from leastaction import systems
     from leastaction.curve.bspline import uniform_grid
+    from leastaction.curve.smoothing import smooth
     from leastaction.estimation.blocks import observe
     from leastaction.estimation.joint import Physics, Weights
     from leastaction.mechanics.euler_lagrange import EulerLagrange
@@ -266,7 +268,7 @@ def one_pass(trials: int, crew: Any = None) -> Callable[[], object]:
     grid = uniform_grid([t] * trials, 100.0, 5, 2)
     noisy = [motion + 0.01 * rng.standard_normal(motion.shape) for _ in range(trials)]
     seen = observe(grid, [t] * trials, noisy, crew=crew)
-    control = rng.standard_normal((grid.n_ctrl, 2))
+    control = smooth(grid, [t] * trials, noisy).control_points
     physics = Physics(columns, np.ones(6, bool), None)
     weights = Weights(np.full(2, 0.01), np.ones(2), np.ones(2))
     return lambda: seen.linearise(physics, control, np.ones(6), weights).normal(weights).eliminate()
