@@ -80,10 +80,8 @@ def doubts_about_the_form(fit: Fit, relevance: float, *, exact: bool = False) ->
 
 
 def _one_energy(fit: Fit) -> bool:
-    """Whether the motion has one energy throughout: a recording of one conservative coordinate.
-
-    Kinetic and potential energy may then change together and leave this motion as it is.
-    """
+    """Whether the motion is one recording of one conservative coordinate, which has one energy throughout."""
+    # kinetic and potential energy may then change together and leave this motion as it is
     problem, forces = fit.problem, fit.grid.forces
     single = len(problem.coordinates) == len(problem.trajectories) == 1
     return single and forces is None and all(problem.terms[k].kind == "lagrangian" for k in fit.structure)
