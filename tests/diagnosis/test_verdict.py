@@ -24,6 +24,7 @@ from leastaction.selection.forecast_error import Followed, forecast_error
 from leastaction.selection.search import find_structure
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
+from leastaction.selection.weak_proposals import unexplained
 from leastaction.selection.weak_search import kinetic_bases
 
 
@@ -98,6 +99,18 @@ def test_exchanged_forces():
     doubts = Doubts(*driven(swap=True))
     assert [finding.subject for finding in doubts.all("equations-off")] == [("theta1",), ("theta2",)]
     assert doubts.one("swapped-forces").subject == ("theta1", "theta2")
+
+
+@pytest.mark.parametrize("name", ["double_pendulum", "spherical_pendulum"])
+def test_exchanged_forces_leave_more_of_the_weak_form(name):
+    """Friction that nobody offered leaves something, too, but no exchange leaves less."""
+    system = systems.get(name).with_dissipation({f"{v}**2/2": 0.05 for v in systems.get(name).velocities})
+    truth = systems.simulate_truth(system, 2, 6.0, 50.0, 5)
+    data = systems.measure(system, truth, systems.noise_std(system, truth, 0.01), seed=5)
+    grid = Grid.lay(build_problem(data, Request(systems.compact_library(name))).problem, 20.0)
+    exchanged = grid.pushed([t.forces[:, ::-1] for t in data])
+    curve = grid.smooth()
+    assert np.all(unexplained(grid, curve) < unexplained(exchanged, curve))
 
 
 def test_a_force_recorded_as_zero_is_no_exchange():

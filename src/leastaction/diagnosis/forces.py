@@ -23,6 +23,7 @@ from leastaction.findings import Finding, find
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search
 from leastaction.selection.significance import chi_square_cutoff
+from leastaction.selection.weak_proposals import unexplained
 
 __all__ = ["exchanged_forces", "scaled_forces"]
 
@@ -34,7 +35,8 @@ _MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
 def exchanged_forces(search: Search) -> list[Finding]:
     """The two coordinates whose forces, exchanged, explain the motion best; nothing if none do.
 
-    Cost: a search on the knots of the fit, without refinement, for each pair of coordinates.
+    All candidates together leave less of the weak form with the right forces.  Only pairs whose exchange
+    leaves less at every width are searched with, on the knots of the fit and without refinement.
     """
     fit = search.found
     data = fit.problem.trajectories
@@ -44,6 +46,7 @@ def exchanged_forces(search: Search) -> list[Finding]:
         return []
     best, most = None, 0.5 * chi_square_cutoff(1, len(pairs))
     curve = fit.grid.smooth()
+    before = unexplained(fit.grid, curve, search.seed)
     for i, j in pairs:
         order = np.arange(data.n_dof)
         order[[i, j]] = j, i
@@ -51,7 +54,10 @@ def exchanged_forces(search: Search) -> list[Finding]:
         exchanged = [None if f is None else f[:, order] for f in given]
         if all(f is None or np.array_equal(f, f[:, order]) for f in given):
             continue
-        found = begun_anew(search, fit.grid.pushed(exchanged), curve)
+        grid = fit.grid.pushed(exchanged)
+        if not np.all(unexplained(grid, curve, search.seed) < before):
+            continue
+        found = begun_anew(search, grid, curve)
         if found is not None and value(found) - value(fit) > most:
             best, most = (i, j), value(found) - value(fit)
     if best is None:

@@ -27,7 +27,7 @@ from leastaction.selection.weak_search import (
     support_score,
 )
 
-__all__ = ["Proposal", "explicable", "propose_structures", "settled"]
+__all__ = ["Proposal", "explicable", "propose_structures", "settled", "unexplained"]
 
 _EQUATION_ERRORS = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)  # squared, relative to the rows
 _TRIED = 60  # structures whose mass matrix is looked at
@@ -72,8 +72,12 @@ def explicable(grid: Grid, curve: Smooth, seed: int = 0) -> bool:
 
     Where they do not, no structure of them has equations that hold.
     """
-    error = SELECTION.holds**2
-    return any(_of_all(gram, error) < SELECTION.rows_explained for gram in weak_grams(grid, curve, seed))
+    return bool(np.any(unexplained(grid, curve, seed) < SELECTION.rows_explained))
+
+
+def unexplained(grid: Grid, curve: Smooth, seed: int = 0) -> np.ndarray:
+    """What all candidates together leave of the rows, for each width: the ratio ρ at one per cent."""
+    return np.array([_of_all(gram, SELECTION.holds**2) for gram in weak_grams(grid, curve, seed)])
 
 
 def _of_all(gram: WeakGram, error: float) -> float:
