@@ -1,9 +1,9 @@
 """Test whether the forces act on the stated coordinates, with the stated size.
 
-An exchange is tried: with the forces of two coordinates exchanged the search begins anew, and the exchange is
-named if the same candidates then lead to equations that hold and explain the motion better.  What the
-exchange leaves in the equations of the fit is no evidence, because terms of a wrong structure imitate it, and
-a force that was recorded as zero looks like one.
+An exchange of the forces of two coordinates is tried where it leaves less of the weak form to all candidates:
+the search begins anew, and the exchange is named if it leads to equations that hold and explain the motion
+better.  What the exchange leaves in the equations of the fit is no evidence, because terms of a wrong
+structure imitate it, and a force that was recorded as zero looks like one.
 
 A scale is read from what is left of the equations of the fit: that residual is regressed on the forces, after
 both have been freed of what the terms of the model could take up.
@@ -29,14 +29,14 @@ __all__ = ["exchanged_forces", "scaled_forces"]
 
 _MOST_POINTS = 200_000  # points along the motion, enough for a share
 _NULL = 1e-6  # relative: rounding
-_MOST_TRIED = 6  # pairs, each a search: all of up to four coordinates
+_MOST_TRIED = 6  # pairs, each perhaps a search: all of up to four coordinates
 
 
 def exchanged_forces(search: Search) -> list[Finding]:
     """The two coordinates whose forces, exchanged, explain the motion best; nothing if none do.
 
-    All candidates together leave less of the weak form with the right forces.  Only pairs whose exchange
-    leaves less at every width are searched with, on the knots of the fit and without refinement.
+    All candidates together leave less of the weak form with the right forces.  An exchange that leaves less
+    at every width costs a search on the knots of the fit, without refinement.
     """
     fit = search.found
     data = fit.problem.trajectories
@@ -47,10 +47,10 @@ def exchanged_forces(search: Search) -> list[Finding]:
     best, most = None, 0.5 * chi_square_cutoff(1, len(pairs))
     curve = fit.grid.smooth()
     before = unexplained(fit.grid, curve, search.seed)
+    given = [t.forces for t in data]
     for i, j in pairs:
         order = np.arange(data.n_dof)
         order[[i, j]] = j, i
-        given = [t.forces for t in data]
         exchanged = [None if f is None else f[:, order] for f in given]
         if all(f is None or np.array_equal(f, f[:, order]) for f in given):
             continue
