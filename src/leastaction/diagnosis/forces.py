@@ -36,7 +36,7 @@ def exchanged_forces(search: Search) -> list[Finding]:
     """The two coordinates whose forces, exchanged, explain the motion best; nothing if none do.
 
     All candidates together leave less of the weak form with the right forces.  An exchange that leaves less
-    at every width costs a search on the knots of the fit, without refinement.
+    at some width costs a search on the knots of the fit, without refinement.
     """
     fit = search.found
     data = fit.problem.trajectories
@@ -55,7 +55,7 @@ def exchanged_forces(search: Search) -> list[Finding]:
         if all(f is None or np.array_equal(f, f[:, order]) for f in given):
             continue
         grid = fit.grid.pushed(exchanged)
-        if not np.all(unexplained(grid, curve, search.seed) < before):
+        if not np.any(unexplained(grid, curve, search.seed) < before):
             continue
         found = begun_anew(search, grid, curve)
         if found is not None and value(found) - value(fit) > most:
