@@ -89,43 +89,36 @@ def _best_support(
     grid: Grid, curve: Smooth, gram: WeakGram, bases: list[tuple[int, ...]] | None
 ) -> tuple[Structure, np.ndarray]:
     """Best structure of one width whose mass matrix is positive definite, and all coefficients."""
-    problem = grid.problem
-    free = problem.free
-    n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
-    price = term_penalty(int(n_rows), free.size)
+    problem, free = grid.problem, grid.problem.free
     *smaller, largest = _EQUATION_ERRORS
     # where not even all candidates explain the rows, no structure does
     promising = [e for e in smaller if _of_all(gram, e) < SELECTION.rows_explained]
-    first, error, ranked = None, largest, list[Support]()
+    error, ranked = largest, list[Support]()
     for error in (*promising, largest):  # the smallest that lets some structure explain the rows
-        ranked = _ranked(gram, error, price, n_rows, bases, problem.surcharges[free])
+        ranked = _ranked(gram, error, bases, problem.surcharges[free])
         if ranked[0].ratio < SELECTION.rows_explained:
             break
+    answers: list[tuple[Structure, np.ndarray]] = []
     for support in ranked[:_TRIED]:
         coefficients = problem.completed(0.0)
         coefficients[free] = solve_support(gram, error, support.members)
-        answer = Structure(free[list(support.members)]), coefficients
+        answers.append((Structure(free[list(support.members)]), coefficients))
         if grid.regular(coefficients, curve.control_points) > ESTIMATION.mostly_regular:
-            return answer
-        first = first or answer
-    assert first is not None
-    return first
+            return answers[-1]
+    return answers[0]
 
 
 def _ranked(
-    gram: WeakGram,
-    error: float,
-    price: float,
-    n_rows: float,
-    bases: list[tuple[int, ...]] | None,
-    surcharges: np.ndarray,
+    gram: WeakGram, error: float, bases: list[tuple[int, ...]] | None, surcharges: np.ndarray
 ) -> list[Support]:
     """Supports in rising score.
 
     Backward from the whole library where rows outnumber the candidates, so that it leaves noise; else
     forward, and forward from bases where some are given.
     """
-    size, noise = gram.residual.shape[0] - 1, 1.0
+    size, noise = surcharges.size, 1.0
+    n_rows = max(gram.n_rows / SELECTION.overlap, 4.0)
+    price = term_penalty(int(n_rows), size)
     if bases is not None:
         levels = grow_bases(gram, error, price, n_rows, bases)
     elif n_rows < SELECTION.rows_each * size:
