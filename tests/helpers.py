@@ -663,3 +663,22 @@ def timed():
         ModelTerm("x**2*t**2", -0.1),
     ]
     return LagrangianModel(["theta", "x"], terms, [ModelTerm("x_dot**2*(2 + sin(t))", 0.1)])
+
+
+_BALL = '<collision><origin xyz="{x} 0 0"/><geometry>{shape}</geometry></collision>'
+_SPHERE = '<sphere radius="0.05"/>'
+
+
+def folding(shape: str = _SPHERE, at: float = 0.3, axis: str = "0 0 1") -> str:
+    """A URDF of three links of 0.3 m about parallel axes, with a shape at the end of each and on the base."""
+    links = [f"<link name='base'>{_BALL.format(x=0.0, shape=_SPHERE)}</link>"]
+    for k in range(3):
+        inertia = "<inertia ixx='.01' ixy='0' ixz='0' iyy='.01' iyz='0' izz='.01'/>"
+        body = f"<inertial><origin xyz='.15 0 0'/><mass value='1'/>{inertia}</inertial>"
+        links.append(f"<link name='l{k}'>{body}{_BALL.format(x=at, shape=shape)}</link>")
+        above = f"l{k - 1}" if k else "base"
+        where = f"<parent link='{above}'/><child link='l{k}'/><axis xyz='{axis}'/>"
+        bound = "<limit lower='-3' upper='3' velocity='2' effort='50'/>"
+        at_end = f"<origin xyz='{0.3 if k else 0.0} 0 0'/>"
+        links.append(f"<joint name='q{k + 1}' type='revolute'>{where}{at_end}{bound}</joint>")
+    return f"<robot name='folding'>{''.join(links)}</robot>"

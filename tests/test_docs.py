@@ -25,6 +25,7 @@ from click.testing import CliRunner
 
 import leastaction as la
 from benchmarks import pages
+from helpers import folding
 from leastaction import systems
 from leastaction.cli.program import program
 from leastaction.findings import CODES, REASONS, TEXT, because
@@ -173,6 +174,7 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     cart, pendulum = (tmp_path_factory.mktemp(name) for name in ("cart", "pendulum"))
     data = systems.generate("cart_spring_pendulum", noise=0.01, trials=2, duration=5.0, seed=0)
     la.write_csv(cart / "run.csv", data)
+    (cart / "robot.urdf").write_text(folding(), encoding="utf-8")
     driven = systems.generate("single_pendulum", noise=0.01, trials=2, duration=5.0, rate=50.0, seed=0)
     rows = ["trial,t,theta,tau"] + [
         f"{k},{t},{q},{f}"
@@ -190,8 +192,12 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
-# The longest page by itself takes as long as all others together.
-_PAGES = [pytest.param(p, marks=pytest.mark.thorough) if p == "choose" else p for p in OURS]
+_MARKS = {
+    # by itself it takes as long as all others together
+    "choose": pytest.mark.thorough,
+    "arms": pytest.mark.skipif(not importlib.util.find_spec("pinocchio"), reason="needs the extra robots"),
+}
+_PAGES = [pytest.param(page, marks=_MARKS.get(page, ())) for page in OURS]
 
 
 @pytest.mark.parametrize("page", _PAGES)

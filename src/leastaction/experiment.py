@@ -14,12 +14,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from leastaction.arms.collisions import Collisions
 from leastaction.arms.planning import Bounds, Excitation, Limits, Plan, Series, positive
 from leastaction.errors import DataError, InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.threads import single_threaded
 
-__all__ = ["Excitation", "Limits", "excite"]
+__all__ = ["Collisions", "Excitation", "Limits", "excite"]
 
 _PERIOD = 10.0  # s, of the series at most
 _WEIGHTS = (30.0, 300.0, 3000.0)  # of penalties, one after the other
@@ -58,7 +59,8 @@ def excite(
     -------
     Excitation
         Starts and ends at rest; all limits hold on a grid eight times as fine as the optimisation's. Not
-        guaranteed: that no better motion exists, and that links do not collide with each other.
+        guaranteed: that no better motion exists and, without ``Limits(collisions=...)``, that links do not
+        collide with each other.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def excite(
     if after is None:
         raise DataError(
             "no motion within the limits was found; check that some pose between the lowest and the highest "
-            "angles respects the boxes and the torques, or try another seed"
+            "angles respects the boxes, the clearance and the torques, or try another seed"
         )
     information = [plan.information(c) for c in (start if before is None else before, after)]
     t = np.arange(0.0, duration + 0.5 / rate, 1.0 / rate)

@@ -7,6 +7,7 @@ import importlib.util
 import re
 import shutil
 import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 import leastaction as la
-from helpers import assert_refused_in_one_line
+from helpers import assert_refused_in_one_line, folding
 from leastaction import arms, experiment
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import contact_notes, load_notes, prepared
@@ -1103,6 +1104,111 @@ def test_bad_limits_are_refused_in_one_line(change, words):
     given = {"angle": WIDE.angle, "speed": WIDE.speed, **change}
     with pytest.raises((la.InputError, la.DataError)) as caught:
         experiment.excite(WRIST, Limits(**given), 3.0)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+# -------------------- collisions: distances between shapes, by geometry; and motions that keep links apart
+@pytest.fixture
+def folded(file):
+    """The tree, and its collisions with a clearance of 2 cm."""
+    pytest.importorskip("pinocchio")
+    path = file(folding(), "arm.urdf")
+    tree = la.Library.from_urdf(path)
+    return tree, experiment.Collisions.of_urdf(path, tree, clearance=0.02)
+
+
+def test_distances_of_spheres_are_those_of_their_centres(folded, rng):
+    tree, collisions = folded
+    assert collisions.pairs == (("base_0", "l1_0"), ("base_0", "l2_0"), ("l0_0", "l2_0"))
+    q = rng.uniform(-3.0, 3.0, (50, 3))
+    ends = [p + 0.3 * r[:, :, 0] for p, r in zip(*poses(tree, q), strict=True)]
+    expected = [np.linalg.norm(b - a, axis=1) - 0.1 for a, b in ((0.0, ends[1]), (0.0, ends[2]), ends[::2])]
+    np.testing.assert_allclose(collisions.distances(q), expected, atol=1e-6)
+
+
+def poses(tree: arms.KinematicTree, q: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    at = Motion.at(tree, q, 0.0 * q, 0.0 * q)
+    return at.origins, at.rotations
+
+
+def test_slopes_of_distances_are_finite_differences(folded, rng):
+    _, collisions = folded
+    q, step = rng.uniform(-3.0, 3.0, (200, 3)), 1e-6
+    lacking, slopes = collisions.excess(q, 0.1)
+    near = lacking > 1e-3
+    assert near.sum() > 20
+    for j, way in enumerate(step * np.eye(3)):
+        ends = [collisions.excess(q + sign * way, 0.1)[0] for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(slopes[:, j][near], (ends[0] - ends[1])[near] / (2.0 * step), atol=1e-4)
+
+
+def test_a_planned_motion_keeps_links_apart(folded):
+    tree, collisions = folded
+    limits = Limits(angle=[[-1.0, 0.0, 0.0], [1.0, 3.0, 3.0]], speed=6.0, acceleration=50.0)
+    safe = replace(limits, collisions=collisions)
+    free, kept = (experiment.excite(tree, each, 4.0) for each in (limits, safe))
+    assert collisions.distances(free.q).min() < 0.0
+    assert collisions.distances(kept.q).min() > 0.019
+    assert kept.log_volume[1] < kept.log_volume[0] - 5.0
+
+
+def test_the_gradient_of_a_plan_with_collisions_is_a_finite_difference(folded, rng):
+    tree, collisions = folded
+    plan = plan_of(tree, Limits.of_tree(tree, collisions=collisions))
+    x = rng.normal(0.0, 1.0, (3, plan.series.size))
+    x[:, 0] = 0.0, 2.0, 2.0
+    _, gradient = plan._value(x, 30.0)
+    assert collisions.excess(plan.series.states(x, plan.times)[0], 0.0)[0].any()
+    for _ in range(3):
+        way = rng.normal(size=x.shape)
+        ends = [plan._value(x + step * way, 30.0)[0] for step in (1e-5, -1e-5)]
+        assert gradient @ way.ravel() == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=1e-3)
+
+
+def test_without_pinocchio_the_extra_is_named(file, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pinocchio", None)
+    path = file(folding(), "arm.urdf")
+    with pytest.raises(la.InputError, match=r"leastaction\[robots\]"):
+        experiment.Collisions.of_urdf(path, la.Library.from_urdf(path))
+
+
+def test_a_mesh_counts_as_its_convex_hull(file, tmp_path):
+    """A tetrahedron with the corner of a cube cut off."""
+    pytest.importorskip("pinocchio")
+    corners = 0.05 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    facets = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join("vertex {:g} {:g} {:g}\n".format(*corners[k]) for k in face)
+        + "endloop\nendfacet\n"
+        for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
+    )
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "end.stl").write_text(f"solid end\n{facets}endsolid end\n")
+    path = file(folding('<mesh filename="package://shapes/end.stl"/>'), "arm.urdf")
+    tree = la.Library.from_urdf(path)
+    collisions = experiment.Collisions.of_urdf(path, tree, packages=[tmp_path])
+    straight = collisions.distances(np.zeros((1, 3)))
+    np.testing.assert_allclose(straight[:, 0], [0.55, 0.85, 0.55], atol=1e-6)
+    with pytest.raises(la.InputError, match="packages="):
+        experiment.Collisions.of_urdf(path, tree)
+
+
+@pytest.mark.parametrize(
+    ("text", "clearance", "words"),
+    [
+        (folding(), -0.01, "zero or more"),
+        (folding().replace("q2", "other"), 0.01, "no joint q2"),
+        (folding(axis="0 1 0").replace("0 1 0", "0 0 1", 1), 0.01, "another arm"),
+        (re.sub("<collision>.*?</collision>", "", folding()), 0.01, "no collision shapes"),
+        ("<robot", 0.01, "cannot read"),
+    ],
+)
+def test_shapes_that_cannot_be_used_are_refused_in_one_line(file, text, clearance, words):
+    pytest.importorskip("pinocchio")
+    tree = la.Library.from_urdf(file(folding(), "arm.urdf"))
+    with pytest.raises(la.InputError) as caught:
+        experiment.Collisions.of_urdf(file(text, "other.urdf"), tree, clearance=clearance)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from leastaction.arms.base import BaseParameters, find_base, inertial_prior
+from leastaction.arms.collisions import Collisions
 from leastaction.data.trajectories import Trajectory
 from leastaction.errors import InputError
 from leastaction.library.tree import KinematicTree
@@ -40,6 +41,7 @@ _SAMPLES = 6  # in a period of the fastest wave, along which the volume is compu
 _FINE = 8  # times as many samples for the check of limits
 _ITERATIONS = 40  # for each weight of the penalties
 _MARGIN = 0.03  # of a limit, kept as a reserve
+_NEAR = 0.1  # m, of which a lack of distance is a share
 _STEP = 1e-6
 _UNSEEN = 0.5  # of its prior: if the error of a parameter is larger, the motion does not determine it
 _SMALLEST = 0.02  # smallest useful scale of a motion
@@ -61,6 +63,8 @@ class Limits:
         Boxes that neither the tool nor the origin of any link may enter.
     tool : (3,) array_like
         A point in the frame of the last link, in m.
+    collisions : Collisions, optional
+        Links that must not meet.
     """
 
     angle: ArrayLike
@@ -70,6 +74,7 @@ class Limits:
     inside: ArrayLike | None = None
     outside: Sequence[ArrayLike] = ()
     tool: ArrayLike = (0.0, 0.0, 0.0)
+    collisions: Collisions | None = None
 
     @classmethod
     def of_tree(cls, tree: KinematicTree, **others: Any) -> Limits:
@@ -111,7 +116,7 @@ class Excitation:
     condition, log_volume : tuple of two floats
         Before and after the optimisation: condition number of the information, each parameter in units of its
         prior, and logarithm of the volume of the region of uncertainty. Before the optimisation, the motion
-        is the start, as large as the limits allow, or unscaled if its middle lies in a box.
+        is the start, as large as the limits allow, or unscaled if its middle breaks one.
     """
 
     tree: KinematicTree
@@ -158,6 +163,7 @@ class Bounds(NamedTuple):
     inside: np.ndarray | None
     outside: list[np.ndarray]
     tool: np.ndarray
+    collisions: Collisions | None
 
     @classmethod
     def of(cls, limits: Limits, tree: KinematicTree) -> Bounds:
@@ -183,7 +189,7 @@ class Bounds(NamedTuple):
         inside = None if limits.inside is None else _array(limits.inside, (2, 3), "inside")
         speed, acceleration, torque = sizes
         tool = _array(limits.tool, (3,), "tool")
-        return cls(angle, speed, acceleration, torque, inside, boxes, tool)
+        return cls(angle, speed, acceleration, torque, inside, boxes, tool, limits.collisions)
 
 
 class Series:
@@ -313,8 +319,12 @@ class Plan:
         rise = -np.einsum("ait,aist->st", solved, columns[:, :, 1:] - here[:, :, None], optimize=True)
         pushed = np.einsum("ct,cst->st", over[:, 0], over[:, 1:] - over[:, :1])
         gradient = (rise + 2.0 * weight / count * pushed) / slopes[:, None]
-        value = -0.5 * float(np.linalg.slogdet(gram)[1]) + penalty
         by_state = gradient.reshape(3, n, count)
+        if self.bounds.collisions is not None:
+            near, slope = self.bounds.collisions.excess(states[0], _MARGIN * _NEAR)
+            penalty += weight * float(np.sum(near**2)) / count / _NEAR**2
+            by_state[0] += 2.0 * weight / count / _NEAR**2 * np.einsum("pt,pjt->jt", near, slope)
+        value = -0.5 * float(np.linalg.slogdet(gram)[1]) + penalty
         return value, np.einsum("vjt,vkt->jk", by_state, self.functions).ravel()
 
     def _excess(self, states: np.ndarray, margin: float = _MARGIN) -> np.ndarray:
@@ -345,10 +355,14 @@ class Plan:
 
         def fits(share: float) -> bool:
             states = np.einsum("vkt,jk->vtj", functions, _scaled(coefficients, share))
-            return not self._excess(states, margin=0.0).any()
+            return not (self._excess(states, margin=0.0).any() or self._collides(states[0]))
 
         share = _largest(fits)
         return None if share is None else _scaled(coefficients, share)
+
+    def _collides(self, q: np.ndarray) -> bool:
+        check = self.bounds.collisions
+        return check is not None and bool((check.distances(q) < check.clearance).any())
 
 
 def _scaled(coefficients: np.ndarray, share: float) -> np.ndarray:
