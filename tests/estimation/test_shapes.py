@@ -7,6 +7,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 from dataclasses import replace
@@ -17,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loky.backend.queues import Queue
 from scipy.integrate import solve_ivp
 
 import leastaction as la
@@ -685,6 +687,21 @@ def test_of_late_forces_a_block_gets_its_own_part():
 def test_what_fails_in_a_child_fails_here(processes):
     with pytest.raises(ZeroDivisionError):
         processes.results([processes.task(divmod, 1, 0)])
+
+
+def test_no_thread_of_a_crew_outlives_it(monkeypatch):
+    feed = Queue._feed
+
+    def late(*args):
+        feed(*args)
+        time.sleep(0.3)
+
+    monkeypatch.setattr(Queue, "_feed", staticmethod(late))
+    before = set(threading.enumerate())
+    with employ(2) as crew:
+        assert crew is not None
+        crew.results([crew.task(abs, x) for x in range(4)])
+    assert set(threading.enumerate()) <= before
 
 
 def test_a_program_needs_no_guard_for_its_children(tmp_path):

@@ -38,6 +38,7 @@ _IDLE = 300.0  # seconds, after which an idle child ends
 _MEMORY_STAYS = {"MALLOC_TRIM_THRESHOLD_": str(2**28), "MALLOC_MMAP_THRESHOLD_": str(2**25)}
 """For glibc in a child: keep freed memory. Returning it after each block took 15 % of the time."""
 _MOST_STARTS = 3  # of the children of one discovery, after which this process computes everything
+_FEEDER_ENDS = 5.0  # seconds to wait for the thread that feeds the children
 _LOOK = 1.0  # seconds between two checks of the cluster or of the parent
 
 
@@ -170,7 +171,10 @@ class ProcessCrew:
     def close(self) -> None:
         """End the processes. Older fits then compute in this process."""
         if self._pool is not None:
+            feeder = getattr(getattr(self._pool, "_call_queue", None), "_thread", None)
             self._pool.shutdown(wait=True, kill_workers=True)
+            if feeder is not None:  # the end of the program would cut it off and report a leaked semaphore
+                feeder.join(_FEEDER_ENDS)
         self._folder.close()
         self._pool, self._starts_left = None, 0
 
