@@ -573,6 +573,90 @@ def test_delays_of_single_joints_are_found_on_request(short):
     assert np.abs((np.array(facts.delays) - delays) / facts.delay_errors).max() < 4.0
 
 
+@pytest.fixture(scope="module")
+def missing(short) -> arms.ArmModel:
+    """A wrist whose second torque was not measured."""
+    return arms.identify(short, WRIST, recording=arms.Recording(unmeasured=["q2"]))
+
+
+def test_what_other_joints_show_is_found_without_a_torque(short, missing):
+    rng = np.random.default_rng(4)
+    joints = {"rotor": [0.2, 0.1, 0.05], "viscous": [0.5, 0.2, 0.1], "dry": [0.5, 0.4, 0.2]}
+    inertias = truth(WRIST, rng).tree.inertias
+    true = [
+        inertias[term.place, term.component]
+        if term.kind == "inertia"
+        else joints.get(term.kind, [0.0] * 3)[term.place]
+        for term in missing.base.terms
+    ]
+    z = (missing.coefficients - missing.base.matrix @ true) / missing.standard_errors
+    assert np.sqrt(np.mean(z**2)) < 1.5
+    assert not any(term.place == 1 for term in missing.terms if term.kind != "inertia")
+    errors = missing.bodies().validate(short)
+    assert np.isnan(errors.by_joint[:, 1]).all()
+    assert (errors.by_joint[:, [0, 2]] < 0.1).all()
+    assert (errors.overall < 0.05).all()
+    assert "–" in str(errors)
+
+
+def test_forces_of_unmeasured_joints_have_no_effect(short, missing):
+    forces = short.forces.copy()
+    forces[:, 1] = 1e3 * np.sin(short.t)
+    log = la.Trajectory(short.t, short.q, forces, short.coordinates)
+    again = arms.identify(log, WRIST, recording=arms.Recording(unmeasured=["q2"]))
+    np.testing.assert_array_equal(again.coefficients, missing.coefficients)
+
+
+def test_an_arm_with_an_unmeasured_joint_survives_its_file_and_has_a_report(short, missing, tmp_path):
+    missing.save(tmp_path / "arm.json")
+    again = arms.load(tmp_path / "arm.json")
+    assert again.facts == missing.facts
+    assert str(again) == str(missing)
+    page = Page(la.write_arm_report(missing, tmp_path / "arm.html", short).read_text(encoding="utf-8"))
+    assert not {"torque1-t", "friction1-t"} & set(page.attributes("id"))
+    assert "torque2-t" in page.attributes("id")
+    assert "not measured" in page.by_id("data").text
+    assert "the torque of q2 is not measured" in page.by_id("verdict").text
+    assert "Shown: ." not in page.root.text
+    assert "largest errors" not in page.root.text
+    assert not re.search(r"\bnan\b", page.root.text)
+    with pytest.raises(la.InputError, match="q2 had none"):
+        missing.free_runs(short)
+
+
+@pytest.mark.thorough
+def test_gains_and_delays_are_found_beside_an_unmeasured_joint(short):
+    gains = np.array([1.0, 5.0, -0.7])
+    late = shifted(short, [4e-3] * 3)
+    currents = la.Trajectory(late.t, late.q, late.forces / gains, late.coordinates)
+    recording = arms.Recording(gains={"q1": 1.0}, delays=True, unmeasured=["q2"])
+    facts = arms.identify(currents, WRIST, recording=recording).facts
+    assert abs(facts.gains[2] + 0.7) < 4.0 * facts.gain_errors[2]
+    assert np.abs((np.array(facts.delays) - 4e-3)[[0, 2]] / np.array(facts.delay_errors)[[0, 2]]).max() < 4.0
+    assert facts.delay_errors[1] == facts.gain_errors[1] == 0.0
+
+
+def test_a_torque_of_zero_is_reported(short):
+    forces = short.forces * [1.0, 0.0, 1.0]
+    log = la.Trajectory(short.t, short.q, forces, short.coordinates)
+    assert "unmeasured=['q2']" in prepared(Trajectories([log]), WRIST)[1][0]
+    assert not prepared(Trajectories([log]), WRIST, [1])[1]
+
+
+@pytest.mark.parametrize(
+    ("recording", "words"),
+    [
+        ({"unmeasured": ["q9"]}, "'q9'; expected joints of the tree"),
+        ({"unmeasured": ["q1", "q2", "q3"]}, "no joint has a measured torque"),
+        ({"unmeasured": ["q2"], "gains": {"q2": 1.0}}, "expected joints with a torque: q1, q3"),
+    ],
+)
+def test_bad_unmeasured_joints_are_refused_in_one_line(short, recording, words):
+    with pytest.raises(la.InputError, match=re.escape(words)) as caught:
+        arms.identify(short, WRIST, recording=arms.Recording(**recording))
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("distance", [pytest.param(0.0, marks=pytest.mark.thorough), 2e-3])
 def test_free_runs_follow_the_motion_of_the_true_arm(rng, distance):
     """Forward dynamics undo inverse dynamics, with either kind of dry friction."""
@@ -676,7 +760,7 @@ def test_the_command_reads_currents_and_a_mujoco_model_without_its_meshes(found,
     tree, q = arms.read_mjcf(out / "arm.xml"), log.q[::100]
     masses = arms.ArmModel.of_tree(tree, tree.dynamics).mass_matrix(q)
     assert np.linalg.norm(masses - true.mass_matrix(q)) < 0.05 * np.linalg.norm(masses)
-    for wrong, words in [("q1", "expected JOINT=NUMBER"), ("q9=1", "expected joints of the tree")]:
+    for wrong, words in [("q1", "expected JOINT=NUMBER"), ("q9=1", "expected joints with a torque")]:
         failed = CliRunner().invoke(program, [*given, wrong])
         assert failed.exit_code == 2
         assert words in failed.output
@@ -699,6 +783,19 @@ def test_the_command_refuses_bad_logs_in_one_line(found, file, tmp_path, change,
     assert failed.exit_code in (1, 2)
     assert words in failed.output
     assert len(failed.output.strip().splitlines()) == 1
+
+
+def test_the_command_leaves_out_unmeasured_torques(found, file, tmp_path):
+    data = file(as_csv(recorded(found[0], np.random.default_rng(6), 5.0, 200.0)))
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    given = ["arm", str(data), "--dh", str(table), "--convention", "modified", "--forces", "q1=tau1,q3=tau3"]
+    given += ["--output", str(tmp_path / "out")]
+    done = CliRunner().invoke(program, [*given, "--unmeasured", "q2"])
+    assert done.exit_code == 0, done.output
+    assert "viscous[q1]" in done.output
+    assert "[q2]" not in done.output
+    failed = CliRunner().invoke(program, [*given, "--unmeasured", "q7", "--force"])
+    assert failed.exit_code == 2
 
 
 def test_links_without_inertia_are_named(found):

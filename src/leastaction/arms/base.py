@@ -145,13 +145,21 @@ def _short(text: str, most: int = 34) -> str:
     return text[: text.rfind(" ", 0, most - 2)].rstrip(" +-") + " ..."
 
 
-def find_base(tree: KinematicTree, terms: Sequence[ArmTerm]) -> BaseParameters:
-    """The combinations of terms that some motion of the tree can determine."""
+def find_base(
+    tree: KinematicTree, terms: Sequence[ArmTerm], unmeasured: Sequence[int] = ()
+) -> BaseParameters:
+    """The combinations of terms that some motion of the tree can determine.
+
+    Parameters
+    ----------
+    unmeasured : sequence of int
+        Joints whose torques are unknown.
+    """
     rng = np.random.default_rng(0)  # the result does not depend on the states
     n = len(tree)
     q, qdot, qddot = rng.uniform(-3.0, 3.0, (3, _STATES, n))
     linear = [k for k, term in enumerate(terms) if term.kind in _FREE]
-    columns = ArmColumns(tree, [terms[k] for k in linear]).strong(Points(q, qdot, qddot))
+    columns = ArmColumns(tree, [terms[k] for k in linear], None, unmeasured).strong(Points(q, qdot, qddot))
     columns = columns.reshape(len(linear), -1)
     length = np.linalg.norm(columns, axis=1)
     found: list[int] = []

@@ -44,7 +44,7 @@ class TorqueRun:
     q, qdot, qddot : (n_times, n_dof) arrays
         The smoothed motion.
     predicted, measured : (n_times, n_dof) arrays
-        Torques from the motion, and those of the log, on time and in N m (N).
+        Torques from the motion, and those of the log, on time and in N m (N); NaN where it holds none.
     """
 
     name: str
@@ -66,7 +66,7 @@ class TorqueErrors:
     bands : tuple of float or None
         Cut-off frequency of the filter of measured and predicted torques, in Hz; None: unfiltered.
     rms : (n_bands, n_dof) array
-        Root mean square of the error.
+        Root mean square of the error; NaN for a joint without a measured torque.
     torque_rms, torque_std : (n_bands, n_dof) arrays
         Root mean square and standard deviation of the measured torque.
     """
@@ -84,21 +84,27 @@ class TorqueErrors:
 
     @property
     def overall(self) -> np.ndarray:
-        """(n_bands,) error relative to the torque, both as root mean squares over all joints."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_rms, axis=1)
+        """(n_bands,) error relative to the torque, both as root mean squares over all measured joints."""
+        return _length(self.rms) / _length(self.torque_rms)
 
     @property
     def of_spread(self) -> np.ndarray:
         """(n_bands,) error relative to the standard deviation of the torques."""
-        return np.linalg.norm(self.rms, axis=1) / np.linalg.norm(self.torque_std, axis=1)
+        return _length(self.rms) / _length(self.torque_std)
 
     def __str__(self) -> str:
         width = max(8, *map(len, self.coordinates)) + 1
         lines = ["error of torques  " + "".join(f"{name:>{width}}" for name in (*self.coordinates, "all"))]
         for band, each, every in zip(self.bands, self.by_joint, self.overall, strict=True):
             label = "all frequencies" if band is None else f"below {band:g} Hz"
-            lines.append(f"{label:18}" + "".join(f"{100 * x:>{width - 2}.2f} %" for x in (*each, every)))
+            texts = ("–" if np.isnan(x) else f"{100 * x:.2f} %" for x in (*each, every))
+            lines.append(f"{label:18}" + "".join(f"{text:>{width}}" for text in texts))
         return "\n".join(lines)
+
+
+def _length(rows: np.ndarray) -> np.ndarray:
+    """Norm of each row, without missing values."""
+    return np.sqrt(np.nansum(rows**2, axis=1))
 
 
 def torque_errors(
@@ -203,8 +209,13 @@ def free_runs(
     Raises
     ------
     InputError, DataError
-        If the horizon is not positive, or every run is shorter.
+        If the horizon is not positive, every run is shorter, or torques were not measured.
     """
+    if model.facts.unmeasured:
+        raise InputError(
+            f"free runs need the torques of all joints, but {', '.join(model.facts.unmeasured)} had none in "
+            "the fitted log; compare torques instead (validate)"
+        )
     if not (np.isfinite(horizon) and horizon > 0.0):
         raise InputError(f"horizon is {horizon}; give the length of a free run in s, such as 0.5")
     most = min(_STEP, data.sampling_interval)

@@ -72,7 +72,8 @@ def from_dict(given: Mapping[str, Any]) -> ArmModel:
         coefficients, covariance, reference = (
             np.array(given[key], float) for key in ("coefficients", "covariance", "reference")
         )
-        base = find_base(tree, terms).subset(given["members"])
+        none = [tree.coordinates.index(name) for name in facts.get("unmeasured", ())]
+        base = find_base(tree, terms, none).subset(given["members"])
         size = len(base.members)
         if coefficients.shape != (size,) or covariance.shape != (size, size):
             raise ValueError("the number of coefficients")

@@ -122,25 +122,25 @@ def identify(
     for kind in friction:
         if kind not in FRICTION:
             raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
-    data, notes = prepared(Trajectories.coerce(trajectories), tree)
+    data, notes = prepared(Trajectories.coerce(trajectories), tree, recording.places(tree))
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
-    extra = [kind for kind in friction if kind not in _ALWAYS]
-    kinds = fixed, always, extra
+    kinds = fixed, always, [kind for kind in friction if kind not in _ALWAYS]
     with employ(workers, joins=True) as crew:
         laid = _lay(data, knots_per_second, crew or Alone())
         laid, choice, signals, changes = _calibrated(data, tree, recording, kinds, laid)
         begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
         terms = (
             *inertial_terms(tree),
-            *joint_terms(tree, fixed, choice.scales),
+            *joint_terms(tree, fixed, choice.scales, signals.unmeasured),
             *choice.friction,
             *signals.terms(tree),
             *begins,
         )
-        base = find_base(tree, terms)
+        base = find_base(tree, terms, signals.unmeasured)
         history = np.concatenate([choice.history, changes, remains])
-        columns = ArmColumns(tree, [terms[k] for k in base.members], choice.reference, (), history)
+        members = [terms[k] for k in base.members]
+        columns = ArmColumns(tree, members, choice.reference, signals.unmeasured, history)
         base, columns, fit = _fitted(laid, columns, base, choice)
         fit = _weighted(laid, columns, fit)
     notes += _doubts(laid, columns, fit, choice, tuple(data.names))
@@ -157,7 +157,7 @@ def identify(
         laid.grid.n_intervals / laid.grid.duration,
         fit.status,
         tuple(notes),
-        **signals.facts(),
+        **signals.facts(tree),
     )
     return ArmModel(tree, base, coefficients, covariance, choice.reference, facts)
 
@@ -184,7 +184,8 @@ def _calibrated(
     def regress() -> Regression:
         corrected, points = signals.torques(data), laid.smoothed.control_points
         crew = laid.observations.crew
-        return Regression.of(tree, laid.grid, points, laid.forces.values, corrected, kinds, crew)
+        forces, none = laid.forces.values, signals.unmeasured
+        return Regression.of(tree, laid.grid, points, forces, corrected, kinds, none, crew)
 
     if signals.unknown:
         signals = signals.first_gains(regress())
@@ -195,7 +196,7 @@ def _calibrated(
         changes = signals.changes(choice)
         steps, errors = signals.steps(choice, changes)
         if undecided and not signals.common(steps, errors):
-            steps, signals = steps[len(tree) :], replace(signals, late=False)
+            steps, signals = steps[len(steps) - len(signals.unknown) :], replace(signals, late=False)
         undecided = False
         if not (left and signals.far(steps, data.sampling_interval)):
             return _Calibrated(laid, choice, signals, changes)
@@ -268,13 +269,12 @@ def _doubts(
 
     A strong contact may spoil the joint fit; least squares along the log then leaves much smaller errors.
     """
-    times = laid.grid.points.mean(axis=1)
     errors = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
     others = (predicted(choice) - laid.forces.values).mean(axis=1)
     if np.any(errors.std(axis=0) > _SPOILED * others.std(axis=0)):
         errors = others
     left = _unexplained(laid, columns, fit, errors, choice)
-    notes = contact_notes(columns.tree, times, laid.grid.owner, left, names)
+    notes = contact_notes(columns.tree, laid.grid.points.mean(axis=1), laid.grid.owner, left, names)
     points = points_at(laid.grid, fit.control_points, slice(0, _CHUNK))
     torques = laid.forces.values[:_CHUNK].transpose(2, 1, 0).reshape(columns.n_dof, -1)
     return notes + scale_notes(columns.tree, points, torques)
@@ -394,7 +394,7 @@ def _correlated(residuals: np.ndarray) -> int:
     """Number of knot intervals over which residuals are correlated: Andrews' plug-in rule for one lag."""
     before, after = residuals[:-1], residuals[1:]
     each = np.sum(before * after, axis=0) / np.maximum(np.sum(before**2, axis=0), 1e-300)
-    shared = min(max(float(each.sum()) / each.size, 0.0), 0.97)
+    shared = min(max(float(each.sum()) / max(np.count_nonzero(each), 1), 0.0), 0.97)
     alpha = 4.0 * shared**2 / ((1.0 - shared) * (1.0 + shared)) ** 2
     length = 1.1447 * (alpha * len(residuals)) ** (1.0 / 3.0)
     return max(1, min(int(length), len(residuals) // 10))

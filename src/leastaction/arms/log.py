@@ -10,7 +10,7 @@ inertias of the tree.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from leastaction.arms.base import TREE_SHARE, BaseParameters, inertial_prior
 from leastaction.arms.columns import JointColumns, joint_columns
+from leastaction.arms.signals import idle_notes
 from leastaction.data.formats.atomic import StrPath
 from leastaction.data.formats.bags import is_bag
 from leastaction.data.formats.dispatch import listed_paths, peek
@@ -109,8 +110,12 @@ def log_columns(path: StrPath | Iterable[StrPath], tree: KinematicTree) -> Joint
     return joint_columns(seen.header, seen.rows, tree.coordinates, str(first))
 
 
-def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, list[str]]:
+def prepared(
+    data: Trajectories, tree: KinematicTree, unmeasured: Sequence[int] = ()
+) -> tuple[Trajectories, list[str]]:
     """The log with its coordinates in the sequence of the tree, and notes on changes.
+
+    The forces of unmeasured joints are zero.
 
     Raises
     ------
@@ -133,16 +138,16 @@ def prepared(data: Trajectories, tree: KinematicTree) -> tuple[Trajectories, lis
                 "for each joint"
             )
         rates = None if run.velocities is None else run.velocities[:, order]
+        forces = run.forces[:, order]
+        forces[:, list(unmeasured)] = 0.0
         ready, said = _on_clock(
-            Trajectory(
-                run.t, run.q[:, order], run.forces[:, order], tree.coordinates, run.name, velocities=rates
-            )
+            Trajectory(run.t, run.q[:, order], forces, tree.coordinates, run.name, velocities=rates)
         )
         notes += [said] if said else []
         out.append(ready)
     ready = Trajectories(out)
     _check(ready, tree)
-    return ready, notes
+    return ready, notes + idle_notes(ready, tree, unmeasured)
 
 
 def _check(data: Trajectories, tree: KinematicTree) -> None:
@@ -231,6 +236,8 @@ class FitFacts:
         Delay of the recorded torque of each joint in s, and its standard error. Empty: no delay.
     gains, gain_errors : tuple of float
         Torque per unit of the log, and its standard error: zero for a known gain. Empty: torques.
+    unmeasured : tuple of str
+        Joints whose torque the log does not hold.
     """
 
     trials: tuple[str, ...]
@@ -243,6 +250,7 @@ class FitFacts:
     delay_errors: tuple[float, ...] = ()
     gains: tuple[float, ...] = ()
     gain_errors: tuple[float, ...] = ()
+    unmeasured: tuple[str, ...] = ()
 
 
 #                                                       notes on a contact, or on currents in place of torques
@@ -337,7 +345,7 @@ def scale_notes(tree: KinematicTree, points: Points, torques: np.ndarray) -> lis
         basis: np.ndarray = np.linalg.qr(beside)[0]
         ours, theirs = torques[i] - basis @ (basis.T @ torques[i]), said[i] - basis @ (basis.T @ said[i])
         shared, square = float(ours @ theirs), float(theirs @ theirs)
-        if square == 0.0 or abs(shared) < _ALIKE * np.sqrt(float(ours @ ours) * square):
+        if square == 0.0 or abs(shared) <= _ALIKE * np.sqrt(float(ours @ ours) * square):
             continue
         factor = shared / square
         if not 1.0 / _SCALE < factor < _SCALE:

@@ -320,7 +320,8 @@ class ArmModel:
             assert run.forces is not None
             q, qdot, qddot = self._smoothed(run)
             predicted = self.torques(q, qdot, qddot, successive=True)
-            out.append(TorqueRun(run.name, run.t, q, qdot, qddot, predicted, run.forces))
+            measured = np.where(np.isin(run.coordinates, self.facts.unmeasured), np.nan, run.forces)
+            out.append(TorqueRun(run.name, run.t, q, qdot, qddot, predicted, measured))
         return tuple(out)
 
     @single_threaded()
@@ -341,7 +342,8 @@ class ArmModel:
 
     def _calibrated(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
         """The log with torques on time and in N m, by the delays and gains of the fitted log."""
-        data, n = prepared(Trajectories.coerce(trajectories), self.tree)[0], len(self.tree)
+        none, n = [self.coordinates.index(name) for name in self.facts.unmeasured], len(self.tree)
+        data = prepared(Trajectories.coerce(trajectories), self.tree, none)[0]
         delays, gains = self.facts.delays or [0.0] * n, self.facts.gains or [1.0] * n
         return Signals(np.array(delays), np.array(gains), False, ()).torques(data)
 

@@ -165,7 +165,7 @@ def payload(
             rotors="rotor" in kinds,
             offsets="offset" in kinds,
             springs="spring" in kinds,
-            recording=Recording(gains=gains),
+            recording=Recording(gains=gains, unmeasured=arm.facts.unmeasured),
         )
     names, difference, covariance = _difference(arm, loaded)
     columns = [k for k, term in enumerate(arm.base.terms) if term.kind == "inertia" and term.place == place]

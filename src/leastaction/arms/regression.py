@@ -137,7 +137,7 @@ class Regression:
         Independent residuals of each joint.
     moved : (n_intervals, n_dof) array
         1 where a joint has moved since its run began, else 0: a joint that rests is held by friction of
-        unknown size, so that its equation is not used.
+        unknown size, so that its equation is not used. 0 if its torque is not measured.
     """
 
     grid: SplineGrid
@@ -165,35 +165,38 @@ class Regression:
         forces: np.ndarray,
         data: Trajectories,
         kinds: tuple[Sequence[str], Sequence[str], Sequence[str]],
+        unmeasured: Sequence[int],
         crew: Crew,
     ) -> Regression:
         """Sum the products along a log.
 
         Parameters
         ----------
-        kinds
-            Terms of every joint, friction that is tried in every joint, and friction that may be added.
+        kinds, unmeasured
+            Terms of every joint, friction that is tried in every joint, friction that may be added; joints
+            whose equations are not used.
         """
         states = [np.concatenate(grid.evaluate(control_points, [t.t for t in data], nu)) for nu in (0, 1)]
-        spread, rms = states[0].std(axis=0), np.sqrt(np.mean(states[1] ** 2, axis=0))
-        rms = np.maximum(rms, 1e-9)
+        spread = states[0].std(axis=0)
+        rms = np.maximum(np.sqrt(np.mean(states[1] ** 2, axis=0)), 1e-9)
         scales = JointScales(_WIDTH * rms, _STRIBECK * rms, np.zeros(len(tree)))
-        inertial = (*inertial_terms(tree), *joint_terms(tree, kinds[0], scales))
-        base = find_base(tree, inertial)
+        inertial = (*inertial_terms(tree), *joint_terms(tree, kinds[0], scales, unmeasured))
+        base = find_base(tree, inertial, unmeasured)
         parts = [
             [inertial[k] for k in base.members],
-            joint_terms(tree, [kind for kind in kinds[1] if kind != "dry"], scales),
-            joint_terms(tree, kinds[2], scales),
+            joint_terms(tree, [kind for kind in kinds[1] if kind != "dry"], scales, unmeasured),
+            joint_terms(tree, kinds[2], scales, unmeasured),
         ]
         terms = [term for part in parts for term in part]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
-        numbers = [tuple(range(a, b)) for a, b in pairwise(ends)]
-        fixed, always, extra = numbers
+        fixed, always, extra = (tuple(range(a, b)) for a, b in pairwise(ends))
+        moved = _moved(grid, control_points, data, _MOVED * spread)
+        moved[:, list(unmeasured)] = 0.0
         made = cls(
             grid,
             control_points,
             forces,
-            ArmColumns(tree, terms),
+            ArmColumns(tree, terms, None, unmeasured),
             fixed,
             always,
             extra,
@@ -203,7 +206,7 @@ class Regression:
             histories=np.zeros((0, *forces.shape)),
             grams=np.zeros(0),
             counts=np.zeros(0),
-            moved=_moved(grid, control_points, data, _MOVED * spread),
+            moved=moved,
             crew=crew,
         )
         if "dry" in kinds[1]:
@@ -224,7 +227,8 @@ class Regression:
         coefficients = np.zeros(len(self.columns))
         coefficients[[*self.fixed, *self.always]] = solution.values[: len(begin)]
         reference = self.columns.parameters(coefficients)
-        whole = replace(self, columns=ArmColumns(self.columns.tree, self.columns.terms, reference))
+        tree, terms, unmeasured = self.columns.tree, self.columns.terms, self.columns.prescribed
+        whole = replace(self, columns=ArmColumns(tree, terms, reference, unmeasured))
         grams = whole.summed() if loads else grams
         whole = replace(whole, grams=grams)
         return replace(whole, counts=whole._independent(coefficients, solution.values[len(begin) :]))
@@ -262,7 +266,7 @@ class Regression:
         for i in range(n):
             places, numbers = self.own(members, dry, i)
             local[i][np.ix_(places, places)] = total[i][np.ix_(numbers, numbers)]
-        squares = np.maximum(local[:, -1, -1], 1e-300)
+        squares = np.where(local[:, -1, -1] > 0.0, local[:, -1, -1], 1.0)
         return reweighted(local, squares, 1e-12 * squares)
 
     def _unseen(self, members: Sequence[int], dry: Acting, squares: np.ndarray) -> float:
@@ -317,8 +321,7 @@ class Regression:
             sizes, shifts = np.split(best.values[len(members) :], 2)
             scales = self._changed(scales, shifts / np.where(sizes == 0.0, np.inf, sizes))
         refined = self._at(scales)
-        best = refined.solved(members, dry)
-        members, best = refined._extended(members, dry, best, false_alarm)
+        members, best = refined._extended(members, dry, refined.solved(members, dry), false_alarm)
         return refined._choice(members, dry, best, scales)
 
     def _changed(self, scales: JointScales, ratios: np.ndarray) -> JointScales:
@@ -368,7 +371,7 @@ class Regression:
         names += [f"{'turn' if d else 'dry'}[{tree.coordinates[i]}]" for i, d in dry]
         values = dict(zip(names, best.values.tolist(), strict=True))
         if dry:
-            friction += joint_terms(tree, ["dry", "turn"], scales)
+            friction += joint_terms(tree, ["dry", "turn"], scales, self.columns.prescribed)
         coefficients = np.array([values.get(term.text, 0.0) for term in self.columns.terms])
         reference = self.columns.reference
         if reference is None:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -34,7 +35,7 @@ from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import ArmTerm, remembered
 
-__all__ = ["Recording", "Signals", "bounded_starts", "predicted", "starts"]
+__all__ = ["Recording", "Signals", "bounded_starts", "idle_notes", "predicted", "starts"]
 
 _CHUNK = 512  # knot intervals handled at once
 _FAR = 0.1  # of a sampling interval, or of a gain: after a larger step the columns are computed again
@@ -58,6 +59,9 @@ class Recording:
     delays : bool, optional
         Whether to estimate the delay of the recorded torque in each joint. By default, delays are estimated
         if their mean over the joints is significant.
+    unmeasured : sequence of str
+        Joints whose torque the log does not hold. Their motion is used, and what the log holds as their force
+        is not. Parameters that act only in their equations, such as their friction, stay unknown.
 
     Examples
     --------
@@ -70,6 +74,25 @@ class Recording:
 
     gains: Mapping[str, float] | None = None
     delays: bool | None = None
+    unmeasured: Sequence[str] = ()
+
+    def places(self, tree: KinematicTree) -> tuple[int, ...]:
+        """Indices of the unmeasured joints.
+
+        Raises
+        ------
+        InputError
+            If a name is not a joint, or no torque is left.
+        """
+        for name in self.unmeasured:
+            if name not in tree.coordinates:
+                raise InputError(
+                    f"unmeasured holds {quoted(name)}; expected joints of the tree: "
+                    f"{', '.join(tree.coordinates)}"
+                )
+        if len(set(self.unmeasured)) == len(tree):
+            raise InputError("no joint has a measured torque; leave at least one out of unmeasured")
+        return tuple(i for i, name in enumerate(tree.coordinates) if name in self.unmeasured)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +109,8 @@ class Signals:
         Whether delays are estimated.
     unknown : tuple of int
         Joints whose gain is unknown.
+    unmeasured : tuple of int
+        Joints whose torque the log does not hold.
     errors : pair of (n_dof,) arrays, optional
         Standard errors of delays and gains, zero where they were given.
     """
@@ -94,6 +119,7 @@ class Signals:
     gains: np.ndarray
     late: bool
     unknown: tuple[int, ...]
+    unmeasured: tuple[int, ...] = ()
     errors: tuple[np.ndarray, np.ndarray] | None = None
 
     @classmethod
@@ -103,16 +129,17 @@ class Signals:
         Raises
         ------
         InputError
-            If a gain belongs to no joint or is not a number, or if none is given.
+            If a gain belongs to no joint or is not a number, or if none is given, or a joint is unknown.
         """
         n, late, gains = len(tree), recording.delays is not False, recording.gains
+        none = recording.places(tree)
         if gains is None:
-            return cls(np.zeros(n), np.ones(n), late, ())
-        names = tree.coordinates
+            return cls(np.zeros(n), np.ones(n), late, (), none)
+        names = [name for i, name in enumerate(tree.coordinates) if i not in none]
         for name, value in gains.items():
             if name not in names:
                 raise InputError(
-                    f"gains hold {quoted(name)}; expected joints of the tree: {', '.join(names)}"
+                    f"gains hold {quoted(name)}; expected joints with a torque: {', '.join(names)}"
                 )
             if not np.isfinite(value) or value == 0.0:
                 raise InputError(f"the gain of {name} is {value}; give the torque per unit of the log")
@@ -122,13 +149,14 @@ class Signals:
                 f"torque per ampere of one joint, e.g. gains={{{names[0]!r}: 10.0}}, or give 1.0, identify "
                 "a known payload, and use the ratio of its mass to the mass found"
             )
-        unknown = tuple(i for i, name in enumerate(names) if name not in gains)
-        return cls(np.zeros(n), np.array([gains.get(name, 1.0) for name in names], float), late, unknown)
+        unknown = tuple(i for i, name in enumerate(tree.coordinates) if name in names and name not in gains)
+        known = np.array([gains.get(name, 1.0) for name in tree.coordinates], float)
+        return cls(np.zeros(n), known, late, unknown, none)
 
     @property
     def open(self) -> list[tuple[int, str]]:
         """Joints with an unknown delay or gain, and which of the two."""
-        late = range(len(self.gains) if self.late else 0)
+        late = [i for i in range(len(self.gains)) if self.late and i not in self.unmeasured]
         return [(i, "delay") for i in late] + [(i, "gain") for i in self.unknown]
 
     def terms(self, tree: KinematicTree) -> tuple[ArmTerm, ...]:
@@ -196,7 +224,7 @@ class Signals:
         mean is therefore tested against the variance among the joints (DerSimonian & Laird 1986, Controlled
         Clinical Trials 7:177).
         """
-        n = len(self.gains)
+        n = len(self.open) - len(self.unknown)
         delays, variance = steps[:n], errors[:n] ** 2
         weights = 1.0 / variance
         mean = weights @ delays / weights.sum()
@@ -236,15 +264,17 @@ class Signals:
                 errors[1][term.place] = error * abs(gains[term.place])
         return replace(self, delays=delays, gains=gains, errors=errors)
 
-    def facts(self) -> dict[str, tuple[float, ...]]:
+    def facts(self, tree: KinematicTree) -> dict[str, Any]:
         """Values of `FitFacts`."""
         assert self.errors is not None
+        without = tuple(tree.coordinates[i] for i in self.unmeasured)
         values = (self.delays, self.errors[0], self.gains, self.errors[1])
         names = ("delays", "delay_errors", "gains", "gain_errors")
-        return {name: tuple(part.tolist()) for name, part in zip(names, values, strict=True)}
+        found = {name: tuple(part.tolist()) for name, part in zip(names, values, strict=True)}
+        return {**found, "unmeasured": without}
 
     def notes(self, tree: KinematicTree) -> list[str]:
-        """Sentences on significant delays, and on estimated gains."""
+        """Sentences on unmeasured torques, significant delays, and estimated gains."""
         assert self.errors is not None
         cut = float(norm.isf(_CHANCE / 2.0 / len(tree)))
         late = [
@@ -252,9 +282,14 @@ class Signals:
             for name, value, error in zip(tree.coordinates, self.delays, self.errors[0], strict=True)
             if abs(value) > cut * error > 0.0
         ]
-        said = [f"delays of the recorded torques in ms, which were corrected: {', '.join(late)}"]
         gains = [f"{tree.coordinates[i]} {self.gains[i]:.4g} ± {self.errors[1][i]:.1g}" for i in self.unknown]
-        return (said if late else []) + ([f"torque per unit of the log: {', '.join(gains)}"] if gains else [])
+        without = ", ".join(tree.coordinates[i] for i in self.unmeasured)
+        notes = {
+            f"the torque of {without} is not measured: friction and rotor there stay unknown": without,
+            f"delays of the recorded torques in ms, which were corrected: {', '.join(late)}": late,
+            f"torque per unit of the log: {', '.join(gains)}": gains,
+        }
+        return [note for note, any_ in notes.items() if any_]
 
 
 def predicted(choice: Choice) -> np.ndarray:
@@ -317,6 +352,18 @@ def starts(
     assert runs is not None
     terms = [term for _, term in longest[:_MOST_STARTS]]
     return terms, np.array([remains.values, np.rint(runs.values)])
+
+
+def idle_notes(data: Trajectories, tree: KinematicTree, unmeasured: Sequence[int]) -> list[str]:
+    """Joints whose torque is zero throughout, as where a log lacks it."""
+    used = np.any([np.any(run.forces, axis=0) for run in data], axis=0)
+    idle = [name for i, name in enumerate(tree.coordinates) if not used[i] and i not in unmeasured]
+    if not idle:
+        return []
+    return [
+        f"the torque of {', '.join(idle)} is zero in the whole log; if it was not measured, give "
+        f"Recording(unmeasured={idle!r}) or --unmeasured {','.join(idle)}"
+    ]
 
 
 def bounded_starts(

@@ -77,6 +77,11 @@ Example:
     "at least one; the others are estimated.",
 )
 @click.option(
+    "--unmeasured",
+    metavar="A,B",
+    help="Joints whose torque the log does not hold; their motion is used, their friction stays unknown.",
+)
+@click.option(
     "--hold-out",
     metavar="N|P%|NAMES",
     help="Not fitted but predicted: the last N trials; the last 20% of them, or of a single trial its end; "
@@ -100,6 +105,7 @@ def arm(
     ctx: click.Context,
     data: Callable[..., DataOptions],
     gains: str | None,
+    unmeasured: str | None,
     hold_out: str | None,
     output: str,
     workers: int | None,
@@ -124,7 +130,8 @@ def arm(
     tree = _tree(urdf, mjcf, **geometry)
     log = _recognised(data(default=tree.coordinates), tree, currents=gains is not None).read()
     fitted, rest = _split(log, hold_out)
-    recording = arms.Recording() if gains is None else arms.Recording(gains=_gains(gains))
+    without = [] if unmeasured is None else [name.strip() for name in unmeasured.split(",")]
+    recording = arms.Recording(None if gains is None else _gains(gains), unmeasured=without)
     with live_progress("verify"):
         found = arms.identify(fitted, tree, recording=recording, workers=workers)
         solid = found.bodies()

@@ -133,8 +133,10 @@ def inertial_terms(tree: KinematicTree) -> tuple[ArmTerm, ...]:
     )
 
 
-def joint_terms(tree: KinematicTree, kinds: Iterable[str], scales: JointScales) -> tuple[ArmTerm, ...]:
-    """One of each kind for each joint."""
+def joint_terms(
+    tree: KinematicTree, kinds: Iterable[str], scales: JointScales, without: Sequence[int] = ()
+) -> tuple[ArmTerm, ...]:
+    """One of each kind for each joint, except those in ``without``."""
     return tuple(
         ArmTerm(
             f"{kind}[{name}]",
@@ -146,6 +148,7 @@ def joint_terms(tree: KinematicTree, kinds: Iterable[str], scales: JointScales) 
         )
         for kind in kinds
         for i, name in enumerate(tree.coordinates)
+        if i not in without
     )
 
 

@@ -40,7 +40,8 @@ def render_arm(model: ArmModel, log: Trajectories, held_out: Trajectories | None
         "name": "" if model.tree.name == "arm" else model.tree.name,
         "figures": figures,
         "parts": [colour for _, colour in figures.shown],
-        "shown": figures.shown[0][0].name,
+        "shown": f"Shown: {name}. " if (name := figures.shown[0][0].name) else "",
+        "n_measured": len(figures.names) - len(model.facts.unmeasured),
         "headline": _headline(fitted_errors, held_errors),
         "statements": _statements(figures),
         "notes": [note.replace("chi-squared", "χ²") for note in solid.facts.notes],
@@ -114,7 +115,7 @@ def _statements(figures: ArmFigures) -> list[tuple[str, str]]:
     for name, errors in (("Held-out torques", held), ("Fitted torques", fitted)):
         if errors is not None:
             shares = [percent(share) for share in errors.overall.tolist()]
-            worst = int(np.argmax(errors.by_joint[0]))
+            worst = int(np.nanargmax(errors.by_joint[0]))
             text = f"off by {shares[0]} of their rms below 5 Hz, {shares[-1]} at all frequencies; "
             far = percent(float(errors.by_joint[0, worst]))
             out.append((name, f"{text}most in {figures.names[worst]}, by {far} below 5 Hz"))
@@ -182,7 +183,7 @@ def _torque_title(figures: ArmFigures) -> str:
     if errors is None:
         return "Torques, measured and predicted"
     shares, what = errors.by_joint[-1], "Held-out" if figures.errors[1] else "Fitted"
-    low, high = int(np.argmin(shares)), int(np.argmax(shares))
+    low, high = int(np.nanargmin(shares)), int(np.nanargmax(shares))
     ends = [f"{percent(float(shares[k]))} ({figures.names[k]})" for k in dict.fromkeys((low, high))]
     return f"{what} torques are off by {' to '.join(ends)} of their rms, at all frequencies"
 
@@ -212,8 +213,10 @@ def _error_rows(figures: ArmFigures) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     for i, name in enumerate(figures.names):
         cells = [percent(float(errors.by_joint[k, i])) for errors in some for k in (0, 1, -1)]
-        sizes = [f"{plain(float(errors.torque_rms[-1, i]))} {figures.unit(i)[0]}" for errors in some]
-        rows.append({"name": name, "torque": sizes[0] if sizes else "", "cells": cells})
+        sizes = [float(errors.torque_rms[-1, i]) for errors in some]
+        torque = f"{plain(sizes[0])} {figures.unit(i)[0]}" if some else ""
+        torque = "not measured" if name in figures.model.facts.unmeasured else torque
+        rows.append({"name": name, "torque": torque, "cells": cells})
     cells = [percent(float(errors.overall[k])) for errors in some for k in (0, 1, -1)]
     return [*rows, {"name": "all", "torque": "", "cells": cells}] if some else []
 
@@ -324,7 +327,9 @@ def _joint_rows(figures: ArmFigures) -> list[dict[str, str]]:
                 "range": f"{plain(float(q[:, i].min()))} … {plain(float(q[:, i].max()))} {own}",
                 "speed": f"{plain(float(speed[i]))} {own}/s",
                 "noise": f"{plain(facts.noise_std[i], 2)} {own}",
-                "error": f"{plain(float(np.sqrt(facts.torque_density[i])), 2)} {torque}/√Hz",
+                "error": "not measured"
+                if name in facts.unmeasured
+                else f"{plain(float(np.sqrt(facts.torque_density[i])), 2)} {torque}/√Hz",
                 "gain": plain(facts.gains[i]) if facts.gains else "",
                 "delay": f"{plain(1e3 * facts.delays[i], 2)} ms" if facts.delays else "",
             }

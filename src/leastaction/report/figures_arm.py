@@ -74,10 +74,11 @@ class ArmFigures:
 
     @cached_property
     def drawn(self) -> list[int]:
-        """The joints with figures: all, or those with the largest errors."""
+        """The joints with figures: all with a measured torque, or those with the largest errors."""
         errors = self.errors[1] or self.errors[0]
         size = np.zeros(len(self.names)) if errors is None else errors.by_joint[0]
-        return sorted(np.argsort(-size, kind="stable")[:_MOST_DRAWN].tolist())
+        known = [i for i, name in enumerate(self.names) if name not in self.model.facts.unmeasured]
+        return sorted(sorted(known, key=lambda i: -float(size[i]))[:_MOST_DRAWN])
 
     @cached_property
     def posture(self) -> np.ndarray:
