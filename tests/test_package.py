@@ -20,6 +20,7 @@ import pytest
 
 import leastaction
 import leastaction as la
+from benchmarks import ablations, thresholds
 from helpers import MODELS, finite_difference, states
 from leastaction import InputError, LagrangianModel
 from leastaction.curve.settings import CURVE
@@ -96,6 +97,13 @@ def test_settings_are_frozen_documented_and_used(name):
         setattr(settings, next(iter(fields)), 0.0)
     source = "".join(path.read_text("utf-8") for path in Path(leastaction.__file__).parent.rglob("*.py"))
     assert not [field for field in fields if f"{name}.{field}" not in source]
+
+
+def test_benchmarks_of_settings_and_strategies_judge_a_search():
+    case = thresholds.QUICK[0]
+    assert thresholds.outcome(case, thresholds._searched(case)).status in ("ok", "usable", "doubtful")
+    found = ablations.outcome("systems", "double_well, large library")
+    assert found.status in ("ok", "usable", "doubtful")
 
 
 def _undescribed(path: Path) -> list[str]:

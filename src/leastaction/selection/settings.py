@@ -109,6 +109,14 @@ class SelectionSettings:
     """Ratio of equation errors from one grid to the next, above which finer knots follow vibrations. Half,
     twice: no effect."""
 
+    narrowed: float = 0.2
+    """Share of a standard error that finer knots must remove before estimates that stand still tell of
+    rounding. Half, twice: no effect."""
+
+    still: float = 0.05
+    """Move of a coefficient, relative to the one that its lower standard error makes likely, that counts as
+    none. Half: no effect; twice: two of 130 recordings with little noise keep coarser knots."""
+
     most_knots: float = 3.0
     """Knots a sample, at most. Half, twice: no effect."""
 

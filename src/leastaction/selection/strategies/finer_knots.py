@@ -26,8 +26,6 @@ __all__ = ["run"]
 _DIGITS = 1e-6  # of an estimate: finer knots are not worth a smaller change
 _FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
 _ROUNDING = 1.5e-8  # relative equation error whose square is lost in the normal equations
-_NARROWED = 0.2  # of a standard error: less is the work of a knot grid
-_STILL = 0.05  # of the expected change: estimates that move less did not move
 _MOST_ROUNDS = 6  # grids, at most
 
 
@@ -105,8 +103,9 @@ def _stands_still(coarser: Fit, finer: Fit) -> bool:
     """
     before, now = (np.maximum(fit.standard_errors, _least(finer)) for fit in (coarser, finer))
     narrowed = np.sqrt(np.maximum(before**2 - now**2, 0.0))
-    much = now < (1.0 - _NARROWED) * before
-    return bool(much.any() and np.all(np.abs(finer.estimates - coarser.estimates) <= _STILL * narrowed))
+    much = now < (1.0 - SELECTION.narrowed) * before
+    moved = np.abs(finer.estimates - coarser.estimates)
+    return bool(much.any() and np.all(moved <= SELECTION.still * narrowed))
 
 
 def _least(fit: Fit) -> np.ndarray:
