@@ -34,7 +34,8 @@ class EstimationSettings:
 
     weights_settled: float = 0.05
     """Standard errors by which the last round of new weights may move a coefficient, and relative change of
-    the degrees of freedom of the equation error. Half, twice: one note changes."""
+    the degrees of freedom of the equation error. Above 100,000 samples the change may grow in proportion to
+    their number, the move with its square root. Half, twice: one note changes."""
 
     evidence_settled: float = 0.5
     """Log likelihood by which such a round may raise it at the end, and may lower it before: noise in the

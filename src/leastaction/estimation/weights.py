@@ -159,13 +159,15 @@ def fit_weights(
 
     Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard
     error, the degrees of freedom of the equation error by less than a twentieth, and the evidence by less
-    than a half. Above 100,000 samples this half grows in proportion.
+    than a half. Above 100,000 samples these limits grow in proportion to their number, and that of the
+    coefficients, whose standard errors become smaller, with its square root.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
     steps, stride = best.n_steps, 1.0
     taken = before = np.zeros(0)
-    tolerance = ESTIMATION.evidence_settled * shared(observations)
+    share = shared(observations)
+    tolerance = ESTIMATION.evidence_settled * share
     for _ in range(max_rounds):
         if not best.converged or steps > _MOST_STEPS:
             break
@@ -200,8 +202,9 @@ def fit_weights(
             break
         spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
         moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
-        settled = np.all(moved < ESTIMATION.weights_settled) and value - best_evidence < tolerance
-        settled = settled and _have_settled(weights.slack, best.weights.slack)
+        settled = np.all(moved < ESTIMATION.weights_settled * np.sqrt(share))
+        settled = settled and value - best_evidence < tolerance
+        settled = settled and _have_settled(weights.slack, best.weights.slack, share)
         taken = _change(best.weights, fit.weights)
         best, best_evidence = fit, value
         if settled:
@@ -225,14 +228,14 @@ def _secant(taken: np.ndarray, before: np.ndarray, change: np.ndarray) -> float:
     return float(np.clip(along, _SHORTEST, 1.0))
 
 
-def _have_settled(slack: np.ndarray, before: np.ndarray) -> bool:
+def _have_settled(slack: np.ndarray, before: np.ndarray, share: float) -> bool:
     """Whether the degrees of freedom of equations that are not nearly exact have settled.
 
     The log-determinant term moves coefficients with them, and each round uses those of the last one.
     """
     inexact = slack > ESTIMATION.slack_left
     change = np.linalg.norm((slack - before)[inexact])
-    return bool(change <= ESTIMATION.weights_settled * np.linalg.norm(slack[inexact]))
+    return bool(change <= share * ESTIMATION.weights_settled * np.linalg.norm(slack[inexact]))
 
 
 def _part_of_the_way(old: Weights, new: Weights, share: float) -> Weights:
