@@ -36,7 +36,6 @@ from leastaction.diagnosis.verdict import verify
 from leastaction.estimation.build import Request, build_problem
 from leastaction.selection import likelihood_refinement, likelihood_search, search
 from leastaction.selection.alternatives import find_alternatives
-from leastaction.selection.likelihood_refinement import Neighbourhood
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.strategies import (
     all_data,
@@ -232,10 +231,9 @@ def outcome(group: str, name: str) -> Outcome:
     setup = build_problem(posed.data, posed.request, posed.searched)
     found = search.run_search(begin_search(setup))
     seconds = process_time() - begun
-    near = Neighbourhood.of(found.found)
-    alternatives = find_alternatives(near, found.relevance)
+    alternatives, curvature = find_alternatives(found.found, found.relevance)
     # causes say what to do, not whether to doubt what a strategy left: most of the time, and no difference
-    judged = verify(found, alternatives, near.quadratic.matrix, look_for_causes=False)
+    judged = verify(found, alternatives, curvature, look_for_causes=False)
     model = assemble_model(setup, found, judged, alternatives, {}, {})
     exact, error = posed.judge(model)
     return Outcome(exact, model.fit.status, error if exact else np.nan, seconds)

@@ -40,7 +40,6 @@ from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.selection import significance
 from leastaction.selection.alternatives import find_alternatives
-from leastaction.selection.likelihood_refinement import Neighbourhood
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
@@ -139,8 +138,7 @@ def _searched(case: Case):
     question = _question(case)
     setup = build_problem(la.Trajectories.coerce(question.data), Request(question.library, question.known))
     search = run_search(begin_search(setup))
-    near = Neighbourhood.of(search.found)
-    return setup, search, find_alternatives(near, search.relevance), near.quadratic.matrix
+    return setup, search, *find_alternatives(search.found, search.relevance)
 
 
 _kept = cache(_searched)
@@ -151,9 +149,8 @@ def outcome(case: Case, searched) -> Outcome:
     setup, search, alternatives, curvature = searched
     findings = doubts_about_rates(setup.searched.trajectories, setup.scales.smooth)
     setup = replace(setup, findings=(*setup.findings, *findings))
-    model = assemble_model(
-        setup, search, verdict.verify(search, alternatives, curvature), alternatives, {}, {}
-    )
+    judged = verdict.verify(search, alternatives, curvature)
+    model = assemble_model(setup, search, judged, alternatives, {}, {})
     codes = sorted(f"{finding.code} {' '.join(finding.subject)}" for finding in model.fit.findings)
     terms = sorted(term.expression for term in (*model.terms, *model.dissipation))
     return Outcome(score(case, _question(case), model)["exact"], model.fit.status, (*terms, *codes))

@@ -28,7 +28,6 @@ from leastaction.model.model import LagrangianModel
 from leastaction.selection.alternatives import find_alternatives
 from leastaction.selection.descent import run_descent
 from leastaction.selection.groups import search_groups
-from leastaction.selection.likelihood_refinement import Neighbourhood
 from leastaction.selection.progress import Clock, Progress
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
@@ -237,9 +236,7 @@ def _concluded(setup: Setup, search: Search, given: dict[str, Any], clock: Clock
     search = search if search.stopped else search.now(profiled(search.found))
     alternatives, curvature = (), None
     if search.found.converged and given["method"] != "adam" and not search.stopped:
-        near = Neighbourhood.of(search.found)
-        alternatives, curvature = find_alternatives(near, search.relevance), near.quadratic.matrix
-        del near  # large for long recordings
+        alternatives, curvature = find_alternatives(search.found, search.relevance)
     verdict = verify(search, alternatives, curvature)
     clock.stop()
     shown = () if "groups" in given else alternatives

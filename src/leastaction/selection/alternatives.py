@@ -11,6 +11,7 @@ from itertools import islice
 
 import numpy as np
 
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.structure import Structure
 from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, value
@@ -53,9 +54,16 @@ class Alternative:
     reason: str
 
 
-def find_alternatives(near: Neighbourhood, relevance: float) -> tuple[Alternative, ...]:
-    """The structures of every size about a fit, in rising size, best first in each; with the fit's own."""
-    fit = near.fit
+def find_alternatives(fit: Fit, relevance: float) -> tuple[tuple[Alternative, ...], np.ndarray]:
+    """The structures of every size about a fit, in rising size, best first in each; with the fit's own.
+
+    Returns
+    -------
+    tuple of Alternative
+    (n_candidates, n_candidates) array
+        Matrix of the quadratic model about the fit; the rest of it is large for long recordings.
+    """
+    near = Neighbourhood.of(fit)
     price, share = penalty(fit.grid), price_of_terms(fit, relevance)
     levels = trade_off(near.model, near.here)
     base = next(c.cost for c in levels[len(near.here)] if c.members == near.here)
@@ -84,7 +92,7 @@ def find_alternatives(near: Neighbourhood, relevance: float) -> tuple[Alternativ
                     reason or "not-fitted",
                 )
             )
-    return tuple(out)
+    return tuple(out), near.quadratic.matrix
 
 
 def _exchanged(near: Neighbourhood) -> list[Choice]:
