@@ -19,6 +19,7 @@ import numpy as np
 from leastaction.arms.base import find_base
 from leastaction.arms.log import FitFacts
 from leastaction.arms.model import ArmModel
+from leastaction.arms.signals import Recording
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.identifiers import quoted
@@ -72,7 +73,7 @@ def from_dict(given: Mapping[str, Any]) -> ArmModel:
         coefficients, covariance, reference = (
             np.array(given[key], float) for key in ("coefficients", "covariance", "reference")
         )
-        none = [tree.coordinates.index(name) for name in facts.get("unmeasured", ())]
+        none = Recording(unmeasured=facts.get("unmeasured", ())).places(tree)
         base = find_base(tree, terms, none).subset(given["members"])
         size = len(base.members)
         if coefficients.shape != (size,) or covariance.shape != (size, size):

@@ -26,7 +26,7 @@ from leastaction.arms.base import (
 )
 from leastaction.arms.compare import BANDS, FreeRuns, TorqueErrors, TorqueRun, free_runs, torque_errors
 from leastaction.arms.log import FitFacts, prepared
-from leastaction.arms.signals import Signals
+from leastaction.arms.signals import Recording, Signals
 from leastaction.curve.bspline import uniform_grid
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
@@ -342,7 +342,7 @@ class ArmModel:
 
     def _calibrated(self, trajectories: Trajectory | Trajectories | Iterable[Trajectory]) -> Trajectories:
         """The log with torques on time and in N m, by the delays and gains of the fitted log."""
-        none, n = [self.coordinates.index(name) for name in self.facts.unmeasured], len(self.tree)
+        none, n = Recording(unmeasured=self.facts.unmeasured).places(self.tree), len(self.tree)
         data = prepared(Trajectories.coerce(trajectories), self.tree, none)[0]
         delays, gains = self.facts.delays or [0.0] * n, self.facts.gains or [1.0] * n
         return Signals(np.array(delays), np.array(gains), False, ()).torques(data)

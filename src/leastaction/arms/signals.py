@@ -129,18 +129,21 @@ class Signals:
         Raises
         ------
         InputError
-            If a gain belongs to no joint or is not a number, or if none is given, or a joint is unknown.
+            If a gain belongs to no joint or to an unmeasured one, or is not a number; if none is given; or if
+            an unmeasured joint is unknown.
         """
         n, late, gains = len(tree), recording.delays is not False, recording.gains
         none = recording.places(tree)
         if gains is None:
             return cls(np.zeros(n), np.ones(n), late, (), none)
-        names = [name for i, name in enumerate(tree.coordinates) if i not in none]
+        names = tree.coordinates
         for name, value in gains.items():
             if name not in names:
                 raise InputError(
-                    f"gains hold {quoted(name)}; expected joints with a torque: {', '.join(names)}"
+                    f"gains hold {quoted(name)}; expected joints of the tree: {', '.join(names)}"
                 )
+            if name in recording.unmeasured:
+                raise InputError(f"gains and unmeasured both hold {quoted(name)}; leave it out of one")
             if not np.isfinite(value) or value == 0.0:
                 raise InputError(f"the gain of {name} is {value}; give the torque per unit of the log")
         if not gains:
@@ -149,8 +152,8 @@ class Signals:
                 f"torque per ampere of one joint, e.g. gains={{{names[0]!r}: 10.0}}, or give 1.0, identify "
                 "a known payload, and use the ratio of its mass to the mass found"
             )
-        unknown = tuple(i for i, name in enumerate(tree.coordinates) if name in names and name not in gains)
-        known = np.array([gains.get(name, 1.0) for name in tree.coordinates], float)
+        unknown = tuple(i for i, name in enumerate(names) if name not in gains and i not in none)
+        known = np.array([gains.get(name, 1.0) for name in names], float)
         return cls(np.zeros(n), known, late, unknown, none)
 
     @property

@@ -16,7 +16,7 @@ from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say
 from leastaction.cli.text import complete_file, complete_folder, one_line, shown
-from leastaction.cli.values import assignments
+from leastaction.cli.values import assignments, blame, name_list
 from leastaction.errors import InputError
 from leastaction.identifiers import TIME, quoted
 
@@ -130,7 +130,8 @@ def arm(
     tree = _tree(urdf, mjcf, **geometry)
     log = _recognised(data(default=tree.coordinates), tree, currents=gains is not None).read()
     fitted, rest = _split(log, hold_out)
-    without = [] if unmeasured is None else [name.strip() for name in unmeasured.split(",")]
+    with blame("--unmeasured"):
+        without = [] if unmeasured is None else name_list(unmeasured)
     recording = arms.Recording(None if gains is None else _gains(gains), unmeasured=without)
     with live_progress("verify"):
         found = arms.identify(fitted, tree, recording=recording, workers=workers)

@@ -210,15 +210,16 @@ def _spectrum_title(figures: ArmFigures) -> str:
 def _error_rows(figures: ArmFigures) -> list[dict[str, Any]]:
     """Of each joint, and of all: rms torque and errors, of the fitted and the held-out log."""
     some = [errors for errors in figures.errors if errors is not None]
+    if not some:
+        return []
     rows: list[dict[str, Any]] = []
     for i, name in enumerate(figures.names):
         cells = [percent(float(errors.by_joint[k, i])) for errors in some for k in (0, 1, -1)]
-        sizes = [float(errors.torque_rms[-1, i]) for errors in some]
-        torque = f"{plain(sizes[0])} {figures.unit(i)[0]}" if some else ""
+        torque = f"{plain(float(some[0].torque_rms[-1, i]))} {figures.unit(i)[0]}"
         torque = "not measured" if name in figures.model.facts.unmeasured else torque
         rows.append({"name": name, "torque": torque, "cells": cells})
     cells = [percent(float(errors.overall[k])) for errors in some for k in (0, 1, -1)]
-    return [*rows, {"name": "all", "torque": "", "cells": cells}] if some else []
+    return [*rows, {"name": "all", "torque": "", "cells": cells}]
 
 
 def _friction_rows(figures: ArmFigures) -> dict[str, Any]:
