@@ -126,6 +126,16 @@ def test_what_is_computed_again_equals_what_is_kept(monkeypatch):
     np.testing.assert_array_equal(one.schur, other.schur)
 
 
+def test_blocks_that_are_held_at_once_share_the_memory_for_equations(monkeypatch):
+    grid, data, physics, control = problem()
+    parts = observe(grid, *data)
+    monkeypatch.setattr(joint, "_MOST_KEPT", grid.n_intervals * 2 * 2 * (6 * 2 + 1 + physics.n_free) - 1)
+    held = parts.linearise(physics, control, VALUES)
+    assert all(task.here().kept is None for task in held.blocks)
+    block, points = parts.blocks[0].here(), parts.points[0]  # by itself it is small
+    assert joint.linearise(block, physics, control[points], VALUES).kept is not None
+
+
 def test_one_trial_is_never_cut_and_small_data_are_not_worth_it(crew, monkeypatch):
     grid, data, _, _ = problem()
     t, q = data[0][0], data[1][0]

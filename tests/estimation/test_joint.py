@@ -19,6 +19,7 @@ from leastaction.errors import DataError, InputError
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation import protocols
 from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.error_spectrum import error_spectrum
 from leastaction.estimation.gauss_newton import fit_joint
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.joint import Physics, Weights, linearise
@@ -400,6 +401,16 @@ def test_standard_errors_cover_the_truth():
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     assert np.all((rms > 0.6) & (rms < 1.45)), rms
     assert np.abs(np.mean(z, axis=0)).max() < 0.7
+
+
+def test_an_error_that_is_not_finite_has_no_spectrum():
+    grid, start = duffing_grid(0.03, 8.0)
+    fit = grid.fit(MEMBERS, start)
+    assert len(error_spectrum(fit).begins) > 3
+    control = fit.control_points.copy()
+    control[5] = np.inf
+    spectrum = error_spectrum(replace(fit, control_points=control))
+    np.testing.assert_allclose(spectrum.density, 1.0 / fit.weights.physics[None])
 
 
 def test_score_predicts_the_gain_of_a_candidate():

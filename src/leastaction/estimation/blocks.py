@@ -203,7 +203,8 @@ class BlockedFactor:
 def _linearise(
     seen: Observations, physics: Physics, points: np.ndarray, coefficients: np.ndarray
 ) -> Linearisation:
-    return linearise(seen, physics, points, coefficients)
+    # all blocks of the motion are held until the step is made
+    return linearise(seen, physics, points, coefficients, share=seen.grid.n_intervals / seen.grid.total)
 
 
 def _residuals(seen: Observations, points: np.ndarray) -> list[np.ndarray]:

@@ -47,41 +47,48 @@ def error_spectrum(fit: Fit) -> Spectrum:
     weights, prescribed = fit.weights.physics, list(fit.problem.prescribed)
     white = np.divide(1.0, weights, out=np.zeros(weights.size), where=weights > 0.0)
     white[prescribed] = 0.0
-    trials = list(_transforms(fit))
-    edges = _bands([frequencies for frequencies, *_ in trials])
-    finite = all(np.isfinite(part).all() for trial in trials for part in trial)
-    if not (finite and edges[-1] > 0.0):  # a single interval of knots has no spectrum
+    edges = _bands([np.fft.rfftfreq(chunk.stop - chunk.start, step) for chunk, step in _stretches(fit)])
+    if edges[-1] == 0.0:  # a single interval of knots has no spectrum
         return Spectrum.white(white)
     share = _visible(fit, white, edges)
-    left, squares = _powers(trials, weights, edges, share)
+    left, squares = _powers(fit, edges, share)
+    if not (np.isfinite(left).all() and np.isfinite(squares).all()):
+        return Spectrum.white(white)
     density = squares / left + (1.0 - share[:-1]) * white
     density[:, prescribed] = 0.0
     return Spectrum(edges, np.concatenate([density, white[None]]))
 
 
-def _transforms(fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Frequencies, and the scaled transforms of residual (n_freq, n_dof) and of the free columns.
-
-    Their squares, summed over frequencies of either sign, are the integrals over the time.
-    """
-    physics, index = fit.grid.physics(fit.structure)
-    spline, forces = fit.grid.spline, fit.grid.forces
-    coefficients, begin = fit.coefficients[index], 0
-    for space in spline.spaces:
+def _stretches(fit: Fit) -> Iterator[tuple[slice, float]]:
+    """Parts of the trials that are transformed by themselves: knot intervals and the time between them."""
+    begin = 0
+    for space in fit.grid.spline.spaces:
         step = float(np.diff(space.breakpoints[:2])[0])
         pieces = -(-space.n_intervals // _LONGEST)
         for part in np.array_split(np.arange(begin, begin + space.n_intervals), pieces):
-            chunk = slice(int(part[0]), int(part[-1]) + 1)
-            columns = physics.columns.strong(first_points(spline, fit.control_points, chunk))
-            residual = np.tensordot(coefficients, columns, 1)
-            if forces is not None:
-                residual = residual - forces.values[chunk, 0].T
-            both = np.concatenate([residual[None], columns[: len(fit.structure)]])
-            taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(part.size) + 0.5) / part.size)
-            values = np.fft.rfft(both * taper, axis=-1) * np.sqrt(step / part.size)
-            values[..., 1 : (part.size + 1) // 2] *= np.sqrt(2.0)  # for those of the other sign
-            yield np.fft.rfftfreq(part.size, step), values[0].T, np.moveaxis(values[1:], -1, 0)
+            yield slice(int(part[0]), int(part[-1]) + 1), step
         begin += space.n_intervals
+
+
+def _transforms(fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Frequencies, and the scaled transforms of residual (n_freq, n_dof) and of the free columns.
+
+    Their squares, summed over frequencies of either sign, are the integrals over the time. They take ten
+    times the memory of the samples, and are therefore computed anew for each sum over the trials.
+    """
+    physics, index = fit.grid.physics(fit.structure)
+    forces, coefficients = fit.grid.forces, fit.coefficients[index]
+    for chunk, step in _stretches(fit):
+        columns = physics.columns.strong(first_points(fit.grid.spline, fit.control_points, chunk))
+        size = columns.shape[-1]
+        residual = np.tensordot(coefficients, columns, 1)
+        if forces is not None:
+            residual = residual - forces.values[chunk, 0].T
+        both = np.concatenate([residual[None], columns[: len(fit.structure)]])
+        taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(size) + 0.5) / size)
+        values = np.fft.rfft(both * taper, axis=-1) * np.sqrt(step / size)
+        values[..., 1 : (size + 1) // 2] *= np.sqrt(2.0)  # for those of the other sign
+        yield np.fft.rfftfreq(size, step), values[0].T, np.moveaxis(values[1:], -1, 0)
 
 
 def _bands(frequencies: list[np.ndarray]) -> np.ndarray:
@@ -117,26 +124,25 @@ def _visible(fit: Fit, white: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.concatenate([share, np.zeros((1, white.size))])
 
 
-def _powers(
-    trials: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    weights: np.ndarray,
-    edges: np.ndarray,
-    share: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
+@np.errstate(over="ignore", invalid="ignore")
+def _powers(fit: Fit, edges: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of each band and equation the numbers that coefficients leave, and the squares of the residual."""
-    n_bands = len(edges) - 1
-    bands = [np.minimum(np.searchsorted(edges, f, "right") - 1, n_bands) for f, *_ in trials]
-    weighed = [
-        x * np.sqrt(weights * share[b])[:, None, :] for b, (_, _, x) in zip(bands, trials, strict=True)
-    ]
-    products = [np.einsum("fmi,fni->mn", x.conj(), x).real for x in weighed]
-    normal: np.ndarray = np.sum(products, axis=0)
-    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)
+    weights, n_bands = fit.weights.physics, len(edges) - 1
+
+    def transforms() -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        for f, residual, columns in _transforms(fit):
+            band = np.minimum(np.searchsorted(edges, f, "right") - 1, n_bands)
+            yield f, band, residual, columns * np.sqrt(weights * share[band])[:, None, :]
+
+    normal = np.zeros((len(fit.structure), len(fit.structure)))
+    for *_, x in transforms():
+        normal += np.einsum("fmi,fni->mn", x.conj(), x).real
+    inverse = np.linalg.pinv(np.nan_to_num(normal, posinf=0.0), rcond=1e-12, hermitian=True)
     counts, left, squares = (np.zeros((n_bands + 1, weights.size)) for _ in range(3))
-    for (f, residual, _), b, x in zip(trials, bands, weighed, strict=True):
+    for f, band, residual, x in transforms():
         leverage = np.einsum("fmi,mn,fni->fi", x.conj(), inverse, x).real
         numbers = np.where(f > 0.0, 2.0, 1.0)[:, None]
-        np.add.at(counts, b, np.broadcast_to(numbers, residual.shape))
-        np.add.at(left, b, numbers - leverage)
-        np.add.at(squares, b, np.abs(residual) ** 2)
+        np.add.at(counts, band, np.broadcast_to(numbers, residual.shape))
+        np.add.at(left, band, numbers - leverage)
+        np.add.at(squares, band, np.abs(residual) ** 2)
     return np.maximum(left, _LEAST * counts)[:-1], squares[:-1]

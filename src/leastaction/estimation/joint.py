@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 _CHUNK = 4096  # knot intervals handled at once: bounds memory, large enough for numpy
-_MOST_KEPT = 16_000_000  # numbers in the equations of a linearisation: 128 MB
+_MOST_KEPT = 16_000_000  # numbers in the equations of the linearisations held at once: 128 MB
 _PIECE = 2**17  # numbers in the local Gram matrices of one piece: 1 MB
 
 
@@ -303,6 +303,8 @@ def linearise(
     control_points: np.ndarray,
     coefficients: np.ndarray,
     calibration: np.ndarray | None = None,
+    *,
+    share: float = 1.0,
 ) -> Linearisation:
     """Linearise the joint problem at (P, λ, κ).
 
@@ -313,12 +315,14 @@ def linearise(
         Known ones included.
     calibration : (n_numbers,) array, optional
         Calibration numbers of sensors; by default the start values of the observations.
+    share : float
+        Of the memory for equations, where several linearisations are held at once.
     """
     observations = observations.at(control_points, calibration)
     grid, n = observations.grid, observations.n_dof
     gradient, squares = observations.gradient(control_points)
-    numbers = grid.total * grid.n_quadrature * n * ((grid.degree + 1) * n + 1 + physics.n_free)
-    kept: list[Equations] | None = [] if numbers <= _MOST_KEPT else None
+    numbers = grid.n_intervals * grid.n_quadrature * n * ((grid.degree + 1) * n + 1 + physics.n_free)
+    kept: list[Equations] | None = [] if numbers <= share * _MOST_KEPT else None
     equation, terms = np.zeros(n), np.zeros(n)
     for chunk in grid.chunks(_CHUNK):
         points = points_at(grid, control_points, chunk)
