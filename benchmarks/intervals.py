@@ -1,7 +1,12 @@
-"""How often the structure is exact and how well intervals hold: groups of trials, prescribed coordinates.
+"""How often the structure is exact and how well intervals hold: systems, groups of trials, prescribed motion.
 
+    python -m benchmarks.intervals systems --sets 3 --noise 0 0.01 0.1 --library large
     python -m benchmarks.intervals groups --sets 20
     python -m benchmarks.intervals prescribed --sets 20
+
+``systems``: the seven simulated systems (five recordings of 20 s at 100 Hz) with their own candidates or many
+more, optionally with samples missing and at jittered times.  The error of the coefficients is relative to
+their norm, and compared with the Cramér–Rao bound.
 
 ``groups``: systems of which a mass, a spring or a magnet differs between groups of three recordings (10 s at
 100 Hz, one sensor), of each many data sets, and the same systems with nothing changed.  Candidates are those
@@ -25,6 +30,7 @@ import numpy as np
 
 import leastaction as la
 from leastaction import systems
+from leastaction.metrics import cramer_rao_bound
 from leastaction.model.model import ModelTerm
 from leastaction.systems import MechanicalSystem, measure, noise_std, simulate_truth
 
@@ -261,14 +267,70 @@ def prescribed(given: argparse.Namespace) -> None:
             )
 
 
+# ---------------------------------------------------------------------------------------- seven systems
+def system_fit(name: str, noise: float, number: int, given: argparse.Namespace) -> dict:
+    """One data set: structure, relative error, its ratio to the bound, intervals that hold, seconds."""
+    system = systems.get(name)
+    shape = {"trials": 5, "duration": 20.0, "rate": 100.0, "seed": number, "irregular": given.irregular}
+    data = systems.generate(system, noise=noise, missing=given.missing, **shape)
+    library = (systems.large_library if given.library == "large" else systems.compact_library)(system)
+    start = time.process_time()
+    model = la.discover(data, library, known=system.known)
+    spent = time.process_time() - start
+    known = {library.index(text) for text in system.known}
+    free = {k: value for k, value in systems.truth_for(system, library).items() if k not in known}
+    found = {library.index(term.expression): term for term in model.terms if not term.known}
+    values = {k: term.coefficient for k, term in found.items()}
+    off = sum((values.get(k, 0.0) - free.get(k, 0.0)) ** 2 for k in {*values, *free})
+    error = float(np.sqrt(off / sum(v**2 for v in free.values())))
+    motions = simulate_truth(system, **shape)
+    # without noise there is no bound
+    bound = (
+        cramer_rao_bound(system, motions, noise_std(system, motions, noise), observed=data) if noise else None
+    )
+    inside = [found[k].lower <= v <= found[k].upper for k, v in free.items() if k in found]
+    return {
+        "exact": found.keys() == free.keys(),
+        "ok": model.fit.status == "ok",
+        "error": error,
+        "ratio": error / bound.relative if bound else np.nan,
+        "inside": inside,
+        "seconds": spent,
+    }
+
+
+def of_systems(given: argparse.Namespace) -> None:
+    """Print a row for each system and level of noise."""
+    print("system                   noise  exact  ok  median error  over the bound  inside 95 %  seconds")
+    for name in systems.names():
+        for noise in given.noise:
+            rows = [system_fit(name, noise, number, given) for number in range(given.sets)]
+            inside = [held for row in rows for held in row["inside"]]
+            error, ratio, spent = (
+                np.median([row[key] for row in rows]) for key in ("error", "ratio", "seconds")
+            )
+            print(
+                f"{name:<24} {100 * noise:3.0f} % {sum(row['exact'] for row in rows):6d} "
+                f"{sum(row['ok'] for row in rows):3d} {error:13.2e} {ratio:15.2f} "
+                f"{sum(inside):6d}/{len(inside):<3d} {spent:10.1f}",
+                flush=True,
+            )
+
+
+STUDIES = {"systems": of_systems, "groups": groups, "prescribed": prescribed}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("study", choices=["groups", "prescribed"])
+    parser.add_argument("study", choices=[*STUDIES])
     parser.add_argument("--sets", type=int, default=20)
     parser.add_argument("--noise", type=float, nargs="+", default=[0.01, 0.05])
     parser.add_argument("--cases", nargs="+", choices=[*CASES], default=[*CASES], help="of the groups")
+    parser.add_argument("--library", choices=["compact", "large"], default="compact", help="of the systems")
+    parser.add_argument("--missing", type=float, default=0.0, help="share of samples of the systems")
+    parser.add_argument("--irregular", action="store_true", help="sampling times of the systems")
     given = parser.parse_args()
-    (groups if given.study == "groups" else prescribed)(given)
+    STUDIES[given.study](given)
 
 
 if __name__ == "__main__":
