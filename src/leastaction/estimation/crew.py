@@ -20,16 +20,13 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from leastaction.errors import InputError
 from leastaction.estimation.files import Folder, Held, Shelf, read, write
 from leastaction.threads import single_threaded
-
-if TYPE_CHECKING:
-    from loky import ProcessPoolExecutor
 
 __all__ = ["Alone", "Crew", "DaskCrew", "ProcessCrew", "Task", "employ"]
 
@@ -143,7 +140,7 @@ class ProcessCrew:
     def __init__(self, workers: int, joins: bool = False) -> None:
         self.size, self._starts_left, self._children = workers, _MOST_STARTS, workers - joins
         self._turns = itertools.cycle([joins, *[False] * (workers - 1)])
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: Any = None  # of loky, which has no types
         self._folder = Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
@@ -178,12 +175,10 @@ class ProcessCrew:
         self._folder.close()
         self._pool, self._starts_left = None, 0
 
-    def _started(self) -> ProcessPoolExecutor | None:
+    def _started(self) -> Any:
         if self._pool is None and self._starts_left:
-            from loky import ProcessPoolExecutor
-
             self._starts_left -= 1
-            self._pool = ProcessPoolExecutor(
+            self._pool = import_module("loky").ProcessPoolExecutor(
                 self._children,
                 timeout=_IDLE,
                 initializer=_begin_child,
