@@ -80,7 +80,7 @@ def _transforms(fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
     forces, coefficients = fit.grid.forces, fit.coefficients[index]
     for chunk, step in _stretches(fit):
         columns = physics.columns.strong(first_points(fit.grid.spline, fit.control_points, chunk))
-        size = columns.shape[-1]
+        size: int = columns.shape[-1]
         residual = np.tensordot(coefficients, columns, 1)
         if forces is not None:
             residual = residual - forces.values[chunk, 0].T
@@ -115,9 +115,11 @@ def _visible(fit: Fit, white: np.ndarray, edges: np.ndarray) -> np.ndarray:
     physics, index = fit.grid.physics(fit.structure)
     mass = physics.columns.mass_matrix(fit.points(_POINTS), fit.coefficients[index])
     interval = fit.grid.spline.duration / np.maximum(fit.grid.observations.counts[: data.n_dof], 1)
-    noise = np.mean(mass**2, axis=0) @ (
-        np.where(np.isnan(fit.position_std), np.inf, fit.position_std) ** 2 * interval
-    )
+    noise = np.where(np.isnan(fit.position_std), np.inf, fit.position_std) ** 2 * interval
+    square = np.mean(
+        mass**2, axis=0
+    )  # a coordinate that does not act has a share of zero, even if it is hidden
+    noise = np.multiply(square, noise, out=np.zeros_like(square), where=square > 0.0).sum(axis=1)
     middle = 0.5 * (edges[:-1] + edges[1:])
     hidden = (2.0 * np.pi * middle[:, None]) ** 4 * noise
     share = np.where(white > 0.0, white / np.maximum(white + hidden, 1e-300), 0.0)
