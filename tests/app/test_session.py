@@ -564,6 +564,11 @@ def test_what_one_click_may_do():
     (rub,) = offer("unmodelled-friction", "abs(theta_dot)**3/3", coefficient=0.2)
     assert rub.choice.more_friction.splitlines() == ["abs(theta_dot)", "abs(theta_dot)**3/3"]
     assert not rub.choice.written
+    part = {"hidden": "h", "terms": ["h_dot**2", "(theta-h)**2"], "friction": "(theta_dot-h_dot)**2/2"}
+    (hide,) = offer("unmeasured-part", "theta", **part)
+    assert hide.choice.hidden == "h"
+    assert hide.choice.text.splitlines() == ["theta_dot**2", "sin(theta)", "h_dot**2", "(theta-h)**2"]
+    assert hide.choice.more_friction.splitlines() == ["abs(theta_dot)", "(theta_dot-h_dot)**2/2"]
     for code in ("late-forces", "slight-delay"):
         (later,) = offer(code, "theta", delay=0.004)
         assert later.words == "Let the forces act 14 ms later"

@@ -12,11 +12,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
+from benchmarks.unmeasured_parts import draw
 from helpers import findings_of, free_motions, with_rates
 from leastaction import InputError, Trajectories, Trajectory, delay, discover, smooth, systems
 from leastaction.curve.knots import excerpt, lay_knots
 from leastaction.diagnosis import families, smooth_changes
 from leastaction.diagnosis.rates import doubts_about_rates
+from leastaction.diagnosis.unmeasured_part import unmeasured_part
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.fit import Fit
 from leastaction.findings import Finding, find
@@ -618,3 +620,66 @@ def test_a_shape_parameter_takes_up_a_change_of_its_own_kind():
     model = la.discover(runs, terms, known={"x_dot**2": 0.5})
     assert model.fit.status == "ok", model.fit.warnings
     assert not _codes(model)
+
+
+# ------------------------------------------------------------------------------------ a part without a sensor
+def searched(kind: str, seed: int):
+    """A search of a machine of the benchmark, and the truth."""
+    data, machine = draw(kind, seed)
+    library = la.Library.mechanical(machine.names, [name for name in machine.names if name == "theta"])
+    known = {} if data.driven else {f"{machine.names[0]}_dot**2": 0.5}
+    friction = tuple(f"{name}_dot**2/2" for name in machine.names)
+    return run_search(begin_search(build_problem(data, Request(library, known, friction)))), machine
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["absorber", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("elastic", "chain", "free"))],
+)
+def test_a_part_without_a_sensor_is_noticed_by_its_resonance(kind):
+    search, machine = searched(kind, 0)
+    (found,) = unmeasured_part(search)
+    assert found.subject == (machine.names[-1],)
+    frequency = found.values.get("frequency")
+    if search.problem.trajectories.driven:
+        assert frequency == pytest.approx(machine.part / (2.0 * np.pi), rel=0.15)
+    else:  # another spring goes with another resonance
+        assert frequency is None
+    assert found.values["explained"] > 0.7
+    assert found.values["terms"] == ("h_dot**2", f"({machine.names[-1]}-h)**2")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["late", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("stop", "dry", "clock", "drag"))],
+)
+def test_what_is_no_part_is_not_taken_for_one(kind):
+    assert unmeasured_part(searched(kind, 0)[0]) == []
+
+
+def test_few_rows_say_nothing_of_a_part():
+    search, _ = searched("absorber", 0)
+    data = search.problem.trajectories
+    short = Trajectories([t.rows(slice(0, 40)) for t in data])
+    again = run_search(begin_search(build_problem(short, Request(la.Library.mechanical(["x"]), {}, ()))))
+    assert unmeasured_part(again) == []
+
+
+@pytest.mark.thorough
+def test_a_part_that_is_noticed_can_be_declared_as_the_remedy_says():
+    data, machine = draw("absorber", 0)
+    library = la.Library.mechanical(["x"])
+    model = discover(data, library, dissipation=["x_dot**2/2"])
+    (found,) = findings_of(model, "unmeasured-part")
+    assert model.fit.status != "ok"
+    values = found.values
+    again = discover(
+        data,
+        la.Library([*(term.text for term in library), *values["terms"]], ["x", values["hidden"]]),
+        dissipation=["x_dot**2/2", values["friction"]],
+        hidden=[values["hidden"]],
+    )
+    assert again.fit.status == "ok"
+    numbers = {term.expression: term.coefficient for term in again.terms}
+    mass, spring = (numbers[text] for text in values["terms"])
+    assert np.sqrt(-spring / mass) == pytest.approx(machine.part, rel=0.02)

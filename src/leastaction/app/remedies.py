@@ -100,15 +100,20 @@ def _add_friction(finding: Finding, choice: Choice, library: Library) -> Iterabl
         yield Offer(f"Add {', '.join(subject)} to the friction", replace(choice, more_friction=more))
 
 
+def _hide(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
+    name, terms, friction = (finding.values.get(key) for key in ("hidden", "terms", "friction"))
+    if isinstance(name, str) and isinstance(terms, (list, tuple)):
+        text = "\n".join([*(term.text for term in library), *map(str, terms)])
+        more = f"{choice.more_friction}\n{friction}".strip()
+        part = replace(choice, hidden=name, written=True, text=text, more_friction=more)
+        yield Offer(f"Add a part {name} without a sensor", part)
+
+
 def _shift_forces(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
     delay = finding.values.get("delay")
     if isinstance(delay, float):
         later = choice.delay + delay
         yield Offer(f"Let the forces act {1e3 * later:.2g} ms later", replace(choice, delay=later))
-
-
-def _turn(finding: Finding, choice: Choice, library: Library) -> Iterable[Offer]:
-    yield _as_angles(list(finding.subject), choice)
 
 
 def _as_angles(names: list[str], choice: Choice) -> Offer:
@@ -135,8 +140,9 @@ _OFFERS: dict[str, Callable[[Finding, Choice, Library], Iterable[Offer]]] = {
     **dict.fromkeys(("missing-term", "time-dependent", "form-imitated", "simpler-form"), _add_terms),
     "slight-terms": _remove_terms,
     **dict.fromkeys(("unmodelled-friction", "slight-friction"), _add_friction),
+    "unmeasured-part": _hide,
     **dict.fromkeys(("late-forces", "slight-delay"), _shift_forces),
-    **dict.fromkeys(("perhaps-angle", "undeclared-angle"), _turn),
+    **dict.fromkeys(("perhaps-angle", "undeclared-angle"), lambda f, c, _: [_as_angles([*f.subject], c)]),
     "angle-in-degrees": _in_degrees,
     "long-time-step": _in_milliseconds,
     "equations-off": _move,

@@ -93,14 +93,14 @@ def _is_delay(fit: Fit, candidates: EulerLagrange) -> bool:
     """Whether a delay of the forces leaves nothing for the last of the candidates, a friction, to explain."""
     if fit.grid.forces is None:
         return False
-    model, base = beside(fit, WithPushes(candidates, _Late(_rates_of_forces(fit))))
+    model, base = beside(fit, WithPushes(candidates, _Late(rates_of_forces(fit))))
     chosen, friction, delay = base[: len(fit.structure)], len(fit.structure), len(fit.structure) + 1
     known = (*chosen, delay)
     certain = chi_square_cutoff()
     return gain_of(model, chosen, delay) > certain and gain_of(model, known, friction) <= certain
 
 
-def _rates_of_forces(fit: Fit) -> np.ndarray:
+def rates_of_forces(fit: Fit) -> np.ndarray:
     """Derivatives of the given forces at the quadrature points."""
     assert fit.grid.forces is not None
     given = [trajectory.forces for trajectory in fit.problem.trajectories]
@@ -193,7 +193,7 @@ def late_forces(effects: Effects, relevance: float) -> list[Finding]:
     fit = effects.fit
     if fit.grid.forces is None:
         return []
-    rates = _rates_of_forces(fit)
+    rates = rates_of_forces(fit)
     chosen = fit.problem.candidates.subset(list(fit.structure))
     late = WithPushes(chosen, _Late(rates))
     model, base = beside(fit, late)

@@ -20,6 +20,7 @@ from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.diagnosis.shapes import doubts_about_shapes
 from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.diagnosis.time_dependence import time_dependence
+from leastaction.diagnosis.unmeasured_part import unmeasured_part
 from leastaction.diagnosis.wider_search import (
     MOST_SAMPLES,
     perhaps_angles,
@@ -150,7 +151,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
         named = perhaps_angles(fit.problem.candidates)
         found = found or undeclared_angles(search, named) or lacking_family(search)
         found = found or undeclared_angles(search, () if named else fit.problem.coordinates)
-        found = found or time_dependence(search)
+        found = found or time_dependence(search) or unmeasured_part(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.

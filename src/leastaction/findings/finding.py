@@ -31,7 +31,7 @@ Status = Literal["ok", "usable", "doubtful"]
 Value = None | bool | int | float | str | tuple["Value", ...]
 
 SEVERITIES: tuple[Severity, ...] = ("note", "warning")  # rising; a further level takes its place in this row
-INEXACT = frozenset({"equations-off", "unmodelled-friction", "late-forces"})
+INEXACT = frozenset({"equations-off", "unmodelled-friction", "late-forces", "unmeasured-part"})
 """Codes of warnings that say how exactly the equations hold, which forecasts may bear."""
 STATED = frozenset({"forecasts", "forecast-reach"})
 """Codes of notes that the statement on forecasts says in other words."""

@@ -40,6 +40,15 @@ CODES: dict[str, Message] = {
         "add {subject} to the candidates, or measure the input that drives the system",
         on_command_line=templates.time_dependent_remedy,
     ),
+    "unmeasured-part": Message(
+        "warning",
+        templates.unmeasured_part,
+        "declare it with hidden=['{hidden}'], and offer {terms} beside the candidates without it, with the "
+        "dissipation {friction}",
+        on_command_line="add --hidden {hidden}, offer {terms} (--term) beside the candidates without it, and "
+        "add {friction} to --dissipation",
+        on_page="name {hidden} as a coordinate without a sensor, and offer {terms} and {friction}",
+    ),
     "unmodelled-friction": Message(
         "warning",
         templates.friction,

@@ -343,6 +343,13 @@ def groups_differ(f: dict[str, Any]) -> str:
     )
 
 
+def unmeasured_part(f: dict[str, Any]) -> str:
+    """A part without a sensor, and its resonance, which only known forces determine."""
+    text = "a part that no sensor measures appears to act on {subject}: a resonance "
+    text += "at {frequency:.3g} Hz (damping ratio {damping_ratio:.2g}) " if "frequency" in f else ""
+    return fill(text + "explains {explained:.2g%} of what no other term explains", f)
+
+
 def hidden_coordinate(f: dict[str, Any]) -> str:
     """What is known of a coordinate without a sensor, and what is arbitrary."""
     text = "{subject} was not measured: its motion is estimated from the equations "

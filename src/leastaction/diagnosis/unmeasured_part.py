@@ -1,0 +1,149 @@
+"""Does a part that no sensor measures act on the coordinates?  Resonators of every frequency are tried.
+
+With such a part, a load that swings or a shaft that twists, the equation error depends on the past of the
+motion.  About its rest the part is a mass m on a spring and a damper.  Its deviation z from the place g(q)
+that carries it obeys
+
+    z̈ + 2ζω ż + ω² z = −d²g/dt²,    and its force is  m (ω² z + 2ζω ż) ∂g/∂q.
+
+g is a coordinate or, for an angle, its sine or cosine.  The equation error along the curve is regressed on
+such forces, with m ≥ 0, beside all common terms, late forces, and free oscillations of each trial.  A part is
+reported if it explains most of what those leave.  One that swings through large angles is often missed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count, product
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import minimize, nnls
+from scipy.signal import bilinear, lfilter
+
+from leastaction.diagnosis.friction import rates_of_forces, usual_friction
+from leastaction.diagnosis.missing_terms import common_terms
+from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.estimation.fit import Fit
+from leastaction.estimation.intervals import first_points
+from leastaction.estimation.problem import Problem
+from leastaction.findings import Finding, find
+from leastaction.mechanics import Points
+from leastaction.selection.search_state import Search
+
+__all__ = ["unmeasured_part"]
+
+_BAND = 3.0  # frequencies of the fastest coordinate: above, the noise of the accelerations is too large
+_FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators that are tried
+_FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
+_STEPS, _ROWS = 60, 3  # of the simplex that refines the best resonator; rows for each column, at least
+_MOST, _RINGS = np.array([np.inf, 0.0]), 0.5  # of log ω and log ζ; ζ of a resonance
+_DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ from others
+
+
+def unmeasured_part(search: Search) -> list[Finding]:
+    """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
+    fit, high, names = search.found, _BAND / search.scales.period, search.found.problem.coordinates
+    trials, used = list(_trials(fit, high)), [i for i in range(len(names)) if i not in fit.problem.prescribed]
+    others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]
+    low = _FEWEST_TURNS / max(float(np.ptp(space.breakpoints)) for space in fit.grid.spline.spaces)
+    if low >= high or len(others[0]) < _ROWS * (others[0].shape[1] + 2 * len(trials)):
+        return []
+
+    def squares(logs: np.ndarray) -> np.ndarray:
+        parts = [_left(trials, i, other, logs) for i, other in zip(used, others, strict=True)]
+        return fit.weights.physics[used, None] * parts
+
+    def share(logs: np.ndarray) -> float:
+        without, beside = squares(logs).sum(axis=0)
+        return float(beside / max(without, 1e-300))
+
+    starts = np.log([*product(2.0 * np.pi * np.geomspace(low, high, _FREQUENCIES), _DAMPING)])
+    start = starts[int(np.argmin([share(logs) for logs in starts]))]
+    best = minimize(share, start, method="Nelder-Mead", options={"maxfev": _STEPS})
+    (omega, damping), gains = np.exp(np.minimum(best.x, _MOST)), squares(best.x)
+    frequency, explained = omega / (2.0 * np.pi), 1.0 - best.fun
+    if not (explained > DIAGNOSIS.part_explains and low < frequency < high and damping < _RINGS):
+        return []
+    carrier = names[used[int(np.argmax(gains[:, 0] - gains[:, 1]))]]
+    # declared by the position of its mass, with a spring to the coordinate that carries it
+    hidden = next(name for k in count() if (name := f"h{k or ''}") not in names)
+    terms, friction = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"], f"({carrier}_dot-{hidden}_dot)**2/2"
+    # without known forces, another spring on the coordinate goes with another resonance
+    seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": damping}
+    seen |= {"explained": explained, "hidden": hidden, "terms": terms, "friction": friction}
+    return [find("unmeasured-part", carrier, **seen)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """The slow part of the motion of a trial, and rows of the regression, which are ``every`` so many."""
+
+    step: float
+    every: int
+    times: np.ndarray  # (n_rows,)
+    places: list[tuple[int, np.ndarray, np.ndarray]]  # coordinate, d²g/dt² (n_times,), ∂g/∂q (n_rows,)
+    residual: np.ndarray  # (n_dof, n_rows)
+    others: np.ndarray  # (n_columns, n_dof, n_rows), what may explain it otherwise
+
+
+def _trials(fit: Fit, high: float) -> Iterator[_Trial]:
+    problem, forces, n = fit.problem, fit.grid.forces, len(fit.problem.coordinates)
+    wide = problem.wider([*common_terms(problem.candidates, "standard"), *usual_friction(problem.candidates)])
+    columns = wide.candidates.subset(np.flatnonzero(~wide.is_known).tolist())  # known ones set the scale
+    physics, index = fit.grid.physics(fit.structure)
+    late, begin = None if forces is None else rates_of_forces(fit)[:, 0], 0
+    for space in fit.grid.spline.spaces:
+        chunk = slice(begin, begin := begin + space.n_intervals)
+        points = first_points(fit.grid.spline, fit.control_points, chunk)
+        residual = np.tensordot(fit.coefficients[index], physics.columns.strong(points), 1)
+        plain = [np.ones(space.n_intervals), *points.columns[: 3 * n if late is not None else 2 * n]]
+        others = [columns.strong(points), np.repeat(np.array(plain)[:, None], n, axis=1)]
+        if forces is not None and late is not None:
+            residual = residual - forces.values[chunk, 0].T
+            others.append(late[chunk].T[None])
+        step = float(np.diff(space.breakpoints[:2])[0])
+        every, width = max(1, int(1.0 / (_RATE * high * step))), 1.0 / (2.0 * np.pi * high * step)
+        values = np.nan_to_num(np.concatenate([residual[None], *others]), posinf=0.0, neginf=0.0)
+        rows = gaussian_filter1d(values, width)[..., ::every]
+        places = [(i, gaussian_filter1d(a, width), s[::every]) for i, a, s in _places(points, problem)]
+        yield _Trial(step, every, step * np.arange(space.n_intervals)[::every], places, rows[0], rows[1:])
+
+
+def _places(points: Points, problem: Problem) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Coordinate, d²g/dt² and ∂g/∂q of each place to which a part may be attached."""
+    n = points.n_dof
+    for i, name in enumerate(problem.coordinates):
+        q, v, a = points.columns[i], points.columns[n + i], points.columns[2 * n + i]
+        yield i, a, np.ones(q.size)
+        if name in problem.candidates.turning:
+            yield i, np.cos(q) * a - np.sin(q) * v**2, np.cos(q)
+            yield i, -np.sin(q) * a - np.cos(q) * v**2, -np.sin(q)
+
+
+def _left(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) -> tuple[float, float]:
+    """Squares of an equation error that everything else leaves, and that parts leave beside it."""
+    omega, damping = np.exp(np.minimum(logs, _MOST))
+    turn, above = omega * np.sqrt(1.0 - damping**2), [2.0 * damping * omega, omega**2]
+    free, forces = list[np.ndarray](), list[np.ndarray]()
+    for t in trials:
+        ringing = np.array([np.cos(turn * t.times), np.sin(turn * t.times)])
+        free.append(np.exp(-damping * omega * t.times) * ringing)
+        numbers = bilinear(above, [1.0, *above], 1.0 / t.step)
+        own = [-slope * lfilter(*numbers, a)[:: t.every] for k, a, slope in t.places if k == i]
+        forces.append(np.array(own))
+    residual, parts = np.concatenate([t.residual[i] for t in trials]), np.concatenate(forces, axis=1)
+    columns = np.concatenate([residual[None], parts, block_diag(*free)]).T
+    columns = columns - others @ (others.T @ columns)
+    basis = _basis(columns[:, 1 + len(parts) :])
+    columns = columns[:, : 1 + len(parts)] - basis @ (basis.T @ columns[:, : 1 + len(parts)])
+    return float(columns[:, 0] @ columns[:, 0]), float(nnls(columns[:, 1:], columns[:, 0])[1] ** 2)
+
+
+def _basis(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal columns with the same span."""
+    sizes = np.linalg.norm(columns, axis=0)
+    vectors, values, _ = np.linalg.svd(columns / np.where(sizes > 0.0, sizes, 1.0), full_matrices=False)
+    return vectors[:, values > _DEPENDENT * values.max(initial=0.0)]
