@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from heapq import nlargest
 from itertools import count, product
 
 import numpy as np
@@ -38,7 +39,7 @@ __all__ = ["unmeasured_part"]
 _BAND = 3.0  # frequencies of the fastest coordinate: above, the noise of the accelerations is too large
 _FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators that are tried
 _FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
-_STEPS, _ROWS = 60, 3  # of the simplex that refines the best resonator; rows for each column, at least
+_STEPS, _ROWS, _TRIALS = 60, 3, 12  # of the simplex; for each column, at least; the longest ones
 _MOST, _RINGS = np.array([np.inf, 0.0]), 0.5  # of log ω and log ζ; ζ of a resonance
 _DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ from others
 
@@ -46,7 +47,8 @@ _DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ f
 def unmeasured_part(search: Search) -> list[Finding]:
     """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
     fit, high, names = search.found, _BAND / search.scales.period, search.found.problem.coordinates
-    trials, used = list(_trials(fit, high)), [i for i in range(len(names)) if i not in fit.problem.prescribed]
+    trials = nlargest(_TRIALS, _trials(fit, high), key=lambda trial: trial.times.size)
+    used = [i for i in range(len(names)) if i not in fit.problem.prescribed]
     others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]
     low = _FEWEST_TURNS / max(float(np.ptp(space.breakpoints)) for space in fit.grid.spline.spaces)
     if low >= high or len(others[0]) < _ROWS * (others[0].shape[1] + 2 * len(trials)):
@@ -68,10 +70,9 @@ def unmeasured_part(search: Search) -> list[Finding]:
     if not (explained > DIAGNOSIS.part_explains and low < frequency < high and damping < _RINGS):
         return []
     carrier = names[used[int(np.argmax(gains[:, 0] - gains[:, 1]))]]
-    # declared by the position of its mass, with a spring to the coordinate that carries it
     hidden = next(name for k in count() if (name := f"h{k or ''}") not in names)
     terms, friction = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"], f"({carrier}_dot-{hidden}_dot)**2/2"
-    # without known forces, another spring on the coordinate goes with another resonance
+    # h is the position of its mass; without known forces, another spring goes with another resonance
     seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": damping}
     seen |= {"explained": explained, "hidden": hidden, "terms": terms, "friction": friction}
     return [find("unmeasured-part", carrier, **seen)]
