@@ -245,6 +245,14 @@ def draw(kind: str, seed: int) -> tuple[la.Trajectories, Machine]:
     return la.Trajectories(trials), machine
 
 
+def asked(data: la.Trajectories) -> tuple[la.Library, dict[str, float], tuple[str, ...]]:
+    """What the user offers and knows: candidates, known coefficients, friction."""
+    names = data.coordinates
+    known = {} if data.driven else {f"{names[0]}_dot**2": 0.5}
+    library = la.Library.mechanical(names, [name for name in names if name == "theta"])
+    return library, known, tuple(f"{name}_dot**2/2" for name in names)
+
+
 def _drive(rng: np.random.Generator, machine: Machine, t: np.ndarray) -> np.ndarray:
     """(n_trials, n_times, n_dof) five sines a coordinate."""
     shape = TRIALS, 1, len(machine.names)
@@ -266,10 +274,7 @@ def main(kinds: tuple[str, ...], first: int, count: int) -> None:
         noticed = in_doubt = 0
         for seed in range(first, first + count):
             data, machine = draw(kind, seed)
-            angles = [name for name in machine.names if name == "theta"]
-            known = {} if data.driven else {f"{machine.names[0]}_dot**2": 0.5}
-            friction = [f"{name}_dot**2/2" for name in machine.names]
-            library = la.Library.mechanical(machine.names, angles)
+            library, known, friction = asked(data)
             model = la.discover(data, library, known=known, dissipation=friction)
             found = next((f for f in model.fit.findings if f.code == "unmeasured-part"), None)
             noticed += found is not None

@@ -5,7 +5,8 @@ from __future__ import annotations
 import keyword
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from itertools import count
 
 from leastaction.errors import InputError
 
@@ -16,6 +17,7 @@ __all__ = [
     "TIME",
     "check_coordinate_names",
     "counted",
+    "free_name",
     "measured_columns",
     "names_in_terms",
     "quoted",
@@ -136,6 +138,17 @@ def check_coordinate_names(names: Iterable[str] | str) -> tuple[str, ...]:
             )
         checked.append(normal)
     return tuple(checked)
+
+
+def free_name(letter: str, taken: Collection[str]) -> str:
+    """The letter, or the letter with the first number, that is not taken.
+
+    Examples
+    --------
+    >>> free_name("h", ["x"]), free_name("h", ["h", "h1"])
+    ('h', 'h2')
+    """
+    return next(name for k in count() if (name := f"{letter}{k or ''}") not in taken)
 
 
 def names_in_terms(coordinates: Iterable[str]) -> list[str]:

@@ -12,7 +12,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import leastaction as la
-from benchmarks.unmeasured_parts import draw
+from benchmarks.unmeasured_parts import asked, draw
 from helpers import findings_of, free_motions, with_rates
 from leastaction import InputError, Trajectories, Trajectory, delay, discover, smooth, systems
 from leastaction.curve.knots import excerpt, lay_knots
@@ -626,10 +626,7 @@ def test_a_shape_parameter_takes_up_a_change_of_its_own_kind():
 def searched(kind: str, seed: int):
     """A search of a machine of the benchmark, and the truth."""
     data, machine = draw(kind, seed)
-    library = la.Library.mechanical(machine.names, [name for name in machine.names if name == "theta"])
-    known = {} if data.driven else {f"{machine.names[0]}_dot**2": 0.5}
-    friction = tuple(f"{name}_dot**2/2" for name in machine.names)
-    return run_search(begin_search(build_problem(data, Request(library, known, friction)))), machine
+    return run_search(begin_search(build_problem(data, Request(*asked(data))))), machine
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from leastaction.estimation.fit import Fit
 from leastaction.estimation.forces import WithPushes
 from leastaction.estimation.shape_ranges import frequency_range, shape_ranges
 from leastaction.findings import Finding, find
-from leastaction.identifiers import TIME, names_in_terms
+from leastaction.identifiers import TIME, free_name, names_in_terms
 from leastaction.library import Term, make_term, shape_names, time_symbol
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 from leastaction.selection.families import Offer, offered, searched_with
@@ -133,8 +132,7 @@ class _Changing:
 def _offer(fit: Fit, factors: Sequence[str], forces: np.ndarray, kind: _Kind) -> Offer:
     """Factors times functions of time, which share the number that explains the most beside one of them."""
     names, times = names_in_terms(fit.problem.coordinates), fit.grid.spline.points
-    taken = {*names, *fit.problem.ranges}
-    name = next(n for k in count() if (n := f"{kind.letter}{k or ''}") not in taken)
+    name = free_name(kind.letter, {*names, *fit.problem.ranges})
     terms = [make_term(text.format(factor, name), names) for factor in factors for text in kind.texts]
     if kind is _WAVE:
         where = frequency_range(times[:, 0], most=_MOST_FREQUENCIES)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import nlargest
-from itertools import count, product
+from itertools import product
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -28,9 +28,9 @@ from leastaction.diagnosis.friction import rates_of_forces, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.intervals import first_points
 from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding, find
+from leastaction.identifiers import free_name
 from leastaction.mechanics import Points
 from leastaction.selection.search_state import Search
 
@@ -47,7 +47,7 @@ _DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ f
 def unmeasured_part(search: Search) -> list[Finding]:
     """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
     fit, high, names = search.found, _BAND / search.scales.period, search.found.problem.coordinates
-    trials = nlargest(_TRIALS, _trials(fit, high), key=lambda trial: trial.times.size)
+    trials = list(_trials(fit, high))
     used = [i for i in range(len(names)) if i not in fit.problem.prescribed]
     others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]
     low = _FEWEST_TURNS / max(float(np.ptp(space.breakpoints)) for space in fit.grid.spline.spaces)
@@ -70,9 +70,10 @@ def unmeasured_part(search: Search) -> list[Finding]:
     if not (explained > DIAGNOSIS.part_explains and low < frequency < high and damping < _RINGS):
         return []
     carrier = names[used[int(np.argmax(gains[:, 0] - gains[:, 1]))]]
-    hidden = next(name for k in count() if (name := f"h{k or ''}") not in names)
+    # a part is declared by the position of its mass, with a spring to the coordinate that carries it
+    hidden = free_name("h", {*names, *fit.problem.ranges})
     terms, friction = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"], f"({carrier}_dot-{hidden}_dot)**2/2"
-    # h is the position of its mass; without known forces, another spring goes with another resonance
+    # without known forces, another spring on the coordinate goes with another resonance
     seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": damping}
     seen |= {"explained": explained, "hidden": hidden, "terms": terms, "friction": friction}
     return [find("unmeasured-part", carrier, **seen)]
@@ -91,20 +92,19 @@ class _Trial:
 
 
 def _trials(fit: Fit, high: float) -> Iterator[_Trial]:
-    problem, forces, n = fit.problem, fit.grid.forces, len(fit.problem.coordinates)
+    problem, n = fit.problem, len(fit.problem.coordinates)
     wide = problem.wider([*common_terms(problem.candidates, "standard"), *usual_friction(problem.candidates)])
     columns = wide.candidates.subset(np.flatnonzero(~wide.is_known).tolist())  # known ones set the scale
-    physics, index = fit.grid.physics(fit.structure)
-    late, begin = None if forces is None else rates_of_forces(fit)[:, 0], 0
+    late, begin = None if fit.grid.forces is None else rates_of_forces(fit)[:, 0], 0
+    longest = nlargest(_TRIALS, fit.grid.spline.spaces, key=lambda space: space.n_intervals)
     for space in fit.grid.spline.spaces:
         chunk = slice(begin, begin := begin + space.n_intervals)
-        points = first_points(fit.grid.spline, fit.control_points, chunk)
-        residual = np.tensordot(fit.coefficients[index], physics.columns.strong(points), 1)
+        if space not in longest:
+            continue
+        points, _, residual = fit.equations(chunk)
         plain = [np.ones(space.n_intervals), *points.columns[: 3 * n if late is not None else 2 * n]]
         others = [columns.strong(points), np.repeat(np.array(plain)[:, None], n, axis=1)]
-        if forces is not None and late is not None:
-            residual = residual - forces.values[chunk, 0].T
-            others.append(late[chunk].T[None])
+        others += [] if late is None else [late[chunk].T[None]]
         step = float(np.diff(space.breakpoints[:2])[0])
         every, width = max(1, int(1.0 / (_RATE * high * step))), 1.0 / (2.0 * np.pi * high * step)
         values = np.nan_to_num(np.concatenate([residual[None], *others]), posinf=0.0, neginf=0.0)

@@ -19,7 +19,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from leastaction.estimation.fit import Fit
-from leastaction.estimation.intervals import first_points
 from leastaction.simulation.law import Spectrum
 
 __all__ = ["error_spectrum"]
@@ -76,14 +75,9 @@ def _transforms(fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]
     Their squares, summed over frequencies of either sign, are the integrals over the time. They take ten
     times the memory of the samples, and are therefore computed anew for each sum over the trials.
     """
-    physics, index = fit.grid.physics(fit.structure)
-    forces, coefficients = fit.grid.forces, fit.coefficients[index]
     for chunk, step in _stretches(fit):
-        columns = physics.columns.strong(first_points(fit.grid.spline, fit.control_points, chunk))
+        _, columns, residual = fit.equations(chunk)
         size: int = columns.shape[-1]
-        residual = np.tensordot(coefficients, columns, 1)
-        if forces is not None:
-            residual = residual - forces.values[chunk, 0].T
         both = np.concatenate([residual[None], columns[: len(fit.structure)]])
         taper = np.sqrt(2.0) * np.sin(np.pi * (np.arange(size) + 0.5) / size)
         values = np.fft.rfft(both * taper, axis=-1) * np.sqrt(step / size)

@@ -187,6 +187,19 @@ class Fit:
         for chunk in self.grid.spline.chunks(_RUN):
             yield chunk, first_points(self.grid.spline, self.control_points, chunk)
 
+    def equations(self, chunk: slice) -> tuple[Points, np.ndarray, np.ndarray]:
+        """States in each of some knot intervals, columns of the equations there, and their residual.
+
+        Columns are (n_columns, n_dof, n_points): those of the members, then known ones.
+        """
+        physics, index = self.grid.physics(self.structure)
+        points = first_points(self.grid.spline, self.control_points, chunk)
+        columns = physics.columns.strong(points)
+        residual = np.tensordot(self.coefficients[index], columns, 1)
+        if self.grid.forces is not None:
+            residual = residual - self.grid.forces.values[chunk, 0].T
+        return points, columns, residual
+
     def curves(self) -> Iterator[np.ndarray]:
         """(n_times, n_dof) the fitted curve at the samples, trajectory by trajectory."""
         spline = self.grid.spline
