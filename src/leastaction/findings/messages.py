@@ -43,10 +43,8 @@ CODES: dict[str, Message] = {
     "unmeasured-part": Message(
         "warning",
         templates.unmeasured_part,
-        "declare it with hidden=['{hidden}'], and offer {terms} beside the candidates without it, with the "
-        "dissipation {friction}",
-        on_command_line="add --hidden {hidden}, offer {terms} (--term) beside the candidates without it, and "
-        "add {friction} to --dissipation",
+        templates.unmeasured_part_remedy,
+        on_command_line=partial(templates.unmeasured_part_remedy, audience="command line"),
         on_page="name {hidden} as a coordinate without a sensor, and offer {terms} and {friction}",
     ),
     "unmodelled-friction": Message(

@@ -350,6 +350,16 @@ def unmeasured_part(f: dict[str, Any]) -> str:
     return fill(text + "explains {explained:.2g%} of what no other term explains", f)
 
 
+def unmeasured_part_remedy(f: dict[str, Any], audience: Audience = "python") -> str:
+    """How to declare the part; what is to be typed is in quotes."""
+    name, friction = f["hidden"], f["friction"]
+    if audience == "command line":
+        return f'add --hidden {name} {_term_options(f["terms"])}, and "{friction}" to --dissipation'
+    terms = ", ".join(f"'{text}'" for text in f["terms"])
+    offer = f"offer {terms} beside the other candidates, with the dissipation '{friction}'"
+    return f"declare it with hidden=['{name}'], and {offer}"
+
+
 def hidden_coordinate(f: dict[str, Any]) -> str:
     """What is known of a coordinate without a sensor, and what is arbitrary."""
     text = "{subject} was not measured: its motion is estimated from the equations "

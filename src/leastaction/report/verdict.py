@@ -88,15 +88,20 @@ def in_symbols(text: str, notation: Notation, terms: Iterable[str] = ()) -> Mark
     True
     >>> print(in_symbols("angles=['theta']", Notation(["theta"])))
     angles=[&#39;theta&#39;]
+    >>> print(in_symbols("offer '(x-h)**2'", Notation(["x"])))
+    offer &#39;(x-h)**2&#39;
     >>> print(in_symbols("the force on a_1", Notation(["a_1"], written={"a_1": "arm (1)"})))
     the force on arm (1)
     """
     names = [name for name in notation.coordinates if notation.text(name) != name or name in _LETTERS]
     rates = [f"{name}{ending}" for name in notation.coordinates for ending in ("_dot_dot", "_dot")]
     words = sorted({*terms, *rates, *names}, key=len, reverse=True)
-    pattern = re.compile(rf"(?<![\w'\"=.])(?:{'|'.join(map(re.escape, words))})(?![\w'\"=(]|\*\*)")
+    code = r"(?<!\w)(['\"])[^'\"\s]+\1"
+    pattern = re.compile(rf"{code}|(?<![\w'\"=.])(?:{'|'.join(map(re.escape, words))})(?![\w'\"=(]|\*\*)")
     parts, at = [], 0
     for found in pattern.finditer(text):
+        if found[1]:
+            continue
         name = notation.written.get(found[0])
         parts += [escape(text[at : found.start()]), notation.term(found[0]) if name is None else escape(name)]
         at = found.end()
