@@ -358,3 +358,49 @@ def spring(
         },
         diagnostics=diagnostics,
     )
+
+
+def upload(session, name: str, content: bytes) -> None:
+    """Open one file in a session of the app."""
+    session.open_uploads([(name, content)])
+
+
+ROBOT = """<?xml version="1.0"?>
+<robot name="two">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="2"/>
+    <inertia ixx="0.03" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.01"/></inertial></link>
+  <link name="lower"><inertial><origin xyz="0 0 0.15"/><mass value="1"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.2"/>
+    <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="3"/></joint>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0 0 0.4"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+
+
+def arm_log(folder: Path, *, quantity: str = "tau") -> tuple[Path, Path]:
+    """The log of an arm with two joints, and its URDF, whose masses are 20 % too large."""
+    from leastaction import arms
+
+    robot, log = folder / "two.urdf", folder / "log.csv"
+    robot.write_text(ROBOT, encoding="utf-8")
+    tree = arms.read_urdf(robot)
+    true = arms.ArmModel.of_tree(tree.with_inertias(tree.inertias / 1.2), {"viscous": [0.3, 0.1]})
+    t = np.arange(0.0, 6.0, 0.005)
+    rates, rng = np.array([[1.3], [2.9]]), np.random.default_rng(3)
+    q, v, a = (
+        np.sum(
+            [
+                np.sin((k + 1) * rates * t + k + turn) * ((k + 1) * rates) ** turned / (k + 1)
+                for k in range(3)
+            ],
+            0,
+        ).T
+        for turn, turned in ((0.0, 0), (np.pi / 2, 1), (np.pi, 2))
+    )
+    torques = true.torques(q, v, a) + 0.02 * rng.normal(size=q.shape)
+    head = f"time,q1,q2,{quantity}1,{quantity}2"
+    np.savetxt(log, np.column_stack([t, q, torques]), delimiter=",", header=head, comments="")
+    return log, robot

@@ -374,6 +374,7 @@ def test_axe_finds_nothing_serious_in_any_state_of_the_app(open_tab, tmp_path, s
     states_of_the_data(tab, look, tmp_path)
     states_of_the_candidates(tab, look)
     states_of_the_result(tab, look)
+    states_of_an_arm(tab, look, tmp_path)
     assert not found, "\n".join(sorted(set(found)))
 
 
@@ -468,6 +469,17 @@ def states_of_the_result(tab: Tab, look) -> None:
     )
     tab.see("find the Lagrangian again to see the result")
     look("a saved session")
+
+
+def states_of_an_arm(tab: Tab, look, folder: Path) -> None:
+    tab.page.locator("input[type=file]").set_input_files(page_helpers.arm_log(folder))
+    tab.see("Identify the arm")
+    look("an arm")
+    tab.click("Identify the arm")
+    tab.see("inverse_dynamics.py")
+    assert tab.overflow() == 0
+    tab.page.frame_locator("iframe").get_by_text("Robot arm two").first.wait_for()
+    look("the report on an arm")
 
 
 def test_axe_finds_nothing_serious_in_a_report(chromium, tmp_path):

@@ -14,7 +14,7 @@ import pytest
 
 import page_helpers
 from leastaction import InputError, LagrangianModel
-from page_helpers import ASKED, SOCKET, UPGRADE, ask, parts_of
+from page_helpers import ASKED, SOCKET, UPGRADE, ask, parts_of, upload
 
 with warnings.catch_warnings():
     # What other packages say about each other while they are imported is not ours to mend.
@@ -315,7 +315,7 @@ def test_one_click_gives_a_column_another_meaning():
     async def script(user) -> None:
         session = session_of_page()
         rows = "".join(f"{10 * k},{np.sin(k / 9):.5f},1\n" for k in range(60))
-        session.open_upload("run.csv", f"time,x,tau_x\n{rows}".encode())
+        upload(session, "run.csv", f"time,x,tau_x\n{rows}".encode())
         (offer,) = proposed(session.data.findings[-1], session.choice, session.choice.library(["x"], []))
         assert offer.words == "Times in ms"
         take(session, replace(offer, roles={**offer.roles, "x": ANGLE}))
@@ -326,11 +326,37 @@ def test_one_click_gives_a_column_another_meaning():
     simulate(script)
 
 
+def test_an_arm_is_identified_from_currents(tmp_path):
+    async def script(user) -> None:
+        session = session_of_page()
+        log, robot = page_helpers.arm_log(tmp_path, quantity="current")
+        session.open_uploads([(path.name, path.read_bytes()) for path in (log, robot)])
+        user.find(marker="step-data").click()
+        await user.should_see(marker="step-arm")
+        user.find(marker="step-arm").click()
+        await user.should_see("Torque per ampere of one joint or more")
+        user.find(marker="gains").type("shoulder=one")
+        user.find(marker="identify").click()
+        await user.should_see("shoulder: 'one' is not a finite number")
+        user.find(marker="gains").clear().type("shoulder=1")
+        user.find(marker="identify").click()
+        await user.should_see(marker="arm.urdf")
+        assert "gain" in session.arm_job.result.report
+        user.find(marker="change").click()
+        await user.should_see(marker="identify")
+        user.find(marker="identify").click()
+        await user.should_see(marker="cancel")
+        user.find(marker="cancel").click()
+        await user.should_see(marker="identify")
+
+    simulate(script)
+
+
 def test_the_page_says_what_was_done_to_the_data():
     async def script(user) -> None:
         session = session_of_page()
         rows = "".join(f"{20 * k};{k},5\n" for k in range(40))
-        session.open_upload("run.csv", f"Zeit;Winkel\nms;°\n{rows}".encode("cp1252"))
+        upload(session, "run.csv", f"Zeit;Winkel\nms;°\n{rows}".encode("cp1252"))
         user.find(marker="step-data").click()
         await user.should_see("What was measured")
         await user.should_see("the times in &#39;Zeit&#39; were converted from ms to seconds")  # as HTML
@@ -345,7 +371,7 @@ def test_coordinates_have_the_names_of_their_columns():
     async def script(user) -> None:
         session = session_of_page()
         rows = "".join(f"{0.02 * k},{40 * np.sin(k / 9)},1.0\n" for k in range(60))
-        session.open_upload("run.csv", f"Time [s],Upper arm [deg],Torque 1\n{rows}".encode())
+        upload(session, "run.csv", f"Time [s],Upper arm [deg],Torque 1\n{rows}".encode())
         assert session.moving == ["Upper arm [deg]"]
         user.find(marker="step-data").click()
         await user.should_see("called Upper_arm where you write formulas")
@@ -366,7 +392,7 @@ def test_coordinates_have_the_names_of_their_columns():
 def test_forces_and_gyroscopic_terms_can_be_chosen(tmp_path):
     async def script(user) -> None:
         session = await open_candidates(user, "single")
-        session.open_upload("run.csv", page_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
+        upload(session, "run.csv", page_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
         user.find(marker="step-candidates").click()
         await user.should_see("Unknown constant force")
         user.find(marker="offsets-theta").click()

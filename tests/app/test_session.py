@@ -18,7 +18,7 @@ import sympy as sp
 
 import leastaction as la
 import page_helpers
-from leastaction import InputError
+from leastaction import InputError, arms
 from leastaction.app import candidates as _candidates
 from leastaction.app import columns as _columns
 from leastaction.app import files as _files
@@ -43,15 +43,15 @@ from leastaction.app.columns import (
 from leastaction.app.jobs import Motion
 from leastaction.app.motion import frames, hanging_angles, link_lengths, stick_kind, stick_words
 from leastaction.app.remedies import proposed
-from leastaction.app.session import EXAMPLES, Session, Walk, in_words
-from leastaction.app.worker import Worker
+from leastaction.app.session import Session, Walk
+from leastaction.app.worker import Worker, in_words
 from leastaction.exporters import FORMATS
 from leastaction.findings import CODES, Finding
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import state_symbols
 from leastaction.model.diagnostics import PathPoint
 from leastaction.model.term import ModelTerm
-from page_helpers import spring
+from page_helpers import spring, upload
 
 
 def table(header: str, *rows: str) -> _columns.Columns:
@@ -720,8 +720,47 @@ def test_several_files_are_trials_of_one_system(session):
     assert len(session.data) == 3  # what was open is still open
 
 
+def contents(*paths) -> list[tuple[str, bytes]]:
+    return [(path.name, path.read_bytes()) for path in paths]
+
+
+def test_a_log_with_a_robot_is_identified(session, tmp_path):
+    log, robot = page_helpers.arm_log(tmp_path)
+    session.open_uploads(contents(robot, log))
+    assert session.arm.joints == ("shoulder", "elbow")
+    assert session.arm.columns.torques == {"shoulder": "tau1", "elbow": "tau2"}
+    session.identify()
+    wait(session.arm_job)
+    found = session.arm_job.result
+    assert {*found.files} == {"arm.json", "inverse_dynamics.py", "arm.urdf"}
+    assert "held out" in found.report
+    (tmp_path / "arm.json").write_bytes(found.files["arm.json"])
+    rod = arms.load(tmp_path / "arm.json").tree.inertias[1]
+    assert rod[3] == pytest.approx(0.15 / 1.2, rel=5e-3)  # m z of the last link; the URDF says 0.15
+
+
+def test_log_and_robot_may_come_one_after_the_other(session, tmp_path):
+    log, robot = page_helpers.arm_log(tmp_path)
+    with pytest.raises(InputError, match="URDF or MuJoCo file and the table of its log"):
+        session.open_uploads(contents(robot))
+    session.open_uploads(contents(log))
+    session.open_uploads(contents(robot))
+    assert session.arm.title == "log.csv, two.urdf"
+    session.open_uploads([("run.csv", swing(1.0))])
+    assert session.arm is None
+
+
+def test_a_robot_that_does_not_fit_its_log_is_refused(session, tmp_path):
+    log, robot = page_helpers.arm_log(tmp_path)
+    with pytest.raises(InputError, match="neither torques nor motor currents"):
+        session.open_uploads([("log.csv", log.read_bytes().replace(b"tau", b"weight")), *contents(robot)])
+    with pytest.raises(InputError, match=r"two\.xml"):
+        session.open_uploads([("two.xml", b"<mujoco"), *contents(log)])
+    assert session.arm is None
+
+
 def test_measured_velocities_have_a_role(session):
-    session.open_upload("run.csv", swing(1.0))
+    upload(session, "run.csv", swing(1.0))
     assert session.roles == {"t": TIME, "x": COORDINATE, "x_dot": UNUSED}
     session.roles["x_dot"] = f"{VELOCITY}x"
     session.read()
@@ -742,7 +781,7 @@ def test_a_session_is_saved_and_opened_again(session):
     content = session.save()
     other = Session()
     try:
-        other.open_upload("mine.leastaction", content)
+        upload(other, "mine.leastaction", content)
         assert (other.title, other.roles, other.choice) == (session.title, session.roles, session.choice)
         assert other.data.digest() == session.data.digest()
         assert "find the Lagrangian again" in other.hint
@@ -763,15 +802,15 @@ def test_a_session_is_saved_and_opened_again(session):
     ],
 )
 def test_a_damaged_session_is_refused(session, change):
-    session.open_upload("a.csv", swing(1.0))
+    upload(session, "a.csv", swing(1.0))
     with zipfile.ZipFile(io.BytesIO(session.save())) as file:
         members = {name: file.read(name) for name in file.namelist()}
     said = json.loads(members["session.json"]) | change
     members["session.json"] = json.dumps(said).encode()
     with pytest.raises(InputError, match="session cannot be opened"):
-        session.open_upload("b.leastaction", _files.archive(members))
+        upload(session, "b.leastaction", _files.archive(members))
     with pytest.raises(InputError, match="session cannot be opened"):
-        session.open_upload("b.leastaction", b"PK nothing")
+        upload(session, "b.leastaction", b"PK nothing")
     assert session.title == "a.csv"
 
 
@@ -788,7 +827,7 @@ def test_every_export_is_in_the_archive():
 
 def test_from_upload_to_download(session, tmp_path):
     path = page_helpers.driven_pendulum(tmp_path / "my run.csv")
-    session.open_upload("my run.csv", path.read_bytes())
+    upload(session, "my run.csv", path.read_bytes())
     assert list(session.roles.values()) == [TRIAL, TIME, ANGLE, FORCE + "theta"]
     assert session.title == "my run.csv"
     assert session.data is not None
@@ -943,26 +982,24 @@ def test_a_refit_that_fails_leaves_the_provisional_model_with_the_reason(walking
 def test_a_file_without_a_choice_of_roles_is_refused_with_the_cure(session, name, content, cure):
     """No list of roles could mend these, so the page must not ask for roles."""
     with pytest.raises(InputError, match=re.escape(cure)):
-        session.open_upload(name, content.encode() if isinstance(content, str) else content)
+        upload(session, name, content.encode() if isinstance(content, str) else content)
     assert session.columns is None
 
 
 def test_a_bad_file_leaves_the_open_one_open(session, tmp_path):
     session.open_example("single")
     with pytest.raises(InputError, match="not a table"):
-        session.open_upload("photo.png", b"\x89PNG")
+        upload(session, "photo.png", b"\x89PNG")
     with pytest.raises(InputError, match="binary data"):
-        session.open_upload("photo.csv", b"\x89PNG\0\0")
+        upload(session, "photo.csv", b"\x89PNG\0\0")
     with pytest.raises(InputError, match="damaged gzip"):
-        session.open_upload("a.csv.gz", b"\x1f\x8b\x08nothing")
-    assert session.title == EXAMPLES["single"][0]
+        upload(session, "a.csv.gz", b"\x1f\x8b\x08nothing")
+    assert session.title == _files.EXAMPLES["single"][0]
     assert session.data is not None
 
 
 def test_a_bad_cell_is_named_without_the_temporary_folder(session):
-    session.open_upload(
-        "run.csv", b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(60)) + b"60,oops\n"
-    )
+    upload(session, "run.csv", b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(60)) + b"60,oops\n")
     assert session.data is None
     assert session.fault.startswith("run.csv, line 62, column 'x': 'oops' is not a number")
     session.roles["x"] = UNUSED
@@ -972,22 +1009,22 @@ def test_a_bad_cell_is_named_without_the_temporary_folder(session):
 
 @pytest.mark.parametrize("name", ["../../etc/passwd.csv", "..\\..\\a.csv", "/abs.csv", "<b>.csv", "....csv"])
 def test_the_name_of_an_upload_stays_in_the_folder(session, name):
-    session.open_upload(name, b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(9)))
+    upload(session, name, b"t,x\n" + b"".join(b"%d,%d\n" % (k, k * k) for k in range(9)))
     assert session._paths[0].resolve().parent == session.folder.resolve()
 
 
 def test_uploads_are_limited(session, monkeypatch):
     monkeypatch.setattr(_files, "MOST_BYTES", 1_000_000)
     with pytest.raises(InputError, match="larger than 1 MB"):
-        session.open_upload("a.csv", b"x" * 1_000_001)
+        upload(session, "a.csv", b"x" * 1_000_001)
     with pytest.raises(InputError, match="when it is unpacked"):
-        session.open_upload("a.csv.gz", gzip.compress(b"0" * 3_000_000))
+        upload(session, "a.csv.gz", gzip.compress(b"0" * 3_000_000))
     assert list(session.folder.iterdir()) == []
 
 
 def test_other_roles_bring_other_candidates_only_if_they_must(session, tmp_path):
     path = page_helpers.driven_pendulum(tmp_path / "run.csv")
-    session.open_upload("run.csv", path.read_bytes())
+    upload(session, "run.csv", path.read_bytes())
     session.choice.size = "compact"
     session.roles["theta"] = COORDINATE
     session.read()
@@ -1012,7 +1049,7 @@ def test_cancel_leaves_the_session_usable(session):
 
 
 def test_data_that_support_nothing_say_so(session):
-    session.open_upload("still.csv", b"t,x\n" + b"".join(b"%g,1\n" % (0.01 * k) for k in range(200)))
+    upload(session, "still.csv", b"t,x\n" + b"".join(b"%g,1\n" % (0.01 * k) for k in range(200)))
     job = wait(session.discover())
     assert job.state == "failed"
     assert job.message
@@ -1037,11 +1074,11 @@ def test_a_workbook_is_a_table(session, tmp_path, monkeypatch):
         book.active.append(row)
     book.save(tmp_path / "run.xlsx")
     content = (tmp_path / "run.xlsx").read_bytes()
-    session.open_upload("run.xlsx", content)
+    upload(session, "run.xlsx", content)
     assert session.roles == {"t_ms": MILLISECONDS, "theta [deg]": DEGREES}
     assert session.columns.sample("theta [deg]") == "0, 10, 20"
     assert session.data[0].q[-1, 0] == pytest.approx(1.2217, rel=1e-4)
     assert [finding.code for finding in session.data.findings] == ["time-unit", "converted-units"]
     monkeypatch.setattr(_files, "MOST_BYTES", 2 * len(content))
     with pytest.raises(InputError, match="when it is unpacked"):
-        session.open_upload("run.xlsx", content)
+        upload(session, "run.xlsx", content)

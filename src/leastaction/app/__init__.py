@@ -5,16 +5,18 @@ NiceGUI, on which it is built, is an extra and is imported only when the app sta
 * ``server.py``: start, port, token and cookie; guards: origins, host names, size of uploads, a policy that
   lets the browser load from this server only.
 * ``page.py``: header and steps; one session per browser tab, which outlives a reload.
-* ``data_view.py``, ``candidates_view.py``, ``result_view.py``, ``walk_view.py``, ``parts.py``: the three
-  steps, the trade-off curve, small pieces.
+* ``data_view.py``, ``candidates_view.py``, ``running_view.py``, ``result_view.py``, ``verdict_view.py``,
+  ``walk_view.py``, ``parts.py``: the three steps, the trade-off curve, small pieces.
+* ``arm_view.py``: robot arms, from a log and a URDF to the report.
 * ``stick.js``, ``style.css``: moving links; colours and type, the same as in the report.
 * ``session.py``: data, choices and results of a tab.
 * ``columns.py``: roles of the columns, and the call of the reader.
 * ``candidates.py``: candidates, friction, known coefficients, assumptions on forces: checked as they are
   typed.
-* ``worker.py``, ``jobs.py``: the process that computes and can be killed at any moment, and its jobs: a
-  discovery, a refit, properties of their laws (symmetries, simple numbers), forecasts.
-* ``path.py``, ``motion.py``, ``figures.py``: walk along the trade-off curve, stick figures, plots.
+* ``worker.py``, ``jobs.py``, ``arm.py``: the process that computes and can be killed at any moment, and its
+  jobs: a discovery, a refit, properties of their laws (symmetries, simple numbers), forecasts, an arm.
+* ``files.py``, ``remedies.py``, ``motion.py``, ``figures.py``: uploads and downloads, what a click changes,
+  stick figures, plots.
 
 Modules from ``session.py`` on in this list do not depend on NiceGUI and are tested without it. Rules:
 

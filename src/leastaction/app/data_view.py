@@ -10,10 +10,10 @@ import numpy as np
 from nicegui import events, html, ui
 
 from leastaction.app import columns
+from leastaction.app.arm import ROBOTS
 from leastaction.app.figures import data_figure
-from leastaction.app.files import MOST_BYTES, SESSION, SUFFIXES
+from leastaction.app.files import EXAMPLES, MOST_BYTES, SESSION, SUFFIXES
 from leastaction.app.parts import action, aside, choice, drawn, fault, math, panel, say, title
-from leastaction.app.session import EXAMPLES
 from leastaction.findings import sentence
 from leastaction.identifiers import counted
 from leastaction.model.mathml import Notation
@@ -65,7 +65,9 @@ class DataView:
             on_multi_upload=self.page.guarded(self._uploaded),
             on_rejected=self._rejected,
         )
-        upload.props(f'accept="{",".join(SUFFIXES)},.gz,{SESSION}"').classes("uploader").mark("upload")
+        upload.props(f'accept="{",".join((*SUFFIXES, *ROBOTS))},.gz,{SESSION}"').classes("uploader").mark(
+            "upload"
+        )
         get = f"getElement({upload.id}).$refs.qRef"
         with panel("drop") as zone:
             title("Another table" if self.session.title else "Your table")
@@ -73,6 +75,9 @@ class DataView:
             say(
                 "Several files with the same columns are trials of one system. A saved session opens, too.",
                 "help",
+            )
+            say(
+                "For a robot arm: the log of joint angles and torques together with its URDF or MJCF.", "help"
             )
             button = ui.button("Choose files", color=None).props("no-caps unelevated").classes("action main")
             # In the browser, because only a click may open the file dialog.
@@ -133,7 +138,7 @@ class DataView:
         self._tell("Reading…")
 
     def _loaded(self) -> None:
-        self.page.show("data")
+        self.page.show("arm" if self.session.arm else "data")
 
     def _tell(self, text: str) -> None:
         self.message.clear()

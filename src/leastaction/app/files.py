@@ -1,4 +1,4 @@
-"""Uploads and downloads of the app: checked uploads, exports, and saved sessions.
+"""Uploads, examples and downloads of the app: checked uploads, exports, and saved sessions.
 
 A saved session is a ZIP archive of the tables and the choices. It contains no results, because loading them
 would execute content of a file. They are computed again from the same choices.
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ENDINGS",
+    "EXAMPLES",
     "MOST_BYTES",
     "SESSION",
     "SUFFIXES",
@@ -61,6 +62,17 @@ ENDINGS = {
     "fmu3": "_fmi3.fmu",
 }
 """Format of an export -> suffix of its file."""
+EXAMPLES = {
+    "single": (
+        "Single pendulum",
+        "4 trials of 9.2 s, one angle; swings freely: dry friction, and an encoder whose zero is 1 mrad off",
+    ),
+    "double": (
+        "Double pendulum",
+        "26 trials of 2.7 s, two angles; dry friction in the first joint, which the published model lacks",
+    ),
+}
+"""Name of a measured example -> its title and description."""
 _VERSION = 1
 _MOST_FILES = 1000
 _MOST_SAID = 100_000  # bytes of session.json

@@ -13,16 +13,22 @@ from typing import Any
 
 from nicegui import html, ui
 
-from leastaction.app import candidates_view, data_view, result_view
+from leastaction.app import arm_view, candidates_view, data_view, result_view
 from leastaction.app.parts import say
-from leastaction.app.session import Session, in_words
-from leastaction.app.worker import explain
+from leastaction.app.session import Session
+from leastaction.app.worker import explain, in_words
 
 __all__ = ["Page", "close_sessions", "root"]
 
 _MOST_SESSIONS = 6
 _STEPS = {"data": "Data", "candidates": "Candidates", "result": "Result"}
-_VIEWS = {"data": data_view.show, "candidates": candidates_view.show, "result": result_view.show}
+_STEPS_OF_ARM = {"data": "Data", "arm": "Arm"}
+_VIEWS = {
+    "data": data_view.show,
+    "candidates": candidates_view.show,
+    "result": result_view.show,
+    "arm": arm_view.show,
+}
 _THEMES = {None: "Light or dark as the system", False: "Light", True: "Dark"}
 _HERE = Path(__file__).parent
 
@@ -88,10 +94,12 @@ class Page:
             "data": True,
             "candidates": session.data is not None,
             "result": bool(session.found) or session.job is not None,
+            "arm": session.arm is not None,
         }
+        steps = _STEPS_OF_ARM if there["arm"] else _STEPS
         self.steps.clear()
         with self.steps:
-            for number, (view, name) in enumerate(_STEPS.items(), start=1):
+            for number, (view, name) in enumerate(steps.items(), start=1):
                 button = ui.button(
                     on_click=self.guarded(lambda _=None, view=view: self.show(view)), color=None
                 )

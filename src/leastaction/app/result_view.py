@@ -26,9 +26,9 @@ from leastaction.app.parts import (
 )
 from leastaction.app.remedies import Offer, offers, take
 from leastaction.app.running_view import Running, ended
-from leastaction.app.session import in_words
 from leastaction.app.verdict_view import gravity, in_names, notes, status
 from leastaction.app.walk_view import WalkPanel
+from leastaction.app.worker import in_words
 from leastaction.exporters import FORMATS
 from leastaction.model.mathml import Notation
 from leastaction.report import captions

@@ -9,7 +9,7 @@ from nicegui import html, ui
 
 from leastaction.app.columns import written_names
 from leastaction.app.parts import action, fault, math, panel, say, title
-from leastaction.app.session import in_words
+from leastaction.app.worker import in_words
 from leastaction.model.mathml import Notation
 
 if TYPE_CHECKING:

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from leastaction.app import columns, files
+from leastaction.app.arm import ROBOTS, ArmLog, identify
 from leastaction.app.candidates import Choice, Task
 from leastaction.app.jobs import Found, forecast, refine, search
-from leastaction.app.worker import Job, Worker, explain
+from leastaction.app.worker import Job, Worker, in_words
 from leastaction.errors import DataError, InputError
 from leastaction.findings import because
 from leastaction.refit import provisional
@@ -23,21 +24,9 @@ if TYPE_CHECKING:
     from leastaction.curve.motion import SmoothMotion
     from leastaction.model.diagnostics import PathPoint
 
-__all__ = ["EXAMPLES", "Session", "Walk", "in_words"]
+__all__ = ["Session", "Walk"]
 
 _PATIENCE = 2.0  # seconds: time to restart a stopped process
-
-EXAMPLES = {
-    "single": (
-        "Single pendulum",
-        "4 trials of 9.2 s, one angle; swings freely: dry friction, and an encoder whose zero is 1 mrad off",
-    ),
-    "double": (
-        "Double pendulum",
-        "26 trials of 2.7 s, two angles; dry friction in the first joint, which the published model lacks",
-    ),
-}
-"""Name of a measured example -> its title and description."""
 
 
 @dataclass(eq=False)
@@ -64,6 +53,8 @@ class Session:
         The model for comparisons.
     walk, place
         The trade-off curve, and the position that is shown.
+    arm, arm_job : ArmLog or None, Job or None
+        The log of a robot arm, if one is open, and its identification.
     """
 
     view: str = "data"
@@ -82,6 +73,8 @@ class Session:
     kept: Found | None = None
     walk: Walk = field(default_factory=lambda: Walk(()))
     place: int = 0
+    arm: ArmLog | None = None
+    arm_job: Job | None = None
 
     def __post_init__(self) -> None:
         self.folder: Path = Path(tempfile.mkdtemp(prefix="leastaction-app-"))
@@ -106,14 +99,11 @@ class Session:
         names = columns.coordinate_names(self.moving)
         return [name for column, name in names.items() if self.roles[column] != columns.COORDINATE]
 
-    def open_upload(self, name: str, content: bytes) -> None:
-        """Open one uploaded file: a table, or a saved session."""
-        self.open_uploads([(name, content)])
-
     def open_uploads(self, given: Sequence[tuple[str, bytes]]) -> None:
         """Store uploaded files in the temporary folder and read their columns.
 
-        Several tables are trials of one system and have the same columns.
+        Several tables are trials of one system and have the same columns. With a file that describes a robot
+        arm, they are its log.
 
         Raises
         ------
@@ -124,9 +114,32 @@ class Session:
             files.check_size(*given[0])
             self._open_saved(files.open_saved(given[0][1]))
             return
+        if any(name.lower().endswith(ROBOTS) for name, _ in given):
+            self._open_arm(given)
+            return
         paths = self._kept(given)
         title = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
         self._open(paths, title, None)
+
+    def _open_arm(self, given: Sequence[tuple[str, bytes]]) -> None:
+        """Open the log of an arm; its table may have been open before."""
+        robots = [pair for pair in given if pair[0].lower().endswith(ROBOTS)]
+        tables = [pair for pair in given if pair not in robots]
+        if len(robots) > 1 or not (tables or self._paths):
+            raise InputError(
+                "for a robot arm, give its URDF or MuJoCo file and the table of its log: choose both at once"
+            )
+        ((name, content),) = robots
+        files.check_size(name, content)
+        robot = self.folder / files.plain_name(name).lower()
+        robot.write_bytes(content)
+        arm = ArmLog.of(self._kept(tables) if tables else self._paths, robot)
+        self.stop()
+        self.arm, self.arm_job = arm, None
+
+    def identify(self) -> None:
+        """Start the identification of the arm."""
+        self.arm_job = self.worker.start(identify, self.arm)
 
     def _kept(self, given: Sequence[tuple[str, bytes]]) -> list[Path]:
         """The files in the folder, under unique names."""
@@ -156,12 +169,12 @@ class Session:
 
     def open_example(self, key: str) -> None:
         """Open one of the measured pendulums of the package, with the candidates of the demonstration."""
-        from importlib.resources import as_file, files
+        from importlib import resources
 
         from leastaction.cli.demo import DEMOS
 
         demo = DEMOS[key]
-        with as_file(files("leastaction") / "datasets" / demo.file) as source:
+        with resources.as_file(resources.files("leastaction") / "datasets" / demo.file) as source:
             path = self.folder / demo.file
             shutil.copyfile(source, path)
         choice = Choice(
@@ -171,7 +184,7 @@ class Session:
             known="\n".join(f"{text} = {value:g}" for text, value in demo.known.items()),
             every_third=True,
         )
-        self._open([path], EXAMPLES[key][0], choice)
+        self._open([path], files.EXAMPLES[key][0], choice)
 
     def _open(
         self, paths: Sequence[Path], title: str, choice: Choice | None, roles: Mapping[str, str] | None = None
@@ -184,6 +197,7 @@ class Session:
                     "trials of one system with the same header"
                 )
         self.stop()
+        self.arm = self.arm_job = None
         self._paths, self.title, self.columns, self.hint = list(paths), title, table, ""
         self.roles = columns.guess_roles(table)
         if roles is not None:
@@ -329,21 +343,6 @@ class Session:
         """Report, model and every export of the shown model, in one archive."""
         texts = {"report.html": self.write_report(), "model.json": self.write_model()}
         return files.everything(self.current.model, texts)
-
-
-def in_words(text: str, folder: Path | None = None) -> str:
-    """Translate messages, which name files and Python arguments, to the words of the page.
-
-    Examples
-    --------
-    >>> in_words("/tmp/x/a.csv, line 3: sort the rows, or give the column (trial=...)", Path("/tmp/x"))
-    'a.csv, line 3: sort the rows, or give the column (as the trial)'
-    """
-    if folder is not None:
-        text = text.replace(f"{folder}/", "").replace(f"{folder}\\", "")
-    text = text.replace("(trial=...)", "(as the trial)")
-    text = text.replace("leave out time_unit", f"mark them as {columns.DATES}")
-    return explain(InputError(text))
 
 
 @dataclass(frozen=True)

@@ -14,15 +14,17 @@ import time
 import warnings
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from leastaction.app.columns import DATES
 from leastaction.cli.text import one_line
 from leastaction.errors import DataError, InputError
 from leastaction.threads import single_threaded
 
-__all__ = ["Job", "Worker"]
+__all__ = ["Job", "Worker", "explain", "in_words"]
 
 
 class Job:
@@ -194,3 +196,18 @@ def explain(error: BaseException) -> str:
     else:
         text = f"a fault of leastaction itself: {type(error).__name__}: {error}; please report this"
     return one_line(text)
+
+
+def in_words(text: str, folder: Path | None = None) -> str:
+    """Translate messages, which name files and Python arguments, to the words of the page.
+
+    Examples
+    --------
+    >>> in_words("/tmp/x/a.csv, line 3: sort the rows, or give the column (trial=...)", Path("/tmp/x"))
+    'a.csv, line 3: sort the rows, or give the column (as the trial)'
+    """
+    if folder is not None:
+        text = text.replace(f"{folder}/", "").replace(f"{folder}\\", "")
+    text = text.replace("(trial=...)", "(as the trial)")
+    text = text.replace("leave out time_unit", f"mark them as {DATES}")
+    return explain(InputError(text))

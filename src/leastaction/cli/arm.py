@@ -21,10 +21,12 @@ from leastaction.errors import InputError
 from leastaction.identifiers import TIME, quoted
 
 if TYPE_CHECKING:
-    from leastaction import Trajectories
-    from leastaction.arms import KinematicTree
+    from pathlib import Path
 
-__all__ = ["arm"]
+    from leastaction import Trajectories
+    from leastaction.arms import ArmModel, KinematicTree
+
+__all__ = ["arm", "arm_files"]
 
 _DH_NUMBERS = ("a", "d", "alpha", "theta")
 _DH_TEXTS = ("kind", "name", "link")
@@ -138,13 +140,7 @@ def arm(
         solid = found.bodies()
         errors = None if rest is None else solid.validate(rest)
     report = partial(write_arm_report, found, log=fitted, held_out=rest, command=command_line(ctx))
-    writers: dict[str, Callable[..., object]] = {"arm.json": solid.save, "report.html": report}
-    if not any(term.kind == "load" for term in solid.terms):
-        writers["inverse_dynamics.py"] = solid.to_python
-    if urdf is not None:
-        writers["arm.urdf"] = partial(solid.to_urdf, urdf)
-    if mjcf is not None:
-        writers["arm.xml"] = solid.to_mjcf
+    writers = {"report.html": report, **arm_files(solid, urdf=urdf, mjcf=mjcf is not None)}
     write_together(folder, writers)
     say(str(found))
     for note in solid.facts.notes[len(found.facts.notes) :]:
@@ -152,6 +148,23 @@ def arm(
     if errors is not None:
         say(f"\nheld out, with bodies that can exist:\n{errors}")
     say("\n" + "\n".join(shown(folder / name) for name in writers))
+
+
+def arm_files(
+    solid: ArmModel, *, urdf: str | None = None, mjcf: bool = False
+) -> dict[str, Callable[[Path], object]]:
+    """Name -> function that writes an arm whose links can exist: JSON, Python code, and for other programs.
+
+    `urdf` is the file whose inertias are replaced.
+    """
+    out: dict[str, Callable[[Path], object]] = {"arm.json": solid.save}
+    if not any(term.kind == "load" for term in solid.terms):
+        out["inverse_dynamics.py"] = solid.to_python
+    if urdf is not None:
+        out["arm.urdf"] = partial(solid.to_urdf, urdf)
+    if mjcf:
+        out["arm.xml"] = solid.to_mjcf
+    return out
 
 
 def _recognised(options: DataOptions, tree: KinematicTree, *, currents: bool) -> DataOptions:

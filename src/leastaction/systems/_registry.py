@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from leastaction.errors import InputError
-from leastaction.systems import _arms, _chains, _pendulums, _potentials
+from leastaction.systems import _arms, _pendulums, _potentials
 from leastaction.systems._system import MechanicalSystem
 
 _MAKERS = {
@@ -22,9 +22,9 @@ _FURTHER = {
     "robot_arm": _arms.robot_arm,
     "rotary_pendulum": _arms.rotary_pendulum,
     "elastic_pendulum_cart": _arms.elastic_pendulum_cart,
-    "spring_chain": _chains.spring_chain,
-    "toda_chain": _chains.toda_chain,
-    "double_well": _chains.double_well,
+    "spring_chain": _arms.spring_chain,
+    "toda_chain": _arms.toda_chain,
+    "double_well": _arms.double_well,
     "henon_heiles": _potentials.henon_heiles,
     "kepler_orbit": _potentials.kepler_orbit,
     "morse_molecule": _potentials.morse_molecule,

@@ -1,0 +1,146 @@
+"""The view of a robot arm: what its log holds, the identification, its report and files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from html import escape
+from typing import TYPE_CHECKING
+
+from nicegui import html, ui
+
+from leastaction.app.arm import ArmFound, ArmLog
+from leastaction.app.files import archive
+from leastaction.app.parts import action, choice, fault, panel, say, table, title
+from leastaction.app.worker import Job, in_words
+
+if TYPE_CHECKING:
+    from leastaction.app.page import Page
+
+__all__ = ["show"]
+
+_STAGES = {
+    "": "Starting",
+    "read": "Reading the log",
+    "fit": "Fitting motion, inertial parameters and friction",
+    "links": "Making links that can exist",
+    "report": "Writing the report",
+}
+_HELD_OUT = {"20%": "the last 20 %", "": "nothing"}
+
+
+def show(page: Page) -> None:
+    """Fill the view."""
+    ArmView(page).build()
+
+
+class ArmView:
+    """Elements of the view that change."""
+
+    def __init__(self, page: Page) -> None:
+        self.page, self.session = page, page.session
+
+    def build(self) -> None:
+        job = self.session.arm_job
+        if job is not None and job.state == "running":
+            self._running()
+        elif job is not None and job.state == "done":
+            self._result(job.result)
+        else:
+            self._log(job)
+
+    @property
+    def _arm(self) -> ArmLog:
+        assert self.session.arm is not None
+        return self.session.arm
+
+    def _log(self, job: Job | None) -> None:
+        arm, columns = self._arm, self._arm.columns
+        title("A robot arm", "h1")
+        say("Find the inertial parameters and the friction that its log shows, with intervals.", "lead")
+        if job is not None and job.state == "failed":
+            fault(in_words(job.message, self.session.folder))
+        with panel():
+            title(arm.title)
+            time = columns.time + (f" in {columns.time_unit}" if columns.time_unit else "")
+            say(f"The columns were recognised by their names; the column of times is {time}.", "help")
+            kinds = {
+                "joint": {joint: joint for joint in arm.joints},
+                "position": columns.positions,
+                "velocity": columns.velocities,
+                "current" if columns.currents else "torque": columns.torques,
+            }
+            head = [(name, "") for name, column in kinds.items() if column]
+            table("Columns", head, [[kind[j] for kind in kinds.values() if kind] for j in arm.joints])
+            with html.div().classes("trial"):
+                say("predicted, not fitted", "help", "span")
+                choice("Predicted, not fitted", _HELD_OUT, arm.hold_out, self._hold_out)
+            if columns.currents:
+                box = ui.input(
+                    "Torque per ampere of one joint or more",
+                    placeholder=f"{arm.joints[0]}=10.5",
+                    value=arm.gains,
+                    on_change=lambda event: self._set_gains(event.value or ""),
+                )
+                box.props("outlined dense").mark("gains")
+                say("Those of the other joints are estimated.", "help")
+            with html.div().classes("next"):
+                action("Identify the arm", self.page.guarded(self._start), "main", "identify")
+
+    def _hold_out(self, share: str) -> None:
+        self.session.arm = replace(self._arm, hold_out=share)
+
+    def _set_gains(self, text: str) -> None:
+        self.session.arm = replace(self._arm, gains=text)
+
+    def _start(self) -> None:
+        self.session.identify()
+        self.page.show("arm")
+
+    def _running(self) -> None:
+        title("Identifying the arm", "h1")
+        with panel("running"):
+            self.bar = ui.linear_progress(0.0, show_value=False).classes("bar")
+            self.bar.props('rounded aria-label="Stages done"')
+            with html.div().classes("now").props("role=status"):
+                self.stage = say("", "stage")
+                self.seconds = say("", "seconds")
+            action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")
+        self.timer = ui.timer(0.2, self.page.guarded(self._follow))
+
+    def _follow(self) -> None:
+        job = self.session.arm_job
+        if job is None or job.state != "running":
+            self.timer.deactivate()
+            self.page.show("arm")
+            return
+        self.stage.text, self.seconds.text = _STAGES[job.stage], f"{job.seconds:.0f} s"
+        self.bar.value = [*_STAGES].index(job.stage) / len(_STAGES)
+
+    def _cancel(self) -> None:
+        self.timer.deactivate()
+        self.session.stop()
+        self.page.show("arm")
+
+    def _result(self, found: ArmFound) -> None:
+        files = {"report.html": found.report.encode(), **found.files}
+        with html.div().classes("heading"):
+            with html.div():
+                say(self._arm.title, "help")
+                title("The arm", "h1")
+            with html.div().classes("downloads"):
+                for name, content in files.items():
+                    self._download(name, content)
+
+                self._download("all.zip", archive(files))
+                action("Change", self.page.guarded(self._change), "plain", "change").props("icon=replay")
+        # A frame, because the report has a style of its own; it has no scripts, and may run none.
+        frame = f'<iframe class="report" title="Report" sandbox srcdoc="{escape(found.report)}"></iframe>'
+        ui.html(frame, sanitize=False)
+
+    def _download(self, name: str, content: bytes) -> None:
+        button = action(name, self.page.guarded(lambda _=None: ui.download.content(content, name)), "plain")
+        button.props("icon=download").mark(name)
+
+    def _change(self) -> None:
+        self.session.arm_job = None
+        self.page.show("arm")
