@@ -6,7 +6,8 @@ their generators
 
     δφ = (∂φ/∂q_h) g + (∂φ/∂q̇_h) ġ,      g = 1, q_h, or a measured coordinate:
 
-A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms.
+A change is undetectable if the equations of Σ_k λ_k δφ_k are a linear combination of those of the free terms
+and, without known forces, of Σ_k λ_k φ_k itself, because L then describes the same motion on any scale.
 Two discrete changes, the reflection q_h → −q_h and half a turn q_h → q_h + π, are tested term by term.
 
 Where the zero of q_h is open, the law can be written about any: q_h = q_h' + c has coefficients λ'(c). The
@@ -36,6 +37,7 @@ _MATTERS = 0.2  # of the largest coefficient of the same kind
 _ZEROS = 72  # shifts that are compared; between them the coefficients are interpolated
 _VANISHES = 0.05  # of the largest value of a coefficient over all zeros
 _REACH = 3.0  # of the spread of a hidden length: its zero is looked for up to here
+_TINY = 1e-300  # added to divisors that may vanish
 _EXACT = 1e-7  # relative residual by rounding of equations that are a linear combination of others
 
 OFFSET, SCALE, MIXING = "offset", "scale", "mixing"
@@ -142,32 +144,35 @@ def _sign(term: Term, name: str, kind: str) -> float:
 
 def _is_open(fit: Fit, name: str, generator: sp.Expr, points: Points) -> bool:
     """Whether a continuous change gives another law with the same free terms; symmetries do not count."""
-    problem = fit.problem
-    names, members = problem.coordinates, list(fit.structure)
+    problem, members = fit.problem, list(fit.structure)
     held = [*members, *np.flatnonzero(problem.is_known).tolist()]
-    change, symmetric = _variation(name, generator, names), True
+    change = _variation(name, generator, problem.coordinates)
+    places = {k: column for column, k in enumerate(members)}
+    varied: list[np.ndarray] = []
+    allowed: list[np.ndarray] = []
     for kind in ("lagrangian", "dissipation"):
         own = [k for k in held if problem.terms[k].kind == kind]
-        varied = sp.Add(*(sp.Float(float(fit.coefficients[k])) * change(problem.terms[k].expr) for k in own))
-        free = [problem.terms[k] for k in members if problem.terms[k].kind == kind]
-        if varied == 0:
+        if not own:
             continue
-        columns = EulerLagrange([Term("change", varied, kind), *free], names, problem.prescribed)
-        strong = columns.strong(points).reshape(1 + len(free), -1)
-        size = np.abs(fit.coefficients[own]) @ np.abs(problem.candidates.strong(points, own)).reshape(
-            len(own), -1
+        values, found = problem.candidates.strong(points, own).reshape(len(own), -1), fit.coefficients[own]
+        whole = np.sqrt(np.mean((np.abs(found) @ np.abs(values)) ** 2)) + _TINY
+        columns = np.zeros((values.shape[1], len(members) + 1))
+        for k, value in zip(own, values, strict=True):
+            if k in places:
+                columns[:, places[k]] = value
+        if not problem.trajectories.driven:  # without forces, all coefficients together have any scale
+            columns[:, -1] = found @ values
+        expression = sp.Add(
+            *(sp.Float(float(c)) * change(problem.terms[k].expr) for k, c in zip(own, found, strict=True))
         )
-        whole = np.sqrt(np.mean(size**2))
-        symmetric &= bool(np.sqrt(np.mean(strong[0] ** 2)) <= _EXACT * whole)
-        if not free:
-            left = strong[0]
-        else:
-            unit = np.sqrt((strong[1:] ** 2).mean(axis=1)) + 1e-300
-            matrix = (strong[1:] / unit[:, None]).T
-            left = strong[0] - matrix @ np.linalg.lstsq(matrix, strong[0], rcond=1e-10)[0]
-        if np.sqrt(np.mean(left**2)) > _EXACT * whole:
-            return False
-    return not symmetric
+        law = EulerLagrange([Term("change", expression, kind)], problem.coordinates, problem.prescribed)
+        varied.append(law.strong(points).ravel() / whole)
+        allowed.append(columns / whole)
+    target, matrix = np.concatenate(varied), np.concatenate(allowed)
+    matrix = matrix / (np.sqrt(np.mean(matrix**2, axis=0)) + _TINY)
+    left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=1e-10)[0]
+    symmetric, possible = (np.sqrt(np.mean(part**2)) <= _EXACT for part in (target, left))
+    return bool(possible and not symmetric)
 
 
 def _variation(name: str, generator: sp.Expr, names: Sequence[str]) -> Callable[[sp.Expr], sp.Expr]:
