@@ -15,7 +15,7 @@ import numpy as np
 from leastaction.hidden.draws import Scales
 from leastaction.hidden.shooting import Shooter, Solutions
 
-__all__ = ["Chained", "chain"]
+__all__ = ["Chained", "chain", "continued"]
 
 _SMALL = 0.02  # of a scale: smaller jumps between windows are ignored
 
@@ -52,12 +52,8 @@ def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.nda
         Samples of each trajectory.
     """
     windows, hidden = shooter.windows, list(shooter.windows.hidden)
-    kept = found.deviation.shape[1] // len(windows)
-    owner = np.repeat(np.arange(len(windows)), kept)
-    given = np.repeat(found.coefficients, owner.size, axis=0).T
-    motions = shooter.motions(found.states[0], given, owner)
-    motions = motions[..., [*hidden, *(shooter.n_dof + i for i in hidden)]]
-    motions = np.moveaxis(motions, 0, 1).reshape(len(windows), kept, windows.nodes.size, -1)
+    motions = _motions(shooter, found)[..., [*hidden, *(shooter.n_dof + i for i in hidden)]]
+    kept = motions.shape[1]
     misfit = np.log1p(found.deviation[0]).reshape(len(windows), kept)
     period = np.select([scales.cyclic, scales.angular], [0.0, 2.0 * np.pi], np.inf)[hidden]
     jump = partial(_jumps, unit=scales.unit[[*hidden, *(shooter.n_dof + i for i in hidden)]], period=period)
@@ -77,6 +73,28 @@ def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.nda
         values.append(_read(motions[rows, path], begin, windows.nodes, t, period))
     chosen = Solutions(found.coefficients, found.states[:, places], found.deviation[:, places])
     return Chained(values, jumps, chosen)
+
+
+def continued(shooter: Shooter, found: Solutions) -> tuple[np.ndarray, np.ndarray]:
+    """States at the starts of windows to which the solutions of the window before lead, and their windows.
+
+    The first window of a trajectory has its own solutions.
+    """
+    windows, motions = shooter.windows, _motions(shooter, found)
+    states = motions[:, :, 0].copy()
+    for k in np.flatnonzero(np.diff(windows.trial) == 0) + 1:
+        ends = _at(windows.nodes, motions[k - 1], windows.begin[k] - windows.begin[k - 1])
+        states[k] = np.where(np.isfinite(ends).all(axis=1, keepdims=True), ends, states[k])
+    return states.reshape(-1, states.shape[-1]), np.repeat(np.arange(len(windows)), motions.shape[1])
+
+
+def _motions(shooter: Shooter, found: Solutions) -> np.ndarray:
+    """(n_windows, n_solutions, n_nodes, 2 n_dof) motions of one set of coefficients."""
+    kept = found.deviation.shape[1] // len(shooter.windows)
+    owner = np.repeat(np.arange(len(shooter.windows)), kept)
+    given = np.repeat(found.coefficients, owner.size, axis=0).T
+    motions = np.moveaxis(shooter.motions(found.states[0], given, owner), 0, 1)
+    return motions.reshape(len(shooter.windows), kept, *motions.shape[1:])
 
 
 def _jumps(ends: np.ndarray, begins: np.ndarray, unit: np.ndarray, period: np.ndarray) -> np.ndarray:

@@ -70,6 +70,16 @@ class Solutions:
         states = np.take_along_axis(states, first[..., None], axis=2)[:, :, 0]
         return Solutions(self.coefficients, states, np.take_along_axis(deviation, first, axis=2)[..., 0])
 
+    def beside(self, other: Solutions, n_windows: int) -> Solutions:
+        """Several solutions of each window, and those of another, of the same coefficients."""
+
+        def joined(one: np.ndarray, two: np.ndarray) -> np.ndarray:
+            parts = [part.reshape(len(part), n_windows, -1, *part.shape[2:]) for part in (one, two)]
+            return np.concatenate(parts, axis=2).reshape(len(one), -1, *one.shape[2:])
+
+        states, deviation = joined(self.states, other.states), joined(self.deviation, other.deviation)
+        return Solutions(self.coefficients, states, deviation)
+
     def best(self, count: int) -> Solutions:
         """The sets of the lowest cost."""
         first = np.argsort(self.cost, kind="stable")[:count]

@@ -22,7 +22,7 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.estimation.hidden import knots_of_all, lacking
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.structure import Structure
-from leastaction.hidden.chain import Chained, chain
+from leastaction.hidden.chain import Chained, chain, continued
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
 from leastaction.hidden.gauge import canonical
 from leastaction.hidden.settings import HIDDEN
@@ -195,10 +195,7 @@ class _Hunt:
         given = Solutions(values[None, members], given.states, given.deviation)
         times = [t.t for t in self.problem.trajectories]
         for final in (False, True):
-            screened = shooter.screen(
-                given.coefficients, self._begins()[None], HIDDEN.branches, 2 * HIDDEN.state_rounds
-            )
-            chained = chain(shooter, screened, self.scales, times)
+            chained = self._along(shooter, given.coefficients, times)
             if not final:
                 given = shooter.fit(chained.chosen, self.sizes[members], HIDDEN.last[3])
         values[members] = given.coefficients[0]
@@ -208,9 +205,16 @@ class _Hunt:
         """The motion of a law along every trajectory, its (1, n_members) coefficients held."""
         mechanics = law_of(self.problem, self.all_members)
         shooter = Shooter(mechanics, self.windows(HIDDEN.last[0], None), self.scales.unit)
+        return self._along(shooter, coefficients, [t.t for t in self.problem.trajectories])
+
+    def _along(self, shooter: Shooter, coefficients: np.ndarray, times: list[np.ndarray]) -> Chained:
+        """The motion of a law, from many start values of each window and from the end of the one before."""
         rounds = 2 * HIDDEN.state_rounds
         found = shooter.screen(coefficients, self._begins()[None], HIDDEN.branches, rounds)
-        return chain(shooter, found, self.scales, [t.t for t in self.problem.trajectories])
+        states, owner = continued(shooter, found)
+        further = shooter.fit_states(coefficients, states[None], owner, rounds)
+        both = found.beside(further, len(shooter.windows))
+        return chain(shooter, both, self.scales, times)
 
     def _begins(self) -> np.ndarray:
         return draw_begins(self.scales, self.problem.hidden, self.rng)
