@@ -69,14 +69,18 @@ def scales_of(problem: Problem, windows: Windows, period: float) -> Scales:
 
 
 def term_sizes(problem: Problem, windows: Windows, scales: Scales, rng: np.random.Generator) -> np.ndarray:
-    """(n_candidates,) coefficients at which each term balances known terms and forces."""
+    """(n_candidates,) coefficients at which each term balances known terms and forces.
+
+    At resonance, forces are a small part of the terms: the middle of that range counts.
+    """
     points = _states(windows, scales, rng)
     strong = problem.candidates.strong(points)
     size = np.sqrt((strong**2).mean(axis=(1, 2)))
     known = np.nan_to_num(problem.known) @ strong.reshape(len(strong), -1)
     total = np.sqrt((known**2).mean())
     if windows.forces is not None:
-        total = max(total, float(np.sqrt((windows.forces**2).mean())))
+        forces = float(np.sqrt((windows.forces**2).mean()))
+        total = max(total, np.sqrt(HIDDEN.over_forces) * forces)
     usable = np.isfinite(size) & (size > 0.0)
     return np.divide(total, size, out=np.ones(size.size), where=usable)
 
@@ -97,8 +101,8 @@ def draw_coefficients(
     drawn = sizes * np.exp(HIDDEN.spread * rng.standard_normal(shape)) * rng.choice([-1.0, 1.0], shape)
     passive = rng.random(shape) >= HIDDEN.active / len(members)
     drawn *= np.where(passive, HIDDEN.near_zero, 1.0)
-    if windows.forces is not None:  # at resonance, the driving force is a small part of the forces
-        drawn *= np.exp(rng.uniform(0.0, np.log(HIDDEN.over_forces), (_TRIED, 1)))
+    if windows.forces is not None:
+        drawn *= HIDDEN.over_forces ** rng.uniform(-0.5, 0.5, (_TRIED, 1))
     points = _states(windows, scales, rng)
     known = problem.candidates.mass_matrix(points, np.nan_to_num(problem.known))
     moving, masses = problem.candidates.subset(members).masses(points)
