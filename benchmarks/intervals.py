@@ -1,8 +1,9 @@
-"""How often the structure is exact and how well intervals hold: systems, groups of trials, prescribed motion.
+"""How often the structure is exact and how well intervals hold: systems, groups, prescribed, hidden motion.
 
     python -m benchmarks.intervals systems --sets 3 --noise 0 0.01 0.1 --library large
     python -m benchmarks.intervals groups --sets 20
     python -m benchmarks.intervals prescribed --sets 20
+    python -m benchmarks.intervals hidden --sets 10 --noise 0.01 0.1
 
 ``systems``: the seven simulated systems (five recordings of 20 s at 100 Hz) with their own candidates or many
 more, optionally with samples missing and at jittered times.  The error of the coefficients is relative to
@@ -15,6 +16,9 @@ of the systems.
 ``prescribed``: three machines, of each many data sets (three recordings of 8 s at 100 Hz, the prescribed
 motion a sum of four sines): a crane whose drive is not measured, a pendulum on a shaken support, an arm with
 one torque sensor of two.  Candidates are those of `Library.mechanical`, friction in the moved joint.
+
+``hidden``: the simulated systems of two and three coordinates, each coordinate without a sensor in turn (five
+recordings of 20 s at 100 Hz).  Candidates are the terms of the law.
 
 Noise is a share of the spread of each coordinate.
 """
@@ -317,7 +321,64 @@ def of_systems(given: argparse.Namespace) -> None:
             )
 
 
-STUDIES = {"systems": of_systems, "groups": groups, "prescribed": prescribed}
+# ---------------------------------------------------------------------------- coordinates without a sensor
+# Another coefficient that must be known, because otherwise the scale of the coordinate is open.
+SCALED = {
+    ("cart_spring_pendulum", "x"): ("x_dot*theta_dot*cos(theta)",),
+    ("spherical_spring_pendulum", "x"): ("x_dot**2",),
+    ("spherical_spring_pendulum", "phi"): ("x**2*sin(theta)**2*phi_dot**2",),
+}
+# The zero of the hidden cart is open, and this is the law about that of fewest terms.
+SIMPLER = {("cart_spring_pendulum", "x"): {"x": 0.0}}
+
+
+def hidden_fit(name: str, hidden: str, noise: float, number: int) -> dict:
+    """One data set: errors in standard errors, relative error and the bound on it, seconds."""
+    system = systems.get(name)
+    truth = {**system.lagrangian, **SIMPLER.get((name, hidden), {})}
+    known = {k: truth[k] for k in (*system.known, *SCALED.get((name, hidden), ()))}
+    free = {k: v for k, v in truth.items() if k not in known and v}
+    motions = simulate_truth(system, trials=5, duration=20.0, rate=100.0, seed=number)
+    sigma = noise_std(system, motions, noise)
+    data = []
+    for run in measure(system, motions, sigma, seed=number):
+        q = run.q.copy()
+        q[:, system.coordinates.index(hidden)] = np.nan
+        data.append(run.changed(q=q))
+    bound = cramer_rao_bound(system, motions, sigma, unknown=[*free], observed=la.Trajectories(data))
+    library = la.Library([*system.lagrangian], system.coordinates, angles=system.angles)
+    start = time.process_time()
+    model = la.discover(data, library, known=known, hidden=[hidden])
+    spent = time.process_time() - start
+    found = {term.expression: term for term in model.terms if not term.known}
+    size = np.linalg.norm([*free.values()])
+    wrong = [(found[k].coefficient if k in found else 0.0) - free.get(k, 0.0) for k in {*free, *found}]
+    error = float(np.linalg.norm(wrong) / size)
+    z = [(found[k].coefficient - v) / found[k].standard_error for k, v in free.items() if k in found]
+    return {"ok": model.fit.status == "ok", "z": z, "error": error, "bound": bound.relative, "seconds": spent}
+
+
+def of_hidden(given: argparse.Namespace) -> None:
+    """Print a row for each system, coordinate and level of noise; what is not ok does not count."""
+    print("system                     hidden  noise  ok  error (rms)  bound    ratio  inside 95 %  seconds")
+    for name in (n for n in systems.names() if systems.get(n).n_dof > 1):
+        for hidden in systems.get(name).coordinates:
+            for noise in given.noise:
+                rows = [hidden_fit(name, hidden, noise, number) for number in range(given.sets)]
+                held = [row for row in rows if row["ok"]]
+                error, bound, spent = (
+                    np.array([row[key] for row in held]) for key in ("error", "bound", "seconds")
+                )
+                z = np.abs([z for row in held for z in row["z"]])
+                error, bound = (np.sqrt(np.mean(values**2)) for values in (error, bound))
+                print(
+                    f"{name:<26} {hidden:<7} {100 * noise:3.0f} % {len(held):3d}     {error:.2e} {bound:.2e} "
+                    f"{error / bound:6.2f} {np.sum(z < 1.96):7d}/{z.size:<4d} {np.median(spent):8.1f}",
+                    flush=True,
+                )
+
+
+STUDIES = {"systems": of_systems, "groups": groups, "prescribed": prescribed, "hidden": of_hidden}
 
 
 def main() -> None:

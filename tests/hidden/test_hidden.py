@@ -19,7 +19,7 @@ from leastaction.estimation.grid import Grid
 from leastaction.estimation.structure import Structure
 from leastaction.hidden import band
 from leastaction.hidden.band import curve_errors, errors_with_sensor
-from leastaction.hidden.chain import chain
+from leastaction.hidden.chain import chain, continued
 from leastaction.hidden.draws import draw_begins, draw_coefficients, scales_of, term_sizes
 from leastaction.hidden.gauge import canonical, open_changes, reflections, simplest_zero
 from leastaction.hidden.shooting import Shooter, law_of
@@ -214,9 +214,61 @@ def test_a_chain_follows_one_branch(shooting) -> None:
     assert np.median(np.concatenate(chained.jumps)) < 0.05
 
 
+def test_a_motion_is_continued_into_a_window_that_missed_it(shooting) -> None:
+    problem, few, _, true = shooting
+    windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.03, None)
+    shooter, scales = few.on(windows), scales_of(problem, windows, 1.5)
+    begins = draw_begins(scales, problem.hidden, np.random.default_rng(0))[None]
+    good = shooter.screen(true[None], begins, 4, 6).of_windows(len(windows))
+    states, lost = good.states.copy(), 2
+    assert windows.trial[lost] == windows.trial[lost - 1]
+    states[0, lost, HIDDEN] += 1.5
+    spoilt = replace(
+        good, states=states, deviation=np.where(np.arange(len(windows)) == lost, 1e3, good.deviation)
+    )
+    starts, owner = continued(shooter, spoilt)
+    np.testing.assert_array_equal(starts[0], good.states[0, 0])  # nothing is before the first
+    further = shooter.fit_states(true[None], starts[None], owner, 6)
+    both = spoilt.beside(further, len(windows)).of_windows(len(windows))
+    np.testing.assert_allclose(both.states[0, lost], good.states[0, lost], atol=1e-3)
+    assert both.deviation[0, lost] < 2.0 * good.deviation[0, lost] + 1e-6
+
+
+def test_drawn_laws_reach_those_near_resonance() -> None:
+    """Forces may be a fiftieth of the terms; the prior of the fit is as wide as the draws."""
+    system = systems.get("double_pendulum")
+    _, setup = set_up(system)
+    problem, rng = setup.problem, np.random.default_rng(0)
+    windows = cut_windows(problem, setup.scales.smooth, 0.5, 0.03, 8)
+    scales = scales_of(problem, windows, 1.5)
+    sizes = term_sizes(problem, windows, scales, rng)
+    drawn = draw_coefficients(problem, problem.free.tolist(), sizes, windows, scales, rng)
+    assert 0.3 < np.sqrt(np.mean((drawn / sizes) ** 2)) / 3.0 < 3.0
+
+
 def smooth_of(problem):
     """The smooth curve of a problem, its hidden coordinate a placeholder."""
     return set_up(noise=0.0)[1].scales.smooth
+
+
+@pytest.mark.thorough
+def test_intervals_are_not_narrower_than_the_bound() -> None:
+    """With more knots, rounding looked like information on the hidden angle: a third of the true error."""
+    system = systems.get("spherical_pendulum")
+    truth = systems.simulate_truth(system, trials=5, duration=20.0, rate=100.0, seed=0)
+    sigma = systems.noise_std(system, truth, 0.01)
+    data = [
+        run.changed(q=np.where(np.arange(2) == 1, np.nan, run.q))
+        for run in systems.measure(system, truth, sigma, seed=0)
+    ]
+    bound = la.metrics.cramer_rao_bound(system, truth, sigma, observed=Trajectories(data))
+    library = la.Library(list(system.lagrangian), system.coordinates, angles=system.angles)
+    model = la.discover(data, library, hidden=["phi"])
+    assert model.fit.status == "ok"
+    found = {term.expression: term for term in model.terms}
+    for name, least in zip(bound.terms, bound.standard_errors, strict=True):
+        assert 0.85 < found[name].standard_error / least < 1.5
+        assert abs(found[name].coefficient - system.lagrangian[name]) < 3.0 * found[name].standard_error
 
 
 @pytest.mark.thorough
@@ -360,6 +412,8 @@ def test_the_zero_of_a_hidden_angle_is_known_up_to_half_a_turn(pendulum) -> None
             ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y", "x", "y"],
             ("offset",),
         ),
+        ({"x*y": 0.7}, ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y"], ("scale",)),  # and that of L
+        ({"x*y": 0.7, "y**2": -1.0}, ["x_dot**2", "y_dot**2", "x**2", "y**2", "x*y"], None),
     ],
 )
 def test_what_known_terms_leave_open_is_named(known, terms, expected) -> None:

@@ -796,6 +796,22 @@ def test_intervals_that_narrow_while_estimates_stand_still_are_recognised():
     assert not still(0.0, 0.9 * before)
 
 
+@pytest.mark.parametrize(
+    ("hidden", "slack", "move", "expected"),
+    [((1,), 5.0, 1e-4, True), ((), 5.0, 1e-4, False), ((1,), 50.0, 1e-4, False), ((1,), 5.0, 3e-4, False)],
+)
+def test_finer_knots_add_nothing_without_equation_error_to_lower(hidden, slack, move, expected):
+    def fit(estimate, error):
+        return SimpleNamespace(
+            problem=SimpleNamespace(hidden=hidden),
+            weights=SimpleNamespace(slack=np.array([2.0, slack])),
+            estimates=np.array([estimate]),
+            standard_errors=np.array([error]),
+        )
+
+    assert finer_knots._has_all_information(fit(1.0, 1e-3), fit(1.0 + move, 6e-4)) == expected
+
+
 @pytest.mark.thorough
 def test_intervals_hold_the_truth_where_the_equations_hold_to_rounding():
     """A pendulum between three magnets, whose equation error falls to 1e-9 of the forces on finer knots."""

@@ -26,6 +26,7 @@ __all__ = ["run"]
 _DIGITS = 1e-6  # of an estimate: finer knots are not worth a smaller change
 _FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
 _ROUNDING = 1.5e-8  # relative equation error whose square is lost in the normal equations
+_BIAS = 0.2  # standard errors by which a grid may move the estimates of a fit without equation error
 _MOST_ROUNDS = 6  # grids, at most
 
 
@@ -56,7 +57,7 @@ def run(search: Search) -> Search:
             return search.now(fit, knots_settled=True, vibrates=True)
         if done and np.any(off > SELECTION.holds):  # not caused by too few knots
             return search.now(finer, knots_settled=False, vibrates=False)
-        if np.any(off < _ROUNDING) and _stands_still(fit, finer):
+        if (np.any(off < _ROUNDING) and _stands_still(fit, finer)) or _has_all_information(fit, finer):
             return search.now(fit, knots_settled=True, vibrates=False)
         # finer splines leave a smaller equation error, by nearly the same factor in every round, until
         # hardly any of it is left and its weight no longer matters
@@ -106,6 +107,19 @@ def _stands_still(coarser: Fit, finer: Fit) -> bool:
     much = now < (1.0 - SELECTION.narrowed) * before
     moved = np.abs(finer.estimates - coarser.estimates)
     return bool(much.any() and np.all(moved <= SELECTION.still * narrowed))
+
+
+def _has_all_information(coarser: Fit, finer: Fit) -> bool:
+    """Whether a fit with a hidden coordinate has all information, although finer knots narrow intervals.
+
+    Where hardly any equation error is left, finer knots cannot lower it further.  The curve of a hidden
+    coordinate has no samples, so that rounding of the normal equations, which grows with weights and knots,
+    looks like information on it.
+    """
+    exact = all(np.all(fit.weights.slack < ESTIMATION.slack_left) for fit in (coarser, finer))
+    moved = np.abs(finer.estimates - coarser.estimates)
+    still = moved <= _BIAS * np.maximum(coarser.standard_errors, _least(finer))
+    return bool(coarser.problem.hidden and exact and np.all(still))
 
 
 def _least(fit: Fit) -> np.ndarray:
