@@ -55,15 +55,26 @@ ON_ONE_GRID = (
 """Strategies that find a structure on a first grid, in order."""
 
 
+def _settled(search: Search) -> Search:
+    """Finer knots once more, where the fit at the start had too many terms to converge."""
+    return search if search.knots_settled else finer_knots.run(search)
+
+
 WITH_HIDDEN = (
-    hidden_start,
-    finer_knots,
-    terms_again,
-    irrelevant_terms,
-    feeding_friction,
-    exact_equations,
+    hidden_start.run,
+    finer_knots.run,
+    terms_again.run,
+    irrelevant_terms.run,
+    feeding_friction.run,
+    hidden_start.at_simplest_zero,
+    irrelevant_terms.run,
+    _settled,
+    exact_equations.run,
 )
-"""Strategies where some coordinates have no samples, in order."""
+"""Strategies where some coordinates have no samples, in order.
+
+A start with many terms may show no simplest zero, and may not converge; the terms that are left do.
+"""
 
 
 def find_structure(search: Search) -> Search:
@@ -78,7 +89,7 @@ def run_search(search: Search) -> Search:
     if search.problem.hidden:
         search.report("search", {})
         for strategy in WITH_HIDDEN:
-            search = _attempt(strategy.run, search)
+            search = _attempt(strategy, search)
         return search
     search = _attempt(calibration_start.run, search)
     found = force_bias.run(search, find_on_data)

@@ -24,13 +24,11 @@ from leastaction.findings import find
 from leastaction.hidden.gauge import simplest_zero
 from leastaction.hidden.start import HiddenStart, find_start, follow_again
 from leastaction.selection.likelihood_refinement import refine, value
-from leastaction.selection.progress import Progress
 from leastaction.selection.search_state import Search, equations_hold
 
-__all__ = ["run"]
+__all__ = ["at_simplest_zero", "run"]
 
-_Fitted = tuple[Fit, Smooth]
-"""A fit, and the smooth curve through samples and motion that it began with."""
+_Fitted = tuple[Fit, Smooth]  # a fit, and the smooth curve through samples and motion that it began with
 
 _ATTEMPTS = 2  # most searches for a law
 _FACTOR = 10.0  # by which the weights rise in a step
@@ -60,24 +58,26 @@ def run(search: Search) -> Search:
         if equations_hold(best[0]):
             break
     assert best is not None
-    fit, curve = _at_simplest_zero(refine(best[0], search.report), search.report), best[1]
+    fit, curve = refine(best[0], search.report), best[1]
     scales = search.scales._replace(smooth=curve, per_second=fit.grid.knots_per_second)
     names = [problem.coordinates[i] for i in problem.hidden]
     findings = search.findings if confirmed else (*search.findings, find("hidden-start-unconfirmed", names))
-    return replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
+    return at_simplest_zero(
+        replace(search, scales=scales, curve=curve, findings=findings).now(fit, first=fit)
+    )
 
 
-def _at_simplest_zero(fit: Fit, report: Progress) -> Fit:
-    """The fit about the zeros of its hidden coordinates that give fewer terms, where it is more probable."""
+def at_simplest_zero(search: Search) -> Search:
+    """The law about the zeros of its hidden coordinates that give fewer terms, where it is more probable."""
+    fit = search.found
     for i in fit.problem.hidden:
         if not fit.converged or (zero := simplest_zero(fit, i)) is None:
             continue
-        points = fit.control_points.copy()
-        points[:, i] -= zero.shift
+        points = fit.control_points - zero.shift * np.eye(len(fit.problem.coordinates))[i]
         other = fit.grid.fit(Structure(zero.members), Start(points, zero.coefficients, fit.weights))
         if other.converged and value(other) > value(fit):
-            fit = refine(other, report)
-    return fit
+            fit = refine(other, search.report)
+    return search.now(fit)
 
 
 def _likelier(one: _Fitted | None, other: _Fitted) -> _Fitted:
@@ -101,12 +101,12 @@ def _fitted(search: Search, structure: Structure, found: HiddenStart, before: _F
     return grid.fit(structure, _drawn_together(grid, structure, start)), curve
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a motion of a wrong law may be huge
 def _smoothed(grid: Grid, completed: Trajectories) -> Smooth:
     """The smooth curve through samples and motion; the latter has no noise that could be known."""
     curve = grid.posed(grid.problem.on(completed)).smooth()
-    noise = curve.noise_std.copy()
-    noise[list(grid.problem.hidden)] = 1.0
-    return replace(curve, noise_std=noise)
+    unseen = np.isin(np.arange(curve.noise_std.size), grid.problem.hidden)
+    return replace(curve, noise_std=np.where(unseen, 1.0, curve.noise_std))
 
 
 def _drawn_together(grid: Grid, structure: Structure, start: Start) -> Start:
