@@ -10,6 +10,7 @@ import pytest
 
 import leastaction as la
 from leastaction import systems
+from leastaction.cli.demo import DEMOS
 from leastaction.curve.smoothing import smooth
 from leastaction.data.coerce import arranged, joined
 from leastaction.data.trajectories import Trajectories
@@ -472,6 +473,24 @@ def test_a_sensor_in_some_recordings_only_is_used_where_it_is(name, missing) -> 
     for term in model.terms:
         if not term.known:
             assert abs(term.coefficient - system.lagrangian[term.expression]) < 4.0 * term.standard_error
+
+
+@pytest.mark.thorough
+def test_the_measured_pendulum_without_its_second_encoder_has_the_published_terms() -> None:
+    """Sixteen candidates: their zero of theta2 is open until the terms are found."""
+    demo = DEMOS["double"]
+    with as_file(files("leastaction") / "datasets" / demo.file) as path:
+        data = la.read_csv(
+            path, list(demo.coordinates), time="t", trial="trial", angles=list(demo.coordinates)
+        )
+    library = la.Library(list(demo.candidates), demo.coordinates, angles=demo.coordinates)
+    some = Trajectories([data[k] for k in range(0, len(data), 3)])
+    friction = list(demo.dissipation)
+    model = la.discover(without(some, 1), library, known=demo.known, dissipation=friction, hidden=["theta2"])
+    assert model.fit.status == "ok", model.fit.warnings
+    assert {term.expression for term in model.terms} == {*demo.published}
+    for term in model.terms:
+        assert abs(term.coefficient / demo.published[term.expression] - 1.0) < 0.007
 
 
 @pytest.mark.thorough
