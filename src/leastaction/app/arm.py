@@ -8,6 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from leastaction.app.files import title_of
 from leastaction.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,9 +48,7 @@ class ArmLog:
     @property
     def title(self) -> str:
         """Names of the log and the robot."""
-        first, *others = self.paths
-        more = f" and {len(others)} more" if others else ""
-        return f"{first.name}{more}, {self.robot.name}"
+        return f"{title_of(self.paths)}, {self.robot.name}"
 
     @classmethod
     def of(cls, paths: Sequence[Path], robot: Path) -> ArmLog:

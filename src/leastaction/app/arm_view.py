@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -10,7 +12,8 @@ from nicegui import html, ui
 
 from leastaction.app.arm import ArmFound, ArmLog
 from leastaction.app.files import archive
-from leastaction.app.parts import action, choice, fault, panel, say, table, title
+from leastaction.app.parts import action, aside, choice, fault, panel, say, table, title
+from leastaction.app.running_view import stage_bar
 from leastaction.app.worker import Job, in_words
 
 if TYPE_CHECKING:
@@ -99,11 +102,7 @@ class ArmView:
     def _running(self) -> None:
         title("Identifying the arm", "h1")
         with panel("running"):
-            self.bar = ui.linear_progress(0.0, show_value=False).classes("bar")
-            self.bar.props('rounded aria-label="Stages done"')
-            with html.div().classes("now").props("role=status"):
-                self.stage = say("", "stage")
-                self.seconds = say("", "seconds")
+            self.bar, self.stage, self.seconds = stage_bar()
             action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")
         self.timer = ui.timer(0.2, self.page.guarded(self._follow))
 
@@ -129,17 +128,18 @@ class ArmView:
                 title("The arm", "h1")
             with html.div().classes("downloads"):
                 for name, content in files.items():
-                    self._download(name, content)
-
-                self._download("all.zip", archive(files))
+                    self._download(name, partial(bytes, content))
+                self._download("all.zip", partial(archive, files))
                 action("Change", self.page.guarded(self._change), "plain", "change").props("icon=replay")
         # A frame, because the report has a style of its own; it has no scripts, and may run none.
         frame = f'<iframe class="report" title="Report" sandbox srcdoc="{escape(found.report)}"></iframe>'
         ui.html(frame, sanitize=False)
 
-    def _download(self, name: str, content: bytes) -> None:
-        button = action(name, self.page.guarded(lambda _=None: ui.download.content(content, name)), "plain")
-        button.props("icon=download").mark(name)
+    def _download(self, name: str, make: Callable[[], bytes]) -> None:
+        async def download(_=None) -> None:
+            ui.download.content(await aside(make), name)
+
+        action(name, self.page.guarded(download), "plain", name).props("icon=download")
 
     def _change(self) -> None:
         self.session.arm_job = None

@@ -14,6 +14,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from leastaction.app.candidates import Choice
@@ -39,6 +40,7 @@ __all__ = [
     "open_saved",
     "plain_name",
     "saved",
+    "title_of",
 ]
 
 MOST_BYTES = 200_000_000
@@ -207,6 +209,18 @@ def plain_name(name: str) -> str:
     last = name.replace("\\", "/").rstrip("/").rpartition("/")[2]
     safe = "".join(c if c.isprintable() and c not in '<>:"|?*' else "_" for c in last)
     return safe.strip("._ ")[:60].rstrip(". ") or "table"
+
+
+def title_of(paths: Sequence[Path]) -> str:
+    """Name of a table, or of the first of several.
+
+    Examples
+    --------
+    >>> title_of([Path("a.csv")]), title_of([Path("a.csv"), Path("b.csv")])
+    ('a.csv', 'a.csv and 1 more')
+    """
+    first, *others = paths
+    return f"{first.name} and {len(others)} more" if others else first.name
 
 
 def by_number(name: str) -> list[tuple[int, str]]:

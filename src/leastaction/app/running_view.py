@@ -15,7 +15,7 @@ from leastaction.model.mathml import Notation
 if TYPE_CHECKING:
     from leastaction.app.page import Page
 
-__all__ = ["Running", "ended", "stage_words"]
+__all__ = ["Running", "ended", "stage_bar", "stage_words"]
 
 _STAGES = {
     "": "Starting",
@@ -51,6 +51,14 @@ def stage_words(stage: str, details: dict) -> str:
     return text
 
 
+def stage_bar() -> tuple[ui.linear_progress, ui.label, ui.label]:
+    """A bar for the stages done, and lines for the present stage and the time."""
+    bar = ui.linear_progress(0.0, show_value=False).classes("bar")
+    bar.props('rounded aria-label="Stages done"')
+    with html.div().classes("now").props("role=status"):
+        return bar, say("", "stage"), say("", "seconds")
+
+
 class Running:
     """Stages, the law so far and time of a discovery, and the button that cancels it."""
 
@@ -60,11 +68,7 @@ class Running:
     def build(self) -> None:
         title("Searching", "h1")
         with panel("running"):
-            self.bar = ui.linear_progress(0.0, show_value=False).classes("bar")
-            self.bar.props('rounded aria-label="Stages done"')
-            with html.div().classes("now").props("role=status"):
-                self.stage = say("", "stage")
-                self.seconds = say("", "seconds")
+            self.bar, self.stage, self.seconds = stage_bar()
             self.law = html.div().classes("stack sofar")
             self.past = html.ol().classes("past")
             action("Cancel", self.page.guarded(self._cancel), "plain", "cancel")

@@ -118,8 +118,7 @@ class Session:
             self._open_arm(given)
             return
         paths = self._kept(given)
-        title = paths[0].name if len(paths) == 1 else f"{paths[0].name} and {len(paths) - 1} more"
-        self._open(paths, title, None)
+        self._open(paths, files.title_of(paths), None)
 
     def _open_arm(self, given: Sequence[tuple[str, bytes]]) -> None:
         """Open the log of an arm; its table may have been open before."""
