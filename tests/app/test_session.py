@@ -748,6 +748,8 @@ def test_log_and_robot_may_come_one_after_the_other(session, tmp_path):
     assert session.arm.title == "log.csv, two.urdf"
     session.open_uploads([("run.csv", swing(1.0))])
     assert session.arm is None
+    session.open_uploads([(f"{'Arm ' * 20}.URDF", robot.read_bytes()), *contents(log)])
+    assert session.arm.robot.suffix == ".urdf"
 
 
 def test_a_robot_that_does_not_fit_its_log_is_refused(session, tmp_path):

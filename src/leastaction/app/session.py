@@ -130,7 +130,8 @@ class Session:
             )
         ((name, content),) = robots
         files.check_size(name, content)
-        robot = self.folder / files.plain_name(name).lower()
+        stem, _, suffix = name.rpartition(".")
+        robot = self.folder / f"{files.plain_name(stem)}.{suffix.lower()}"
         robot.write_bytes(content)
         arm = ArmLog.of(self._kept(tables) if tables else self._paths, robot)
         self.stop()
