@@ -5,6 +5,7 @@ from leastaction.findings.finding import (
     SEVERITIES,
     STATED,
     TEXT,
+    Audience,
     Figures,
     Finding,
     Severity,
@@ -17,7 +18,6 @@ from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import alike, find, sentence
 from leastaction.findings.stated import stated_error, statements, with_held_out, worst_share
 from leastaction.findings.templates import REASONS, because
-from leastaction.findings.wording import Audience
 
 __all__ = [
     "CODES",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import partial
 
 from leastaction.findings import stated, templates
-from leastaction.findings.wording import Message
+from leastaction.findings.finding import Message
 
 __all__ = ["CODES"]
 

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator
 from itertools import groupby
 from typing import Any
 
-from leastaction.findings.finding import TEXT, Finding
+from leastaction.findings.finding import TEXT, Audience, Finding, Text, fill
 from leastaction.findings.messages import CODES
-from leastaction.findings.wording import Audience, Text, fill
 
 __all__ = ["alike", "find", "sentence"]
 

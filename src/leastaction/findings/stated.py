@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, SupportsFloat
 
-from leastaction.findings.finding import Finding
-from leastaction.findings.wording import fill
+from leastaction.findings.finding import Finding, fill
 
 __all__ = [
     "STRUCTURES",

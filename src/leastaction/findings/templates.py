@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from leastaction.findings.wording import Audience, fill
+from leastaction.findings.finding import Audience, fill
 
 __all__ = [
     "REASONS",
