@@ -38,7 +38,7 @@ import leastaction as la
 from benchmarks.measured_arm import PEERS, textbook
 from leastaction import arms
 from leastaction.arms.log import PUSHED, contact_notes
-from leastaction.mechanics.arm_columns import FRICTION
+from leastaction.mechanics.arm_terms import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.threads import single_threaded
 

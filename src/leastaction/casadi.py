@@ -6,19 +6,22 @@ Needs ``pip install 'leastaction[casadi]'``. The same functions as a file that i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
 import sympy as sp
 
-from leastaction.errors import InputError
+from leastaction.errors import InputError, MissingPackageError
 from leastaction.exporters.casadi import CasadiPrinter
 from leastaction.exporters.shared import equations
+from leastaction.library.tree import KinematicTree
 from leastaction.model.model import LagrangianModel
 
 if TYPE_CHECKING:
     import casadi
 
-__all__ = ["CasadiFunctions", "functions"]
+__all__ = ["Acting", "ArmParts", "CasadiFunctions", "arm_functions", "functions"]
 
 
 class CasadiFunctions(NamedTuple):
@@ -93,3 +96,123 @@ def functions(model: LagrangianModel) -> CasadiFunctions:
         casadi.Function("energy", state, [casadi.SX(values[-1])], names, ["energy"]),
         casadi.Function("mass_matrix", state, [casadi.densify(mass)], names, ["mass"]),
     )
+
+
+class Acting(NamedTuple):
+    """What acts in one joint of an arm: kind, number of the joint, coefficient, ε and v_s."""
+
+    kind: str
+    joint: int
+    value: float
+    width: float
+    speed: float
+
+
+class ArmParts(NamedTuple):
+    """What the torques of an arm consist of.
+
+    Attributes
+    ----------
+    tree : KinematicTree
+    inertial : (n_links, 10) array
+        Inertial parameters, or base parameters in their place.
+    local : sequence of Acting
+    law, loss : sequence of Expr
+        Torques of the terms that the tree adds to L and to the dissipation function, for each joint.
+    """
+
+    tree: KinematicTree
+    inertial: np.ndarray
+    local: Sequence[Acting]
+    law: Sequence[sp.Expr]
+    loss: Sequence[sp.Expr]
+
+
+def arm_functions(parts: ArmParts) -> dict[str, casadi.Function]:
+    """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` of an arm."""
+    try:
+        import casadi
+    except ImportError:
+        raise MissingPackageError("to_casadi()", "casadi", "casadi", "use to_python()") from None
+    ca: Any = casadi
+    n = len(parts.tree)
+    q, v, a = (ca.SX.sym(name, n) for name in ("q", "qdot", "qddot"))
+    rest, springs = ca.SX.zeros(n), [x for x in parts.local if x.kind == "spring"]
+    rubbing = [x for x in parts.local if x.kind not in ("rotor", "spring", "offset")]
+    state = [sp.Symbol(name + "_dot" * nu, real=True) for nu in range(3) for name in parts.tree.coordinates]
+
+    def added(expressions: Sequence[sp.Expr], *arrays: Any) -> Any:
+        modules: Any = [{"casadi": casadi}]
+        compiled: Any = sp.lambdify(state, list(expressions), modules=modules, printer=CasadiPrinter())
+        return ca.vertcat(*compiled(*(x for array in arrays for x in ca.vertsplit(array))))
+
+    joints, lost = _acting(ca, parts.local, q, v, a), added(parts.loss, rest, v, rest)
+    whole = _rigid(ca, parts, q, v, a) + joints + added(parts.law, q, v, a) + lost
+    still = _rigid(ca, parts, q, rest, rest) + _acting(ca, springs, q, rest, rest)
+    still += added(parts.law, q, rest, rest)
+    return {
+        "torques": ca.Function("torques", [q, v, a], [whole]),
+        "gravity": ca.Function("gravity", [q], [still]),
+        "friction": ca.Function("friction", [v], [_acting(ca, rubbing, rest, v, rest) + lost]),
+    }
+
+
+def _acting(ca: Any, local: Sequence[Acting], q: Any, v: Any, a: Any) -> Any:
+    out = ca.SX.zeros(q.shape[0])
+    for kind, k, value, width, speed in local:
+        size = ca.sqrt(v[k] ** 2 + width * width)
+        sign = v[k] / size if width else 0.0
+        out[k] += (
+            value
+            * {
+                "rotor": a[k],
+                "spring": q[k],
+                "offset": 1.0,
+                "viscous": v[k],
+                "dry": sign,
+                "stribeck": sign * ca.exp(-((v[k] / speed) ** 2)) if speed else 0.0,
+                "quadratic": v[k] * size,
+                "asymmetric": size,
+            }[kind]
+        )
+    return out
+
+
+def _rigid(ca: Any, parts: ArmParts, q: Any, v: Any, a: Any) -> Any:
+    frames: list[Any] = []
+    for k, joint in enumerate(parts.tree.joints):
+        axis = ca.DM(joint.axis)
+        turned, shift = ca.SX(ca.DM(joint.rotation)), ca.SX(ca.DM(joint.origin))
+        if joint.parent < 0:
+            w, dw, acc = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX(ca.DM(-parts.tree.gravity))
+        else:
+            w, dw, acc = frames[joint.parent][2:]
+        if joint.kind == "revolute":
+            cross = ca.skew(axis)
+            turned = turned @ (ca.DM.eye(3) + ca.sin(q[k]) * cross + (1.0 - ca.cos(q[k])) * (cross @ cross))
+        else:
+            shift = shift + q[k] * (turned @ axis)
+        acc = turned.T @ (acc + ca.cross(dw, shift) + ca.cross(w, ca.cross(w, shift)))
+        w, dw = turned.T @ w, turned.T @ dw
+        if joint.kind == "revolute":
+            dw = dw + axis * a[k] + ca.cross(w, axis * v[k])
+            w = w + axis * v[k]
+        else:
+            acc = acc + axis * a[k] + 2.0 * ca.cross(w, axis * v[k])
+        frames.append((turned, shift, w, dw, acc))
+    forces: list[list[Any]] = []
+    for (_, _, w, dw, acc), (m, mx, my, mz, xx, xy, xz, yy, yz, zz) in zip(
+        frames, parts.inertial, strict=True
+    ):
+        first, inertia = ca.DM([mx, my, mz]), ca.DM([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        force = m * acc + ca.cross(dw, first) + ca.cross(w, ca.cross(w, first))
+        forces.append([force, inertia @ dw + ca.cross(w, inertia @ w) + ca.cross(first, acc)])
+    out = ca.SX.zeros(len(frames))
+    for k in reversed(range(len(frames))):
+        joint, (force, moment) = parts.tree.joints[k], forces[k]
+        out[k] = ca.dot(ca.DM(joint.axis), moment if joint.kind == "revolute" else force)
+        if joint.parent >= 0:
+            turned, shift = frames[k][:2]
+            forces[joint.parent][0] += turned @ force
+            forces[joint.parent][1] += turned @ moment + ca.cross(shift, turned @ force)
+    return out

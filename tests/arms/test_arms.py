@@ -25,7 +25,8 @@ from leastaction.cli.program import program
 from leastaction.data.trajectories import Trajectories
 from leastaction.library.tree import rpy_matrix
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm, JointScales, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import ArmColumns
+from leastaction.mechanics.arm_terms import ArmTerm, JointScales, inertial_terms, joint_terms
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.report.axes import Axes
 from leastaction.report.figures_arm import ArmFigures, density, sides
@@ -346,7 +347,8 @@ def test_python_code_computes_the_same_torques(found, tmp_path, rng):
     )
     kinds = {kind: [0.3, 0.2] for kind in ("rotor", "spring", "offset", "viscous", "dry", "quadratic")}
     exact = arms.ArmModel.of_tree(slide.with_inertias(bodies(2, rng)), kinds)
-    for model in (found[1], exact):
+    more = arms.ArmModel.of_tree(exact.tree.with_terms(*ADDED[:1]), kinds, extra=0.4)
+    for model in (found[1], exact, more):
         model.to_python(tmp_path / "code.py")
         spec = importlib.util.spec_from_file_location("code_of_arm", tmp_path / "code.py")
         assert spec is not None
@@ -358,7 +360,53 @@ def test_python_code_computes_the_same_torques(found, tmp_path, rng):
         np.testing.assert_allclose(code.friction(states[1]), model.friction(*states[:2])[0], atol=1e-10)
 
 
-def test_c_and_casadi_compute_the_same_torques(tmp_path, rng):
+ADDED = (["q1_dot*q2_dot*cos(q1)", "sqrt(2-cos(q1))"], ["(q1_dot+q3_dot)**2/2", "abs(q1_dot-q2_dot)"])
+
+
+@pytest.fixture(scope="module")
+def coupled() -> tuple[arms.ArmModel, arms.ArmModel]:
+    """A wrist whose motors are coupled, with a spring that compensates gravity: true and identified."""
+    rng, tree = np.random.default_rng(8), WRIST.with_terms(*COUPLING)
+    tree = tree.with_inertias(bodies(3, rng))
+    true = arms.ArmModel.of_tree(tree, {"viscous": [0.5, 0.2, 0.1]}, extra=[0.05, 0.9, 0.15, 0.3])
+    return true, arms.identify(recorded(true, rng), tree)
+
+
+COUPLING = ["q2_dot*q3_dot", "cos(2*q2)"], ["(q2_dot+q3_dot)**2/2", "abs(q2_dot+q3_dot)"]
+
+
+def test_couplings_and_compensators_are_found(coupled, rng):
+    true, model = coupled
+    kinds = [(term.kind, term.place) for term in model.terms]
+    for k, value in zip(
+        [kinds.index((kind, n)) for n, kind in enumerate(["extra"] * 2 + ["loss"] * 2)],
+        [0.05, 0.9, 0.15, 0.3],
+        strict=True,
+    ):
+        assert abs(model.coefficients[k] - value) < max(4.0 * model.standard_errors[k], 1e-9)
+        assert model.standard_errors[k] < 0.05 * value
+    q, v = rng.normal(size=(2, 20, 3))
+    np.testing.assert_allclose(model.gravity(q), true.gravity(q), atol=0.02 * abs(true.gravity(q)).max())
+    np.testing.assert_allclose(
+        model.friction(q, v), true.friction(q, v), atol=0.02 * abs(true.friction(q, v)).max()
+    )
+    assert model.facts.unmeasured == ()
+    assert not any("contact" in note for note in model.facts.notes)
+
+
+def test_couplings_survive_files_and_bodies(coupled, tmp_path, rng):
+    solid = coupled[1].bodies()
+    solid.save(tmp_path / "arm.json")
+    again = arms.load(tmp_path / "arm.json")
+    assert again.rows() == solid.rows()
+    states = rng.normal(size=(3, 4, 3))
+    np.testing.assert_array_equal(again.torques(*states), solid.torques(*states))
+    torques = solid.torques(*states)
+    np.testing.assert_allclose(solid.acceleration(*states[:2], torques), states[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("extra", [False, True], ids=["", "with expressions"])
+def test_c_and_casadi_compute_the_same_torques(tmp_path, rng, extra):
     slide = arms.KinematicTree.from_joints(
         [
             {"axis": (0, 1, 0)},
@@ -367,8 +415,9 @@ def test_c_and_casadi_compute_the_same_torques(tmp_path, rng):
         ]
     )
     kinds = {kind: [0.3, 0.2, 0.1] for kind in ("rotor", "spring", "offset", "viscous", "dry", "quadratic")}
+    slide = slide.with_terms(*ADDED) if extra else slide
     model = arms.ArmModel.of_tree(
-        slide.with_inertias(bodies(3, rng)), {**kinds, "asymmetric": [0.1, 0.0, 0.2]}
+        slide.with_inertias(bodies(3, rng)), {**kinds, "asymmetric": [0.1, 0.0, 0.2]}, extra=0.3
     )
     q, v, a = rng.normal(size=(3, 3))
     expected = model.torques(q, v, a)[0], model.gravity(q)[0], model.friction(q, v)[0]
@@ -735,6 +784,22 @@ def test_the_command_writes_an_arm(found, file, tmp_path):
         failed = runner.invoke(program, [*given, *wrong])
         assert failed.exit_code == 2
         assert words in failed.output
+
+
+def test_the_command_takes_couplings(coupled, file, tmp_path):
+    data = file(as_csv(recorded(coupled[0], np.random.default_rng(6), 6.0, 200.0)))
+    table = file(f"a,d,alpha\n0,0.3,0\n0.05,0,{-PI / 2}\n0.25,0,{PI / 2}\n", "dh.csv")
+    given = ["arm", str(data), "--dh", str(table), "--convention", "modified"]
+    given += ["--term", COUPLING[0][0], "--term", COUPLING[0][1], "--output", str(tmp_path / "found")]
+    done = CliRunner().invoke(program, [*given, "--dissipation", ", ".join(COUPLING[1])])
+    assert done.exit_code == 0, done.output
+    assert "coefficient of q2_dot*q3_dot in L" in done.output
+    assert "coefficient of abs(q2_dot+q3_dot) in the dissipation function" in done.output
+    for option, text in (("--term", "q9"), ("--dissipation", "q1_dot**2")):
+        failed = CliRunner().invoke(program, [*given, option, text])
+        assert failed.exit_code == 2
+        assert failed.output.startswith(f"error: {option}: ")
+        assert len(failed.output.strip().splitlines()) == 1
 
 
 def test_the_command_reads_currents_and_a_mujoco_model_without_its_meshes(found, file, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 
 import numpy as np
 import pytest
@@ -14,15 +15,13 @@ from helpers import euler_lagrange, finite_difference, terms
 from leastaction.errors import InputError
 from leastaction.library import Library
 from leastaction.library.tree import INERTIAL, KinematicTree
-from leastaction.mechanics.arm_columns import (
+from leastaction.mechanics.arm_columns import ArmColumns, dry_history, presliding, remembered
+from leastaction.mechanics.arm_terms import (
     FRICTION,
-    ArmColumns,
     JointScales,
-    dry_history,
     inertial_terms,
     joint_terms,
-    presliding,
-    remembered,
+    parameter_terms,
 )
 from leastaction.mechanics.equations import Mechanics
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
@@ -517,6 +516,11 @@ BRANCHED = KinematicTree.from_joints(
     ]
 )
 
+COUPLED = BRANCHED.with_terms(
+    ["q1_dot*q2_dot*cos(q1)/9", "cos(2*q2)", "sqrt(2-cos(q4-q5))"],
+    dissipation=["(q1_dot+q4_dot)**2/2", "sqrt((q1_dot-q5_dot)**2+0.1)"],
+)
+
 
 def bodies(n: int, rng: np.random.Generator) -> np.ndarray:
     """(n, 10) inertial parameters of ellipsoids."""
@@ -607,19 +611,16 @@ def test_columns_are_those_of_the_symbolic_lagrangian(tree, stride, rng, file):
 def columns_of(tree: KinematicTree, rng: np.random.Generator) -> tuple[ArmColumns, np.ndarray]:
     n = len(tree)
     scales = JointScales(np.full(n, 0.3), np.full(n, 0.8), np.zeros(n))
-    terms = (
-        *inertial_terms(tree),
-        *joint_terms(tree, ("rotor", "spring", "offset", "turn", *FRICTION), scales),
-    )
+    terms = parameter_terms(tree, ("rotor", "spring", "offset", "turn", *FRICTION), scales)
     columns = ArmColumns(tree, terms)
     return columns, np.concatenate([bodies(n, rng).ravel(), rng.uniform(0.1, 1.0, len(terms) - 10 * n)])
 
 
-@pytest.mark.parametrize("tree", [SPATIAL, BRANCHED], ids=["spatial", "branched"])
+@pytest.mark.parametrize("tree", [SPATIAL, BRANCHED, COUPLED], ids=["spatial", "branched", "coupled"])
 def test_derivatives_are_finite_differences(tree, rng):
     columns, coefficients = columns_of(tree, rng)
-    columns = columns.subset([k for k, t in enumerate(columns.terms) if t.kind != "load"])
-    coefficients = coefficients[: len(columns)]
+    kept = [k for k, t in enumerate(columns.terms) if t.kind != "load"]
+    columns, coefficients = columns.subset(kept), coefficients[kept]
     given, step = motion(tree, rng), 1e-6
     found = columns.jacobian(Points(*given), coefficients)
     for nu in range(3):
@@ -660,10 +661,11 @@ def test_power_is_the_rate_of_energy(tree, rng):
     assert power == pytest.approx((energy(0.3 + step) - energy(0.3 - step)) / (2.0 * step), rel=1e-6)
 
 
-def test_masses_and_accelerations_agree(rng):
-    columns, coefficients = columns_of(BRANCHED, rng)
+@pytest.mark.parametrize("tree", [BRANCHED, COUPLED], ids=["branched", "coupled"])
+def test_masses_and_accelerations_agree(tree, rng):
+    columns, coefficients = columns_of(tree, rng)
     columns.reference = bodies(5, rng)
-    points = Points(*motion(BRANCHED, rng))
+    points = Points(*motion(tree, rng))
     mass = columns.mass_matrix(points, coefficients)
     moving, each = columns.masses(points)
     np.testing.assert_allclose(np.tensordot(each, coefficients[moving], (1, 0)), mass, atol=1e-12)
@@ -673,6 +675,44 @@ def test_masses_and_accelerations_agree(rng):
             np.testing.assert_allclose(slopes.get((2, i, j), 0.0 * mass[:, 0, 0]), mass[:, i, j], atol=1e-12)
     assert np.linalg.eigvalsh(mass).min() > 0.0
     np.testing.assert_array_equal(columns.strong(points, [3, 70]), columns.strong(points)[[3, 70]])
+
+
+def test_expressions_of_a_tree_are_the_columns_of_a_library(rng):
+    """Three bodies of mass zero: what is left is the law of the expressions."""
+    points, extra = Points(*motion(COUPLED, rng)), COUPLED.extra
+    terms = parameter_terms(COUPLED, (), JointScales(*np.zeros((3, 5))))
+    plain = EulerLagrange(extra, COUPLED.coordinates)
+    np.testing.assert_array_equal(ArmColumns(COUPLED, terms).strong(points)[50:], plain.strong(points))
+    without = ArmColumns(COUPLED, terms, prescribed=(1,)).strong(points)[50:]
+    assert not without[:, 1].any()
+    np.testing.assert_array_equal(without[:, [0, 2, 3, 4]], plain.strong(points)[:, [0, 2, 3, 4]])
+
+
+def test_a_renamed_tree_keeps_its_expressions():
+    other = COUPLED.renamed(["a", "b", "c", "d", "q1"])
+    assert [str(term) for term in other.extra] == [
+        *("a_dot*b_dot*cos(a)/9", "cos(2*b)", "sqrt(2 - cos(d - q1))"),
+        *("(a_dot + d_dot)**2/2", "sqrt((a_dot - q1_dot)**2 + 1/10)"),
+    ]
+    assert [term.kind for term in other.extra] == [term.kind for term in COUPLED.extra]
+
+
+@pytest.mark.parametrize(
+    ("terms", "dissipation", "words"),
+    [
+        (["q9_dot**2"], [], "unknown name"),
+        (["t*q1"], [], "contains 't'"),
+        (["exp({a}*q1)"], [], "shape parameter a"),
+        (["log(q1)"], [], "not defined"),
+        ([], ["cos(q1)"], "dissipation only velocities"),
+        ([], ["q1_dot**2/2"], "friction of single joints"),
+        ([], ["abs(q1_dot)+q2_dot**4"], "friction of single joints"),
+        ([], ["(q1_dot+q2_dot)**2", "(q1_dot-q2_dot)**2"], "(q1_dot-q2_dot)**2 acts like"),
+    ],
+)
+def test_expressions_that_a_tree_cannot_have_are_refused(terms, dissipation, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        SPATIAL.with_terms(terms, dissipation)
 
 
 def test_both_conventions_of_denavit_and_hartenberg_describe_one_arm(rng):

@@ -25,7 +25,8 @@ import numpy as np
 from leastaction.errors import InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import ArmColumns, ArmTerm
+from leastaction.mechanics.arm_columns import ArmColumns
+from leastaction.mechanics.arm_terms import EXTRA, ArmTerm
 
 __all__ = [
     "BALL",
@@ -52,12 +53,13 @@ _STATES = 40  # random states at which dependences are determined
 _DEPENDENT = 1e-4  # largest independent part of a dependent column, relative to its length
 _CLEAN = 1e-5  # smaller parts of a dependent column count as zero, relative to its length
 _ROUNDING = 1e-9  # of a coefficient that is whole
-_FREE = ("inertia", "rotor", "spring", "offset")  # kinds among which dependences exist
+_FREE = ("inertia", "rotor", "spring", "offset", *EXTRA)  # kinds among which dependences exist
 _MASS, _SIZE = 2.0, 0.1  # kg and m, assumed for a link without inertia in the tree
 BALL = f"{_MASS:g} kg and {_SIZE:g} m"
 """The ball that stands for a link without inertia in the tree, in words."""
 _ROTOR = 1e-3  # kg m², assumed for a rotor
 _NEWTON = 200  # limit on steps
+_LEAST = 1e-12  # relative curvature, where terms act alike and have no prior
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +104,8 @@ class BaseParameters:
 
     def _place(self, k: int, tree: KinematicTree) -> str:
         term = self.terms[k]
+        if term.kind in EXTRA:
+            return tree.extra[term.place].text
         return tree.links[term.place] if term.kind == "inertia" else f"joint {tree.coordinates[term.place]}"
 
     def in_joints(self, values: np.ndarray, inertias: np.ndarray) -> list[tuple[ArmTerm, float]]:
@@ -256,6 +260,8 @@ def tree_prior(
     for k, term in enumerate(base.terms):
         if term.kind == "inertia":
             prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
+        elif term.kind in EXTRA and k not in base.members:
+            spread[k] = max(float(np.max(spreads)), 1e-3)
         elif term.kind in ("rotor", "spring", "offset") and k not in base.members:
             spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
     return prior, spread
@@ -345,7 +351,8 @@ def fit_bodies(
         unused = np.diag(curvature) == 0.0  # friction that was left out
         curvature[unused, unused] = 1.0
         scale = 1.0 / np.sqrt(np.diag(curvature))
-        step = -scale * np.linalg.solve(curvature * np.outer(scale, scale), scale * gradient)
+        scaled = curvature * np.outer(scale, scale) + _LEAST * np.eye(len(x))
+        step = -scale * np.linalg.solve(scaled, scale * gradient)
         promised, share = -float(gradient @ step), 1.0
         while (there := value(x + share * step)) > here - 0.1 * share * promised and share > 1e-10:
             share *= 0.5

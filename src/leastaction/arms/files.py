@@ -8,23 +8,29 @@ velocity, because a single state does not contain the position of the last rever
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import sympy as sp
 
 from leastaction.arms.base import find_base
 from leastaction.arms.log import FitFacts
 from leastaction.arms.model import ArmModel
 from leastaction.arms.signals import Recording
+from leastaction.casadi import Acting, ArmParts, arm_functions
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
-from leastaction.errors import InputError, MissingPackageError
+from leastaction.errors import InputError
+from leastaction.exporters.shared import CPrinter, PythonPrinter
 from leastaction.identifiers import quoted
+from leastaction.library import Term
 from leastaction.library.tree import Joint, KinematicTree
-from leastaction.mechanics.arm_columns import ArmTerm
+from leastaction.mechanics.arm_terms import EXTRA, ArmTerm
+from leastaction.mechanics.equations import RealAbs, RealSign
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 
 __all__ = ["casadi_functions", "from_dict", "load", "save", "to_dict", "write_c", "write_python"]
 
@@ -41,6 +47,10 @@ def to_dict(model: ArmModel) -> dict[str, Any]:
             "name": tree.name,
             "gravity": tree.gravity.tolist(),
             "joints": [_plain(joint) for joint in tree.joints],
+            "extra": {
+                name: [term.text for term in tree.extra if term.kind == kind]
+                for name, kind in (("terms", "lagrangian"), ("dissipation", "dissipation"))
+            },
         },
         "terms": [asdict(term) for term in model.base.terms],
         "members": list(model.base.members),
@@ -68,6 +78,7 @@ def from_dict(given: Mapping[str, Any]) -> ArmModel:
         parts = given["tree"]
         joints = tuple(Joint(**{key: _array(value) for key, value in row.items()}) for row in parts["joints"])
         tree = KinematicTree(joints, np.array(parts["gravity"], float), str(parts["name"]))
+        tree = tree.with_terms(**parts.get("extra", {}))  # older files have none
         terms = tuple(ArmTerm(**row) for row in given["terms"])
         facts = cast(Any, {key: _tuple(value) for key, value in given["fit"].items()})
         coefficients, covariance, reference = (
@@ -126,18 +137,16 @@ def _tuple(value: Any) -> Any:
 
 
 #                                                        inverse dynamics as code: Python, C and CasADi
-_Local = tuple[str, int, float, float, float]
-
-
-def _parts(model: ArmModel) -> tuple[np.ndarray, list[_Local]]:
-    """(n_links, 10) inertial parameters; kind, joint, coefficient, smoothing and Stribeck speed of others.
+def _parts(model: ArmModel) -> ArmParts:
+    """What the code consists of.
 
     Raises
     ------
     InputError
         If friction depends on the load of the joint.
     """
-    inertial, local = np.zeros((len(model.tree), 10)), list[_Local]()
+    inertial, local = np.zeros((len(model.tree), 10)), list[Acting]()
+    extra: dict[str, list[tuple[Term, float]]] = {kind: [] for kind in EXTRA}
     for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
         if term.kind == "load":
             raise InputError(
@@ -145,32 +154,53 @@ def _parts(model: ArmModel) -> tuple[np.ndarray, list[_Local]]:
             )
         if term.kind == "inertia":
             inertial[term.place, term.component] = value
+        elif term.kind in EXTRA:
+            extra[term.kind].append((model.tree.extra[term.place], value))
         else:
-            local.append((term.kind, term.place, value, term.width, term.speed))
-    return inertial, local
+            local.append(Acting(term.kind, term.place, value, term.width, term.speed))
+    law, loss = (
+        [e.replace(sp.Abs, RealAbs).replace(sp.sign, RealSign) for e in columns.symbolic(np.array(values))]
+        for columns, values in (
+            (EulerLagrange([t for t, _ in own], model.coordinates), [c for _, c in own])
+            for own in extra.values()
+        )
+    )
+    return ArmParts(model.tree, inertial, local, law, loss)
+
+
+def _written(parts: ArmParts, expressions: Sequence[sp.Expr], printer: Any) -> list[str]:
+    """Code of expressions, with the entries of the arrays q, qdot and qddot as symbols."""
+    swap = {
+        sp.Symbol(name + "_dot" * nu, real=True): sp.Symbol(f"{array}[{k}]", real=True)
+        for k, name in enumerate(parts.tree.coordinates)
+        for nu, array in enumerate(("q", "qdot", "qddot"))
+    }
+    return [printer.doprint(e.xreplace(swap)) for e in expressions]
 
 
 def write_python(model: ArmModel, path: str | Path) -> None:
     """Write a module with functions ``torques``, ``gravity`` and ``friction``, in NumPy alone."""
-    inertial, local = _parts(model)
+    parts = _parts(model)
     columns = [
         (j.parent, j.kind == "revolute", j.rotation.tolist(), j.origin.tolist(), j.axis.tolist())
         for j in model.tree.joints
     ]
+    law, loss = (",\n        ".join(_written(parts, own, PythonPrinter())) for own in (parts.law, parts.loss))
     text = _PYTHON.format(
         joints=", ".join(model.coordinates),
         tree=",\n    ".join(map(repr, columns)),
         gravity=model.tree.gravity.tolist(),
-        inertial=",\n    ".join(map(repr, inertial.tolist())),
-        local=",\n    ".join(map(repr, local)),
+        inertial=",\n    ".join(map(repr, parts.inertial.tolist())),
+        local=",\n    ".join(map(repr, map(tuple, parts.local))),
+        law=law,
+        loss=loss,
     )
     write_bytes(path, text.encode())
 
 
 def write_c(model: ArmModel, path: str | Path) -> None:
     """Write C99 code with ``arm_torques``, ``arm_gravity`` and ``arm_friction``; it needs math.h alone."""
-    inertial, local = _parts(model)
-    joints = model.tree.joints
+    parts, joints = _parts(model), model.tree.joints
     rows = [
         ", ".join(
             [
@@ -184,7 +214,8 @@ def write_c(model: ArmModel, path: str | Path) -> None:
         for j in joints
     ]
     kinds = ("rotor", "spring", "offset", "viscous", "dry", "stribeck", "quadratic", "asymmetric")
-    acting = [f"{{{kinds.index(kind)}, {k}, {v!r}, {w!r}, {s!r}}}" for kind, k, v, w, s in local]
+    acting = [f"{{{kinds.index(kind)}, {k}, {v!r}, {w!r}, {s!r}}}" for kind, k, v, w, s in parts.local]
+    law, loss = (enumerate(_written(parts, own, CPrinter())) for own in (parts.law, parts.loss))
     text = files("leastaction.arms").joinpath("inverse_dynamics.c").read_text(encoding="utf-8")
     for name, value in {
         "JOINTS_IN_WORDS": ", ".join(model.coordinates),
@@ -192,95 +223,22 @@ def write_c(model: ArmModel, path: str | Path) -> None:
         "N_ACTING": str(len(acting)),
         "TREE_ROWS": ",\n    ".join(f"{{{row}}}" for row in rows),
         "GRAVITY_VECTOR": _braces(model.tree.gravity),
-        "LINK_ROWS": ",\n    ".join(map(_braces, inertial)),
+        "LINK_ROWS": ",\n    ".join(map(_braces, parts.inertial)),
+        "LAW": "\n    ".join(f"tau[{k}] += {code};" for k, code in law),
+        "LOSS": "\n    ".join(f"tau[{k}] += {code};" for k, code in loss),
         "ACTING_ROWS": ",\n    ".join(acting or ["{2, 0, 0.0, 0.0, 0.0}"]),
     }.items():
         text = text.replace(f"@{name}@", value)
     write_bytes(path, text.encode())
 
 
-def _braces(values: np.ndarray) -> str:
-    return "{" + ", ".join(map(repr, np.ravel(values).tolist())) + "}"
-
-
 def casadi_functions(model: ArmModel) -> dict[str, Any]:
     """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as ``casadi.Function``."""
-    try:
-        import casadi
-    except ImportError:
-        raise MissingPackageError("to_casadi()", "casadi", "casadi", "use to_python()") from None
-    ca: Any = casadi
-    inertial, local = _parts(model)
-    n = len(model.tree)
-    q, v, a = (ca.SX.sym(name, n) for name in ("q", "qdot", "qddot"))
-    rest = ca.SX.zeros(n)
-    joints = [_acting(ca, local, q, v, a, friction_only=only) for only in (False, True)]
-    return {
-        "torques": ca.Function("torques", [q, v, a], [_rigid(ca, model, inertial, q, v, a) + joints[0]]),
-        "gravity": ca.Function("gravity", [q], [_rigid(ca, model, inertial, q, rest, rest)]),
-        "friction": ca.Function("friction", [v], [joints[1]]),
-    }
+    return arm_functions(_parts(model))
 
 
-def _acting(ca: Any, local: list[_Local], q: Any, v: Any, a: Any, *, friction_only: bool) -> Any:
-    out = ca.SX.zeros(q.shape[0])
-    for kind, k, value, width, speed in local:
-        if friction_only and kind in ("rotor", "spring", "offset"):
-            continue
-        size = ca.sqrt(v[k] ** 2 + width * width)
-        sign = v[k] / size if width else 0.0
-        out[k] += (
-            value
-            * {
-                "rotor": a[k],
-                "spring": q[k],
-                "offset": 1.0,
-                "viscous": v[k],
-                "dry": sign,
-                "stribeck": sign * ca.exp(-((v[k] / speed) ** 2)) if speed else 0.0,
-                "quadratic": v[k] * size,
-                "asymmetric": size,
-            }[kind]
-        )
-    return out
-
-
-def _rigid(ca: Any, model: ArmModel, inertial: np.ndarray, q: Any, v: Any, a: Any) -> Any:
-    frames: list[Any] = []
-    for k, joint in enumerate(model.tree.joints):
-        axis = ca.DM(joint.axis)
-        turned, shift = ca.SX(ca.DM(joint.rotation)), ca.SX(ca.DM(joint.origin))
-        if joint.parent < 0:
-            w, dw, acc = ca.SX.zeros(3), ca.SX.zeros(3), ca.SX(ca.DM(-model.tree.gravity))
-        else:
-            w, dw, acc = frames[joint.parent][2:]
-        if joint.kind == "revolute":
-            cross = ca.skew(axis)
-            turned = turned @ (ca.DM.eye(3) + ca.sin(q[k]) * cross + (1.0 - ca.cos(q[k])) * (cross @ cross))
-        else:
-            shift = shift + q[k] * (turned @ axis)
-        acc = turned.T @ (acc + ca.cross(dw, shift) + ca.cross(w, ca.cross(w, shift)))
-        w, dw = turned.T @ w, turned.T @ dw
-        if joint.kind == "revolute":
-            dw = dw + axis * a[k] + ca.cross(w, axis * v[k])
-            w = w + axis * v[k]
-        else:
-            acc = acc + axis * a[k] + 2.0 * ca.cross(w, axis * v[k])
-        frames.append((turned, shift, w, dw, acc))
-    forces: list[list[Any]] = []
-    for (_, _, w, dw, acc), (m, mx, my, mz, xx, xy, xz, yy, yz, zz) in zip(frames, inertial, strict=True):
-        first, inertia = ca.DM([mx, my, mz]), ca.DM([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        force = m * acc + ca.cross(dw, first) + ca.cross(w, ca.cross(w, first))
-        forces.append([force, inertia @ dw + ca.cross(w, inertia @ w) + ca.cross(first, acc)])
-    out = ca.SX.zeros(len(frames))
-    for k in reversed(range(len(frames))):
-        joint, (force, moment) = model.tree.joints[k], forces[k]
-        out[k] = ca.dot(ca.DM(joint.axis), moment if joint.kind == "revolute" else force)
-        if joint.parent >= 0:
-            turned, shift = frames[k][:2]
-            forces[joint.parent][0] += turned @ force
-            forces[joint.parent][1] += turned @ moment + ca.cross(shift, turned @ force)
-    return out
+def _braces(values: np.ndarray) -> str:
+    return "{" + ", ".join(map(repr, np.ravel(values).tolist())) + "}"
 
 
 _PYTHON = '''"""Inverse dynamics of an arm with the joints {joints}, written by leastaction. Needs NumPy.
@@ -288,6 +246,8 @@ _PYTHON = '''"""Inverse dynamics of an arm with the joints {joints}, written by 
 Base parameters stand in place of the inertial parameters of the links: torques are right, links need not be
 bodies that can exist.
 """
+
+import math
 
 import numpy as np
 
@@ -308,18 +268,33 @@ JOINTS = [
 
 def torques(q, qdot, qddot):
     """Return the joint torques of one state, (n_joints,) arrays."""
-    return rigid_body(q, qdot, qddot) + joint_torques(q, qdot, qddot)
+    return rigid_body(q, qdot, qddot) + joint_torques(q, qdot, qddot) + added(q, qdot, qddot) + lost(qdot)
 
 
 def gravity(q):
-    """Return the torques that hold the links still."""
-    return rigid_body(q, np.zeros(len(TREE)), np.zeros(len(TREE)))
+    """Return the torques of weight, springs and added potentials, which hold the arm still."""
+    still = np.zeros(len(TREE))
+    return rigid_body(q, still, still) + joint_torques(q, still, still, ("spring",)) + added(q, still, still)
 
 
 def friction(qdot):
     """Return the friction of every joint, to be compensated."""
-    still = np.zeros(len(TREE))
-    return joint_torques(still, qdot, still, ("viscous", "dry", "stribeck", "quadratic", "asymmetric"))
+    still, kinds = np.zeros(len(TREE)), ("viscous", "dry", "stribeck", "quadratic", "asymmetric")
+    return joint_torques(still, qdot, still, kinds) + lost(qdot)
+
+
+def added(q, qdot, qddot):
+    """Return the torques of terms that were added to L."""
+    return np.array([
+        {law},
+    ])
+
+
+def lost(qdot):
+    """Return the torques of terms that were added to the dissipation function."""
+    return np.array([
+        {loss},
+    ])
 
 
 def rigid_body(q, qdot, qddot):

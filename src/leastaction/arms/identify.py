@@ -4,9 +4,8 @@ The tree determines the form of the equations. Only the friction is selected.
 1. A smoothing spline is fitted to the angles. Least squares along it, weighted by joint, select the friction
    of each joint, the distance over which it reverses, and start values.
 2. Curve, parameters, noise and the equation error of each joint are fitted together
-   (:mod:`leastaction.estimation.weights`).  Friction that is not significant is left out, and the other
-   parameters are fitted again.
-   A joint that rests when a run begins is held by friction of unknown size; this is a column of its own.
+   (:mod:`leastaction.estimation.weights`).  Friction that is not significant is left out, and the others are
+   fitted again. The friction of a joint that rests when a run begins is a column of its own.
 3. Residuals of the torques are rarely white.  Standard errors are corrected for their correlation in time
    (Newey & West 1987, Econometrica 55:703).
 """
@@ -31,7 +30,7 @@ from leastaction.curve.smoothing import Smooth, smooth
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import DataError, InputError
 from leastaction.estimation.crew import Alone, Crew, employ
-from leastaction.estimation.forces import GridForces, forces_on
+from leastaction.estimation.forces import GridForces, forces_along, forces_on
 from leastaction.estimation.gauss_newton import JointFit, fit_joint
 from leastaction.estimation.intervals import points_at
 from leastaction.estimation.joint import Physics
@@ -40,7 +39,9 @@ from leastaction.estimation.stretches import SharedObservations
 from leastaction.estimation.weights import Start, fit_weights, start_weights
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import FRICTION, ArmColumns, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import ArmColumns
+from leastaction.mechanics.arm_terms import FRICTION, parameter_terms
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.threads import single_threaded
 
 __all__ = ["identify"]
@@ -105,8 +106,7 @@ def identify(
     knots_per_second : float, optional
         Knots of the spline; by default determined from the data.
     workers : int or distributed.Client, optional
-        Number of processes, or a Dask client, for the joint fit. The result is the same up to rounding. By
-        default, this process does all.
+        Number of processes (default: 1), or a Dask client. Results agree to rounding.
 
     Returns
     -------
@@ -119,9 +119,8 @@ def identify(
     DataError
         If the log is too short, or the arm stands still.
     """
-    for kind in friction:
-        if kind not in FRICTION:
-            raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
+    for kind in (kind for kind in friction if kind not in FRICTION):
+        raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
     data, notes = prepared(Trajectories.coerce(trajectories), tree, recording.places(tree))
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
@@ -131,14 +130,15 @@ def identify(
         laid, choice, signals, changes = _calibrated(data, tree, recording, kinds, laid)
         begins, remains = starts(laid.grid, laid.smoothed.control_points, data, choice.friction)
         terms = (
-            *inertial_terms(tree),
-            *joint_terms(tree, fixed, choice.scales, signals.unmeasured),
+            *parameter_terms(tree, fixed, choice.scales, signals.unmeasured),
             *choice.friction,
             *signals.terms(tree),
             *begins,
         )
         base = find_base(tree, terms, signals.unmeasured)
-        history = np.concatenate([choice.history, changes, remains])
+        extra = EulerLagrange(tree.extra, tree.coordinates)
+        further = forces_along(extra, laid.grid, laid.smoothed.control_points, [t.t for t in data])
+        history = np.concatenate([choice.history, changes, remains, further])
         members = [terms[k] for k in base.members]
         columns = ArmColumns(tree, members, choice.reference, signals.unmeasured, history)
         base, columns, fit = _fitted(laid, columns, base, choice)

@@ -130,24 +130,42 @@ static double acting(const Acting *term, double q, double v, double a) {
     }
 }
 
+/* Torques of terms that were added to L. */
+static void added(const double *q, const double *qdot, const double *qddot, double *tau) {
+    (void)q, (void)qdot, (void)qddot, (void)tau;
+    @LAW@
+}
+
+/* Torques of terms that were added to the dissipation function. */
+static void lost(const double *qdot, double *tau) {
+    (void)qdot, (void)tau;
+    @LOSS@
+}
+
 /* Torques of a state: inverse dynamics. */
 void arm_torques(const double q[N], const double qdot[N], const double qddot[N], double tau[N]) {
     links(q, qdot, qddot, tau);
+    added(q, qdot, qddot, tau);
+    lost(qdot, tau);
     for (int i = 0; i < @N_ACTING@; i++) {
         int k = JOINTS[i].joint;
         tau[k] += acting(&JOINTS[i], q[k], qdot[k], qddot[k]);
     }
 }
 
-/* Torques that hold the links still. */
+/* Torques of weight, springs and added potentials, which hold the arm still. */
 void arm_gravity(const double q[N], double tau[N]) {
     const double rest[N] = {0.0};
     links(q, rest, rest, tau);
+    added(q, rest, rest, tau);
+    for (int i = 0; i < @N_ACTING@; i++)
+        if (JOINTS[i].kind == SPRING) tau[JOINTS[i].joint] += JOINTS[i].value * q[JOINTS[i].joint];
 }
 
 /* Friction of every joint, to be compensated. */
 void arm_friction(const double qdot[N], double tau[N]) {
     for (int k = 0; k < N; k++) tau[k] = 0.0;
+    lost(qdot, tau);
     for (int i = 0; i < @N_ACTING@; i++)
         if (JOINTS[i].kind >= VISCOUS) tau[JOINTS[i].joint] += acting(&JOINTS[i], 0.0, qdot[JOINTS[i].joint], 0.0);
 }

@@ -36,15 +36,8 @@ from leastaction.library.mjcf import write_mjcf
 from leastaction.library.tree import KinematicTree
 from leastaction.library.urdf import write_urdf
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import (
-    FRICTION,
-    ArmColumns,
-    ArmTerm,
-    JointScales,
-    dry_history,
-    inertial_terms,
-    joint_terms,
-)
+from leastaction.mechanics.arm_columns import ArmColumns, dry_history
+from leastaction.mechanics.arm_terms import FRICTION, STILL, ArmTerm, JointScales, parameter_terms
 from leastaction.threads import single_threaded
 
 __all__ = ["ArmModel"]
@@ -89,6 +82,7 @@ class ArmModel:
         tree: KinematicTree,
         joints: Mapping[str, ArrayLike] | None = None,
         *,
+        extra: ArrayLike = 0.0,
         distance: ArrayLike = 0.0,
         width: ArrayLike = 1e-3,
     ) -> ArmModel:
@@ -101,6 +95,8 @@ class ArmModel:
         joints : mapping of str to array_like, shape (n_dof,)
             Coefficients of each joint, by kind: "rotor", "spring", "offset", "viscous", "dry", "quadratic" or
             "asymmetric".
+        extra : array_like, shape (n_extra,)
+            Coefficients of expressions; see `KinematicTree.with_terms`.
         distance, width : array_like, shape (n_dof,)
             Distance over which dry friction reverses, and speed below which it decreases.
 
@@ -122,8 +118,9 @@ class ArmModel:
                 raise InputError(f"joints hold {quoted(kind)}; expected {', '.join(known)}")
         n = len(tree)
         widths, ways = (np.broadcast_to(np.asarray(x, float), n) for x in (width, distance))
-        terms = (*inertial_terms(tree), *joint_terms(tree, list(joints), JointScales(widths, widths, ways)))
-        each = (np.broadcast_to(np.asarray(x, float), n) for x in joints.values())
+        terms = parameter_terms(tree, list(joints), JointScales(widths, widths, ways))
+        each = [np.broadcast_to(np.asarray(x, float), n) for x in joints.values()]
+        each.append(np.broadcast_to(np.asarray(extra, float), len(tree.extra)))
         base = find_base(tree, terms)
         facts = FitFacts((), (0.0,) * n, (0.0,) * n, 50.0, "given")
         coefficients = base.matrix @ np.concatenate([tree.inertias.ravel(), *each])
@@ -214,16 +211,16 @@ class ArmModel:
         return self._columns.mass_matrix(Points(q, np.zeros_like(q), np.zeros_like(q)), self.coefficients)
 
     def gravity(self, q: ArrayLike) -> np.ndarray:
-        """(n_times, n_dof) torques that hold the arm still, without friction and constant torques."""
+        """(n_times, n_dof) torques of weight, springs and added potentials that hold the arm still."""
         q = np.atleast_2d(np.asarray(q, dtype=float))
         columns = self._columns.strong(Points(q, np.zeros_like(q), np.zeros_like(q)))
-        kept = np.where([term.kind == "inertia" for term in self.terms], self.coefficients, 0.0)
+        kept = np.where([t.kind in STILL for t in self.terms], self.coefficients, 0.0)
         return np.tensordot(kept, columns, 1).T
 
     def friction(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
         """(n_times, n_dof) torques of friction alone, for compensation."""
         q, qdot = (np.atleast_2d(np.asarray(a, dtype=float)) for a in (q, qdot))
-        kept = np.where([term.kind in FRICTION for term in self.terms], self.coefficients, 0.0)
+        kept = np.where([t.kind in (*FRICTION, "loss") for t in self.terms], self.coefficients, 0.0)
         return np.tensordot(kept, self.columns(q, qdot, np.zeros_like(q)), 1).T
 
     def acceleration(self, q: ArrayLike, qdot: ArrayLike, torques: ArrayLike) -> np.ndarray:
@@ -359,7 +356,8 @@ class ArmModel:
     def to_mjcf(self, path: str | Path) -> None:
         """Write the tree as a MuJoCo model, with rotors, viscous and dry friction and springs; see `bodies`.
 
-        Joints of MuJoCo have no other friction and no constant torques: these are left out.
+        Joints of MuJoCo have no other friction and no constant torques: these are left out, and so are
+        expressions that the tree adds.
         """
         values = {kind: np.zeros(len(self.tree)) for kind in ("rotor", "viscous", "dry", "spring")}
         for term, value in self.in_joints():
@@ -369,7 +367,7 @@ class ArmModel:
         write_mjcf(self.tree, path, values)
 
     def in_joints(self) -> list[tuple[ArmTerm, float]]:
-        """Rotors, friction, springs and constant torques, beside the inertias of the tree; see `bodies`.
+        """Rotors, friction, springs, constant torques and expressions, beside the inertias; see `bodies`.
 
         A base parameter of a link may hold a rotor: it is what the inertias of the tree leave of it.
         """
@@ -395,6 +393,6 @@ class ArmModel:
 
     def to_casadi(self) -> dict[str, Any]:
         """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` as CasADi functions, by name."""
-        from leastaction.arms.files import casadi_functions
+        from leastaction.arms import files
 
-        return casadi_functions(self)
+        return files.casadi_functions(self)

@@ -29,7 +29,7 @@ from leastaction.errors import InputError
 from leastaction.identifiers import quoted
 from leastaction.library.robot_xml import about_centre, moved
 from leastaction.library.tree import INERTIAL, Joint, KinematicTree, rpy_matrix
-from leastaction.mechanics.arm_columns import inertial_terms
+from leastaction.mechanics.arm_terms import inertial_terms
 
 __all__ = ["Payload", "payload"]
 

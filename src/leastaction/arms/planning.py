@@ -27,7 +27,8 @@ from leastaction.data.trajectories import Trajectory
 from leastaction.errors import InputError
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics import Points
-from leastaction.mechanics.arm_columns import ArmColumns, JointScales, inertial_terms, joint_terms
+from leastaction.mechanics.arm_columns import ArmColumns
+from leastaction.mechanics.arm_terms import JointScales, parameter_terms
 from leastaction.mechanics.rigid_bodies import Motion, inverse_dynamics
 
 __all__ = ["Bounds", "Excitation", "Limits", "Plan", "Series", "positive"]
@@ -248,7 +249,7 @@ class Plan:
         """The plan for torques with given noise and number of samples."""
         speed = bounds.speed
         scales = JointScales(_SLOW * speed, speed, np.zeros(len(tree)))
-        terms = (*inertial_terms(tree), *joint_terms(tree, _ACTING, scales))
+        terms = parameter_terms(tree, _ACTING, scales)
         base = find_base(tree, terms)
         members = [terms[k] for k in base.members]
         _, spreads = inertial_prior(tree, 1.0)

@@ -28,14 +28,8 @@ from leastaction.estimation.forces import forces_on
 from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.intervals import by_point, column_products, points_at
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import (
-    ArmColumns,
-    ArmTerm,
-    JointScales,
-    dry_history,
-    inertial_terms,
-    joint_terms,
-)
+from leastaction.mechanics.arm_columns import ArmColumns, dry_history
+from leastaction.mechanics.arm_terms import ArmTerm, JointScales, joint_terms, parameter_terms
 
 __all__ = ["Acting", "Choice", "Regression", "Solution", "reweighted"]
 
@@ -180,7 +174,7 @@ class Regression:
         spread = states[0].std(axis=0)
         rms = np.maximum(np.sqrt(np.mean(states[1] ** 2, axis=0)), 1e-9)
         scales = JointScales(_WIDTH * rms, _STRIBECK * rms, np.zeros(len(tree)))
-        inertial = (*inertial_terms(tree), *joint_terms(tree, kinds[0], scales, unmeasured))
+        inertial = parameter_terms(tree, kinds[0], scales, unmeasured)
         base = find_base(tree, inertial, unmeasured)
         parts = [
             [inertial[k] for k in base.members],

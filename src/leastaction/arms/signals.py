@@ -33,7 +33,8 @@ from leastaction.estimation.gauss_newton import symmetric_inverse
 from leastaction.estimation.intervals import points_at
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
-from leastaction.mechanics.arm_columns import ArmTerm, remembered
+from leastaction.mechanics.arm_columns import remembered
+from leastaction.mechanics.arm_terms import ArmTerm
 
 __all__ = ["Recording", "Signals", "bounded_starts", "idle_notes", "predicted", "starts"]
 

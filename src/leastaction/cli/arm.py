@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,7 @@ from leastaction.cli.options import DataOptions, data_options
 from leastaction.cli.output import check_folder, write_together
 from leastaction.cli.show import live_progress, say
 from leastaction.cli.text import complete_file, complete_folder, one_line, shown
-from leastaction.cli.values import assignments, blame, name_list
+from leastaction.cli.values import assignments, blame, expression_list, name_list
 from leastaction.errors import InputError
 from leastaction.identifiers import TIME, quoted
 
@@ -73,6 +73,20 @@ Example:
     help="Roll, pitch and yaw of the base in the world, in rad: how the arm is mounted (default: 0 0 0).",
 )
 @click.option(
+    "--term",
+    "terms",
+    multiple=True,
+    metavar="EXPR",
+    help="Candidate of L beside the links, in the names of the joints: a coupling of two motors "
+    "(q5_dot*q6_dot), a spring that compensates gravity (cos(2*q2)). Repeatable.",
+)
+@click.option(
+    "--dissipation",
+    metavar="EXPR,...",
+    help="Candidates of the dissipation function beside the friction of single joints, such as that of "
+    "coupled motors: '(q5_dot+q6_dot)**2/2, abs(q5_dot+q6_dot)'.",
+)
+@click.option(
     "--gains",
     metavar="A=X,B=Y",
     help="The columns of torques are motor currents. Torque per ampere of the joints for which it is known, "
@@ -106,6 +120,8 @@ Example:
 def arm(
     ctx: click.Context,
     data: Callable[..., DataOptions],
+    terms: tuple[str, ...],
+    dissipation: str | None,
     gains: str | None,
     unmeasured: str | None,
     hold_out: str | None,
@@ -129,7 +145,7 @@ def arm(
 
     robots = (*(("arm.urdf",) if urdf else ()), *(("arm.xml",) if mjcf else ()))
     folder = check_folder(output, ("arm.json", "report.html", "inverse_dynamics.py", *robots))
-    tree = _tree(urdf, mjcf, **geometry)
+    tree = _with_terms(_tree(urdf, mjcf, **geometry), terms, dissipation)
     log = _recognised(data(default=tree.coordinates), tree, currents=gains is not None).read()
     fitted, rest = _split(log, hold_out)
     with blame("--unmeasured"):
@@ -209,7 +225,8 @@ def _tree(
 
     if [urdf, mjcf, dh].count(None) != 2:
         raise InputError("give the arm's geometry with one of --urdf, --mjcf and --dh")
-    chosen = None if joints is None else [name.strip() for name in joints.split(",")]
+    with blame("--joints"):
+        chosen = None if joints is None else name_list(joints)
     if mjcf is not None:
         return arms.read_mjcf(mjcf, joints=chosen, gravity=gravity, base_rpy=base_rpy)
     down = gravity or (0.0, 0.0, -9.81)
@@ -222,6 +239,14 @@ def _tree(
     assert dh is not None
     craig = convention == "modified"
     return arms.KinematicTree.from_dh(_table(dh), modified=craig, gravity=down, base_rpy=base_rpy)
+
+
+def _with_terms(tree: KinematicTree, terms: Sequence[str], dissipation: str | None) -> KinematicTree:
+    """The tree with further candidates."""
+    with blame("--term"):
+        tree = tree.with_terms(terms)
+    with blame("--dissipation"):
+        return tree if dissipation is None else tree.with_terms(dissipation=expression_list(dissipation))
 
 
 def _table(path: str) -> list[dict[str, Any]]:

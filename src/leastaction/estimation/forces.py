@@ -35,6 +35,7 @@ __all__ = [
     "curve_between",
     "fast_forces_act",
     "force_rates",
+    "forces_along",
     "forces_on",
 ]
 
@@ -303,3 +304,17 @@ class WithPushes(EulerLagrange):
     def subset(self, select: Sequence[int]) -> EulerLagrange:
         """Some of the terms, and all pushes, which are always free."""
         return WithPushes(self.own.subset([k for k in select if k < len(self.terms)]), self.pushes)
+
+
+def forces_along(
+    columns: EulerLagrange, grid: SplineGrid, control_points: np.ndarray, times: Sequence[np.ndarray]
+) -> np.ndarray:
+    """(n_columns, n_intervals, n_quadrature, n_dof) columns along a motion, taken at the samples.
+
+    They are interpolated and limited as recorded forces are, which matters where a column jumps.
+    """
+    states = zip(*(grid.evaluate(control_points, times, nu) for nu in range(3)), strict=True)
+    each = [columns.strong(Points(*state)) for state in states]
+    rows = (forces_on(grid, times, [strong[k].T for strong in each]) for k in range(len(columns)))
+    shape = len(columns), *grid.points.shape, columns.n_dof
+    return np.array([row.values for row in rows if row is not None]).reshape(shape)

@@ -68,6 +68,12 @@ class Term:
         expr = self.expr if self.template is None else self.template.term.expr
         return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
 
+    def renamed(self, names: Mapping[str, str]) -> Term:
+        """The term with other names for coordinates and velocities."""
+        swap = {sympy.Symbol(old, real=True): sympy.Symbol(new, real=True) for old, new in names.items()}
+        expr = self.expr.xreplace(swap)
+        return Term(format_expression(expr), expr, self.kind)
+
     def numbered(self, values: Mapping[str, float]) -> Template:
         """The term with the values of its shape parameters, to twelve digits; see `at`."""
         whole, had = (self, ()) if self.template is None else (self.template.term, self.template.values)

@@ -15,10 +15,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import sympy as sp
 from numpy.typing import ArrayLike
 
 from leastaction.errors import InputError
-from leastaction.identifiers import check_coordinate_names, quoted
+from leastaction.identifiers import TIME, check_coordinate_names, names_in_terms, quoted
+from leastaction.library.collect import collect
+from leastaction.library.term import Term
 
 __all__ = ["GRAVITY", "INERTIAL", "Joint", "KinematicTree", "axis_rotation", "rpy_matrix"]
 
@@ -26,6 +29,8 @@ GRAVITY = (0.0, 0.0, -9.81)
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Mass, mass times centre of mass, and inertia about the origin of the link's frame."""
 
+_STATES = 20  # velocities at which terms are compared
+_ALIKE = 1e-9  # relative difference of terms that act alike
 _DH_KEYS = frozenset({"a", "d", "alpha", "theta", "kind", "name", "link"})
 _JOINT_KEYS = frozenset({"origin", "rpy", "axis", "kind", "parent", "name", "link"})
 
@@ -79,11 +84,14 @@ class KinematicTree:
     gravity : (3,) array
         In the frame of the base, in m/s².
     name : str
+    extra : tuple of Term
+        Candidates beside those of links and joints; see `with_terms`.
     """
 
     joints: tuple[Joint, ...]
     gravity: np.ndarray = field(default_factory=lambda: np.array(GRAVITY))
     name: str = "arm"
+    extra: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
         gravity = _vector(self.gravity, "gravity")
@@ -250,10 +258,60 @@ class KinematicTree:
         joints = [replace(j, inertia=None if np.isnan(row).any() else row.copy()) for j, row in given]
         return replace(self, joints=tuple(joints))
 
+    def with_terms(self, terms: Iterable[str] = (), dissipation: Iterable[str] = ()) -> KinematicTree:
+        """The tree with further candidates, for what acts beside rigid links and single joints.
+
+        Examples are a transmission that couples two motors, a spring that compensates gravity, and a cable.
+        The coefficient of each is estimated.
+
+        Parameters
+        ----------
+        terms : iterable of str
+            Expressions of joint coordinates q and velocities q_dot that are added to L: kinetic energies, and
+            potential energies with a negative coefficient.
+        dissipation : iterable of str
+            Expressions of the velocities that are added to the dissipation function.
+
+        Raises
+        ------
+        InputError
+            If a term is not an expression of coordinates and velocities, is not defined everywhere, or is a
+            dissipation that acts like the friction of single joints, which `identify` selects itself.
+
+        Examples
+        --------
+        >>> tree = KinematicTree.from_dh([{}, {"a": 0.3}], modified=True)
+        >>> coupled = tree.with_terms(["q1_dot*q2_dot"], dissipation=["(q1_dot+q2_dot)**2/2"])
+        >>> [term.text for term in coupled.extra]
+        ['q1_dot*q2_dot', '(q1_dot+q2_dot)**2/2']
+        """
+        names = names_in_terms(self.coordinates)
+        known = [term for term in self.extra if term.kind == "lagrangian"]
+        lost = [term for term in self.extra if term.kind == "dissipation"]
+        energies = collect([*known, *terms], names, None, "lagrangian")[0]
+        losses = collect([*lost, *dissipation], names, None, "dissipation")[0]
+        for term in (*energies, *losses):
+            if term.shapes:
+                raise InputError(f"{term.text} has the shape parameter {term.shapes[0]}; give it as a number")
+            lacking = (TIME,) if term.kind == "lagrangian" else (TIME, *self.coordinates)
+            others = [name for name in lacking if name in map(str, term.expr.free_symbols)]
+            if others:
+                raise InputError(
+                    f"{term.text} contains {quoted(others[0])}; terms of L may contain coordinates and "
+                    "velocities of the joints, dissipation only velocities"
+                )
+        _check_terms((*energies, *losses), self.coordinates)
+        return replace(self, extra=(*energies, *losses))
+
     def renamed(self, names: Sequence[str]) -> KinematicTree:
         """The tree with other names for its joints."""
-        pairs = zip(self.joints, names, strict=True)
-        return replace(self, joints=tuple(replace(joint, name=name) for joint, name in pairs))
+        pairs = list(zip(self.joints, names, strict=True))
+        every = [(joint.name + end, name + end) for joint, name in pairs for end in ("", "_dot")]
+        return replace(
+            self,
+            joints=tuple(replace(joint, name=name) for joint, name in pairs),
+            extra=tuple(term.renamed(dict(every)) for term in self.extra),
+        )
 
 
 def rpy_matrix(rpy: ArrayLike) -> np.ndarray:
@@ -273,6 +331,33 @@ def axis_rotation(axis: np.ndarray, angle: float) -> np.ndarray:
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+
+
+def _check_terms(terms: Sequence[Term], coordinates: Sequence[str]) -> None:
+    """Raise InputError unless each term is defined everywhere, and each dissipation acts like no other.
+
+    What a dissipation ψ does beside the friction of single joints is ψ(v) − Σ_i ψ(v_i e_i) + (n − 1) ψ(0).
+    """
+    n, rng = len(coordinates), np.random.default_rng(0)
+    states = rng.uniform(-3.0, 3.0, (_STATES + 2 * len(terms), 2 * n))
+    still = states * np.repeat([1.0, 0.0], n)
+    alone = [still + states * np.eye(2 * n)[n + i] for i in range(n)]
+    symbols = [sp.Symbol(name + end, real=True) for end in ("", "_dot") for name in coordinates]
+    rows = np.zeros((0, len(states)))
+    for term in terms:
+        function: Any = sp.lambdify(symbols, term.expr, modules="numpy", dummify=True)
+        with np.errstate(all="ignore"):
+            values = [function(*x.T) * np.ones(len(x)) for x in (states, *alone, still)]
+        if not np.isfinite(values).all():
+            raise InputError(f"{term.text} is not defined at all coordinates and velocities")
+        if term.kind == "dissipation":
+            row = values[0] - np.sum(values[1:-1], axis=0) + (n - 1) * values[-1]
+            rows = np.vstack([rows, row / max(np.linalg.norm(values[0]), 1e-300)])
+            if np.linalg.matrix_rank(rows, tol=_ALIKE) < len(rows):
+                raise InputError(
+                    f"the dissipation {term.text} acts like the friction of single joints, which is selected "
+                    "without it, or like other terms beside that; leave it out"
+                )
 
 
 def _joint(

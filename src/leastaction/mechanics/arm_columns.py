@@ -7,6 +7,8 @@ The equations of motion of an arm are linear in
 * friction: viscous q̇, dry s(q̇), Stribeck s(q̇) exp(−(q̇/v_s)²), load-dependent |τ| s(q̇), quadratic q̇|q̇|,
 * friction that differs between the directions of motion: |q̇|,
 * springs q, and constant torques,
+* the coefficients of expressions that the tree adds to L or to the dissipation function
+  (:mod:`leastaction.mechanics.euler_lagrange`),
 
 with s(v) = v/√(v² + ε²), a smoothed sign.  After a reversal, gears and seals yield before they slide. Dry
 friction then reverses over a distance δ, z′ = (1 − z sgn q̇)/δ along the path (Dahl 1968, Aerospace
@@ -15,16 +17,18 @@ Corporation TOR-158), and depends on the motion, not on the state alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import sympy as sp
 
 from leastaction.library.tree import INERTIAL, KinematicTree
 from leastaction.mechanics import Points
+from leastaction.mechanics.arm_terms import EXTRA, HISTORIES, ArmTerm
+from leastaction.mechanics.euler_lagrange import EulerLagrange
 from leastaction.mechanics.rigid_bodies import (
     Motion,
     inverse_dynamics,
@@ -34,122 +38,10 @@ from leastaction.mechanics.rigid_bodies import (
     slopes,
 )
 
-__all__ = [
-    "FRICTION",
-    "HISTORIES",
-    "ArmColumns",
-    "ArmTerm",
-    "JointScales",
-    "dry_history",
-    "inertial_terms",
-    "joint_terms",
-    "presliding",
-    "remembered",
-    "smooth_sign",
-]
+__all__ = ["ArmColumns", "dry_history", "presliding", "remembered", "smooth_sign"]
 
 _N = len(INERTIAL)
-
-
-class JointScales(NamedTuple):
-    """(n_dof,) each: ε and v_s in the joint's unit per second, δ in its unit."""
-
-    width: np.ndarray
-    stribeck: np.ndarray
-    distance: np.ndarray
-
-
-FRICTION = ("viscous", "dry", "stribeck", "load", "quadratic", "asymmetric")
-"""Kinds of friction."""
-HISTORIES = ("dry", "turn", "delay", "gain", "start")
-"""Kinds that depend on the motion, not on the state; after the last comes the number of the run."""
-_KINDS = {
-    "rotor": "inertia of the rotor of joint {}, through the gear",
-    "viscous": "viscous friction of joint {}",
-    "dry": "dry friction of joint {}",
-    "stribeck": "excess of dry friction of joint {} at low speed",
-    "load": "friction of joint {} in proportion to its load",
-    "quadratic": "friction of joint {} that grows with the square of its speed",
-    "asymmetric": "viscous friction of joint {} that differs between the directions",
-    "spring": "spring of joint {}",
-    "offset": "constant torque in joint {}",
-    "delay": "error of the delay of the torque of joint {}",
-    "gain": "relative error of the gain of the torque of joint {}",
-    "start": "friction of joint {} when a run begins",
-    "turn": "relative error of the distance, or speed, over which dry friction of joint {} reverses",
-}
-
-
-@dataclass(frozen=True)
-class ArmTerm:
-    """One candidate of an arm.
-
-    Attributes
-    ----------
-    text : str
-        Its name, such as ``"mx[link3]"`` or ``"dry[q2]"``.
-    kind : str
-        "inertia", or one of the kinds of `joint_terms`.
-    place : int
-        Number of the link or joint.
-    component : int
-        Of the inertial parameters; or number of the run of a "start".
-    width : float
-        ε, in the joint's unit per second.
-    speed : float
-        v_s of a Stribeck term.
-    distance : float
-        δ of dry friction, in the joint's unit; 0 if it follows the sign of the velocity at once. A "turn" is
-        the derivative of unit friction in log δ, or in log ε if δ is zero.
-    """
-
-    text: str
-    kind: str
-    place: int
-    component: int = 0
-    width: float = 0.0
-    speed: float = 0.0
-    distance: float = 0.0
-
-    def said(self, tree: KinematicTree) -> str:
-        """The term in words."""
-        if self.kind != "inertia":
-            return _KINDS[self.kind].format(tree.coordinates[self.place])
-        name, link = INERTIAL[self.component], tree.links[self.place]
-        if name == "m":
-            return f"mass of {link}"
-        if name.startswith("m"):
-            return f"mass of {link} times {name[1]} of its centre"
-        word = "moment" if name[1] == name[2] else "product"
-        return f"{word} of inertia {name[1:]} of {link}"
-
-
-def inertial_terms(tree: KinematicTree) -> tuple[ArmTerm, ...]:
-    """Ten for each link."""
-    return tuple(
-        ArmTerm(f"{name}[{link}]", "inertia", i, k)
-        for i, link in enumerate(tree.links)
-        for k, name in enumerate(INERTIAL)
-    )
-
-
-def joint_terms(
-    tree: KinematicTree, kinds: Iterable[str], scales: JointScales, without: Sequence[int] = ()
-) -> tuple[ArmTerm, ...]:
-    """One of each kind for each joint, except those in ``without``."""
-    return tuple(
-        ArmTerm(
-            f"{kind}[{name}]",
-            kind,
-            i,
-            width=float(scales.width[i]),
-            speed=float(scales.stribeck[i]) if kind == "stribeck" else 0.0,
-            distance=float(scales.distance[i]) if kind in ("dry", "turn") else 0.0,
-        )
-        for kind in kinds
-        for i, name in enumerate(tree.coordinates)
-        if i not in without
-    )
+_FIRST = len(HISTORIES) + 1  # history of an expression
 
 
 def presliding(q: np.ndarray, distance: float) -> np.ndarray:
@@ -254,7 +146,8 @@ class ArmColumns:
         Columns that depend on the motion, at the quadrature points, of the first n `HISTORIES`: dry friction
         and its derivative in log δ, see `presliding`, the changes of the torque with delays and gains, what
         is left of the friction at the start of a run, see `remembered`, and the number of the run. Without
-        it, dry friction follows the sign of the velocity at once.
+        it, dry friction follows the sign of the velocity at once. Then the torques of each expression of the
+        tree, which replace those that jump.
     """
 
     def __init__(
@@ -290,7 +183,14 @@ class ArmColumns:
         return out.reshape(self.n_dof, _N)
 
     def _others(self) -> list[tuple[int, ArmTerm]]:
-        return [(k, term) for k, term in enumerate(self.terms) if term.kind != "inertia"]
+        return [(k, term) for k, term in enumerate(self.terms) if term.kind not in ("inertia", *EXTRA)]
+
+    @cached_property
+    def _extra(self) -> tuple[list[int], EulerLagrange]:
+        """Which columns are expressions, and these."""
+        found = [k for k, term in enumerate(self.terms) if term.kind in EXTRA]
+        expressions = [self.tree.extra[self.terms[k].place] for k in found]
+        return found, EulerLagrange(expressions, self.coordinates)
 
     def _locals(self, points: Points) -> list[tuple[int, ArmTerm, _Local]]:
         n, columns = self.n_dof, points.columns
@@ -312,6 +212,17 @@ class ArmColumns:
             found.append((k, term, local))
         return found
 
+    def _jumps(self, points: Points) -> Iterator[tuple[int, np.ndarray]]:
+        """The columns of expressions with a kink, such as |v|, in the history."""
+        history = self.history
+        if history is None:
+            return
+        for k in self._extra[0]:
+            row, expression = _FIRST + self.terms[k].place, self.tree.extra[self.terms[k].place].expr
+            if row < len(history) and expression.has(sp.Abs):
+                assert points.intervals is not None
+                yield k, history[row, points.intervals].T.reshape(self.n_dof, -1)
+
     def _load(self, points: Points) -> np.ndarray:
         """(n_dof, n_points) absolute torques of the reference; derivatives neglect their slope."""
         assert self.reference is not None
@@ -332,6 +243,11 @@ class ArmColumns:
             out[columns] = every[flat]
         for k, term, local in self._locals(points):
             out[k, term.place] = local.value
+        extra, expressions = self._extra
+        if extra:
+            out[extra] = expressions.strong(points)
+        for k, way in self._jumps(points):
+            out[k] = way
         out[:, self.prescribed] = 0.0
         return out
 
@@ -342,6 +258,9 @@ class ArmColumns:
             for nu, slope in enumerate(local.slope):
                 key = nu, term.place, term.place
                 out[key] = out[key] + coefficients[k] * slope
+        extra, expressions = self._extra
+        for key, value in expressions.jacobian(points, coefficients[extra]).items():
+            out[key] = out.get(key, 0.0) + value
         return {key: value for key, value in out.items() if key[1] not in self.prescribed}
 
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:
@@ -350,6 +269,9 @@ class ArmColumns:
         for k, term in self._others():
             if term.kind == "rotor":
                 out[:, term.place, term.place] += coefficients[k]
+        extra, expressions = self._extra
+        if extra:
+            out += expressions.mass_matrix(points, coefficients[extra])
         out[:, self.prescribed] = out[:, :, self.prescribed] = 0.0
         out[:, self.prescribed, self.prescribed] = 1.0
         return out
@@ -362,9 +284,11 @@ class ArmColumns:
         more = np.zeros((len(each), len(rotors), self.n_dof, self.n_dof))
         for row, (_, place) in enumerate(rotors):
             more[:, row, place, place] = 1.0
-        out = np.concatenate([each, more], axis=1)
+        extra, expressions = self._extra
+        moving, further = expressions.masses(points)
+        out = np.concatenate([each, more, further], axis=1)
         out[:, :, self.prescribed] = out[:, :, :, self.prescribed] = 0.0
-        return [*columns, *(k for k, _ in rotors)], out
+        return [*columns, *(k for k, _ in rotors), *(extra[k] for k in moving)], out
 
     def subset(self, select: Sequence[int]) -> ArmColumns:
         """Some of the columns."""

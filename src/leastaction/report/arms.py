@@ -13,7 +13,7 @@ from leastaction.arms.compare import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.data.trajectories import Trajectories
 from leastaction.library.tree import INERTIAL
-from leastaction.mechanics.arm_columns import FRICTION
+from leastaction.mechanics.arm_terms import FRICTION
 from leastaction.model.mathml import number_parts
 from leastaction.model.notation import interval_text
 from leastaction.model.term import ModelTerm

@@ -12,7 +12,7 @@ from scipy.signal import welch
 from leastaction.arms.base import TREE_SHARE, Posterior, assumed, tree_prior, with_prior
 from leastaction.arms.compare import SHORTEST, TorqueErrors, TorqueRun, torque_errors
 from leastaction.arms.model import ArmModel
-from leastaction.mechanics.arm_columns import FRICTION
+from leastaction.mechanics.arm_terms import FRICTION
 from leastaction.mechanics.rigid_bodies import Motion
 from leastaction.report.axes import HALF, THIRD, Axes, thin_line
 from leastaction.report.decades import Log
