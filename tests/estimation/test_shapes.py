@@ -800,6 +800,21 @@ def test_a_step_is_one_pass(crew, monkeypatch):
     assert sorted(looked) == [intervals.start for intervals in parts.intervals]
 
 
+@pytest.mark.parametrize("crew", ["alone"], indirect=True)
+def test_a_block_is_damped_where_its_step_promises_what_the_cost_does_not_keep(crew, monkeypatch):
+    """Its curve cannot be improved, but its own step should lower the cost. Other weights damp it, too."""
+    whole, parts, physics, control = both(crew)
+    monkeypatch.setattr(streamed, "_FAR", 0.0)
+    monkeypatch.setattr(streamed, "nearer", lambda at, weights: None)
+    monkeypatch.setattr(streamed, "_HELD", 10.0)
+    at = [linearise(seen, physics, control, VALUES, WEIGHTS) for seen in (whole, parts)]
+    for weights in (WEIGHTS, replace(WEIGHTS, physics=2.0 * WEIGHTS.physics)):
+        expected, found = at[0].normal(weights).eliminate(10.0), at[1].normal(weights).eliminate()
+        np.testing.assert_allclose(found.matrix, expected.matrix, rtol=1e-9)
+        steps = [quadratic.curve_step(np.ones(4)) for quadratic in (found, expected)]
+        np.testing.assert_allclose(*steps, rtol=1e-4, atol=1e-6)
+
+
 def peak_of(run) -> int:
     """Most bytes that a call holds at once beyond what there was before."""
     tracemalloc.start()

@@ -39,7 +39,8 @@ __all__ = ["StreamedObservations", "is_long"]
 _LONG = 100_000  # samples; structures are searched on fewer
 _KEPT = 1_000_000  # samples whose basis is kept, some 200 MB; with workers it would have to be sent
 _TOGETHER = 8  # blocks of one task: sending each by itself took 5 % of the time of two workers
-_FAR = 0.1  # a sample: a block is improved if its own step should lower the cost by more
+_FAR = 0.01  # a sample: a block is improved if its own step should lower the cost by more
+_HELD = 1e-4  # damping of a block whose own step promises what the cost does not keep
 _LEAST_TASKS = 32  # so that workers finish at about the same time
 
 
@@ -64,7 +65,8 @@ class _Point(NamedTuple):
 class _Passed(NamedTuple):
     """The results of a pass for a block; without a system if H is not positive definite, or none is needed.
 
-    ``shelf`` holds the solution of the system if it is on disk; ``control_points`` are new ones.
+    ``shelf`` holds the solution of the system if it is on disk; ``control_points`` are new ones. ``damping``
+    is what this block needs beside that of all blocks.
     """
 
     squares: np.ndarray
@@ -74,6 +76,7 @@ class _Passed(NamedTuple):
     system: Condensed | None
     shelf: Shelf | None = None
     control_points: np.ndarray | None = None
+    damping: float = 0.0
 
 
 class StreamedObservations(InBlocks):
@@ -126,7 +129,8 @@ class StreamedObservations(InBlocks):
         """The joint problem linearised, and with weights its system eliminated, in one pass.
 
         The worst block limits the length of a step: one trial of thousands whose curve was far from its
-        optimum held up all others.  With weights, the curve of such a block is improved by itself.
+        optimum held up all others.  With weights, the curve of such a block is improved by itself. If its own
+        step still promises a lower cost, the quadratic does not describe the cost, and the block is damped.
         """
         at = self._points_of(physics, control_points, coefficients)
         found = self.passed([(point, weights, 0.0, True) for point in at])
@@ -146,6 +150,7 @@ class StreamedObservations(InBlocks):
             _total(part.terms for part in found),
             add_volumes(part.volume for part in found),
             physics.columns.prescribed,
+            tuple(part.damping for part in found),
             None if weights is None else (weights, tuple(found)),
         )
 
@@ -171,7 +176,7 @@ class StreamedObservations(InBlocks):
 class StreamedLinearisation(Costs):
     """The problem linearised at one point: its sums, and the inputs of the rest; see `Linearisation`.
 
-    ``ahead`` are the eliminated blocks at weights that were known in advance.
+    ``dampings`` are those of single blocks, and ``ahead`` the eliminated blocks at weights known in advance.
     """
 
     observations: StreamedObservations
@@ -182,6 +187,7 @@ class StreamedLinearisation(Costs):
     terms: np.ndarray
     at_mass: Volume
     prescribed: tuple[int, ...]
+    dampings: tuple[float, ...]
     ahead: tuple[Weights, tuple[_Passed, ...]] | None = None
 
     def lean(self) -> StreamedLinearisation:
@@ -234,9 +240,9 @@ class StreamedSystem:
         """See :meth:`NormalEquations.eliminate`."""
         parts = None if damping else self.ready
         if parts is None:
-            parts = tuple(
-                self.at.observations.passed([(p, self.weights, damping, False) for p in self.at.at])
-            )
+            own = (max(damping, each) for each in self.at.dampings)
+            given = [(p, self.weights, d, False) for p, d in zip(self.at.at, own, strict=True)]
+            parts = tuple(self.at.observations.passed(given))
         whole = [part.system for part in parts if part.system is not None]
         if len(whole) < len(parts):
             raise np.linalg.LinAlgError("the normal matrix of a block is not positive definite")
@@ -289,8 +295,8 @@ class StreamedFactor:
         seen = self.at.observations
         n = seen.n_dof
         given = [
-            (point, self.weights, self.damping, right[part.start * n : part.stop * n])
-            for point, part in zip(self.at.at, seen.points, strict=True)
+            (point, self.weights, max(self.damping, own), right[part.start * n : part.stop * n])
+            for point, own, part in zip(self.at.at, self.at.dampings, seen.points, strict=True)
         ]
         return np.concatenate(seen.each(_solve, given))
 
@@ -321,11 +327,14 @@ def _pass(
 ) -> _Passed:
     at = _linearised(block, point)
     found = _summed(at, weights, damping, shelf)
-    if lead and weights is not None and _is_far(at, found.system):
-        there = nearer(at, weights)
-        if there is not None:
-            return _summed(there, weights, damping, shelf)._replace(control_points=there.control_points)
-    return found
+    if not lead or weights is None or not _is_far(at, found.system):
+        return found
+    there = nearer(at, weights)
+    if there is not None:
+        at, found = there, _summed(there, weights, damping, shelf)
+    if damping < _HELD and _is_far(at, found.system):
+        found = _summed(at, weights, _HELD, shelf)._replace(damping=_HELD)
+    return found if there is None else found._replace(control_points=there.control_points)
 
 
 def _summed(at: Linearisation, weights: Weights | None, damping: float, shelf: Shelf | None) -> _Passed:
