@@ -795,6 +795,9 @@ def test_the_command_takes_couplings(coupled, file, tmp_path):
     assert done.exit_code == 0, done.output
     assert "coefficient of q2_dot*q3_dot in L" in done.output
     assert "coefficient of abs(q2_dot+q3_dot) in the dissipation function" in done.output
+    report = (tmp_path / "found" / "report.html").read_text(encoding="utf-8")
+    assert "psi[(q2_dot+q3_dot)**2/2]" in report
+    assert "added: (q2_dot+q3_dot)**2/2, abs(q2_dot+q3_dot)" in report
     for option, text in (("--term", "q9"), ("--dissipation", "q1_dot**2")):
         failed = CliRunner().invoke(program, [*given, option, text])
         assert failed.exit_code == 2

@@ -139,9 +139,9 @@ def parameter_terms(
     tree: KinematicTree, kinds: Iterable[str], scales: JointScales, without: Sequence[int] = ()
 ) -> tuple[ArmTerm, ...]:
     """Inertial parameters, terms of each kind for each joint, and the expressions that the tree adds."""
+    names = {"lagrangian": ("L", "extra"), "dissipation": ("psi", "loss")}
     extra = (
-        ArmTerm(f"{kind}[{term.text}]", kind, k)
+        ArmTerm(f"{names[term.kind][0]}[{term.text}]", names[term.kind][1], k)
         for k, term in enumerate(tree.extra)
-        for kind in [EXTRA[term.kind == "dissipation"]]
     )
     return (*inertial_terms(tree), *joint_terms(tree, kinds, scales, without), *extra)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib.metadata import version
 from itertools import groupby
 from typing import Any
@@ -13,7 +14,7 @@ from leastaction.arms.compare import TorqueErrors
 from leastaction.arms.model import ArmModel
 from leastaction.data.trajectories import Trajectories
 from leastaction.library.tree import INERTIAL
-from leastaction.mechanics.arm_terms import FRICTION
+from leastaction.mechanics.arm_terms import EXTRA, FRICTION
 from leastaction.model.mathml import number_parts
 from leastaction.model.notation import interval_text
 from leastaction.model.term import ModelTerm
@@ -25,6 +26,7 @@ from leastaction.report.text import listed, percent, plain, plural, typeset
 __all__ = ["render_arm"]
 
 _POSITIVE = ("rotor", "viscous", "dry")
+_FACTOR = re.compile(r"(?<=\d)\*(?=\w+\[)")  # of a parameter in a combination
 _CLEARLY = 3.0  # standard errors below zero of what cannot be negative
 _LARGE = 0.5  # of the torque, at which an error is large
 _WORSE = 2.0  # times the error of the fitted log, above which a larger one of the held-out log is stated
@@ -125,7 +127,9 @@ def _statements(figures: ArmFigures) -> list[tuple[str, str]]:
         out.append(("Prediction", f"{text}the speeds and postures that you need"))
     kinds = {kind: [t.place for t in model.terms if t.kind == kind] for kind in FRICTION}
     n = len(figures.names)
+    added = [model.tree.extra[t.place].text for t in model.terms if t.kind == "loss"]
     found = [f"{kind} in {_which(at, figures.names)}" for kind, at in kinds.items() if at]
+    found += [f"added: {listed(added)}"] if added else []
     out.append(("Friction", "; ".join(found) or f"none in {plural(n, 'joint', 'joints')}"))
     z = np.abs(model.coefficients) < 1.96 * model.standard_errors
     text = f"{len(z)} are determined; the 95 % intervals of {int(z.sum())} include zero"
@@ -281,7 +285,7 @@ def _base_groups(figures: ArmFigures) -> list[dict[str, Any]]:
             before = float(np.sum((base.matrix[k, own] * spread[own]) ** 2))
             share = before / (before + error**2)
         row = {
-            "text": base.text(k).replace("*", "\u202f").replace("-", "−"),
+            "text": _FACTOR.sub("\u202f", base.text(k)).replace("-", "−"),
             "value": number.text,
             "error": number.error_text,
             "whisker": whisker(term, f"base{k}"),
@@ -289,7 +293,7 @@ def _base_groups(figures: ArmFigures) -> list[dict[str, Any]]:
             "share": "" if np.isnan(share) else f"{100 * share:.0f} %",
         }
         group = "links" if kind == "inertia" else "friction" if kind in FRICTION else "joints"
-        rows.append((group, row))
+        rows.append(("added terms" if kind in EXTRA else group, row))
     return [
         {"name": name, "rows": [row for _, row in some]}
         for name, some in groupby(rows, key=lambda pair: pair[0])
