@@ -167,8 +167,8 @@ def discover(
     Notes
     -----
     Not guaranteed: that the truth is in the library, and that the data distinguish two structures. Intervals
-    assume white Gaussian noise and a white equation error. For machines whose equations hold only to some per
-    cent, intervals for misspecified models may replace them (a note says so).
+    assume white Gaussian noise and a white equation error. For machines whose equations hold only to a few
+    per cent, intervals for misspecified models may replace them (a note says so).
 
     Examples
     --------

@@ -51,7 +51,7 @@ def excite(
     rate : float
         Samples per second, of the log and of the result.
     harmonics : int
-        Of the Fourier series of each joint.
+        Number of harmonics in the Fourier series of each joint.
     seed : int
         Of the start. The same seed gives the same motion.
 

@@ -54,10 +54,10 @@ def joint_columns(
 ) -> JointColumns:
     """Find the columns of joints by the names that common loggers give them.
 
-    Known are joint states of ROS (``/joint_states/position[0]``, ``joint1/position``,
+    Recognises joint states of ROS (``/joint_states/position[0]``, ``joint1/position``,
     ``position.panda_joint1``), libfranka (``state.q[0]``, ``state.tau_J[0]``; times in ms), the RTDE of
     Universal Robots (``actual_q_0``, ``actual_current_0``), and plain names (``q1``, ``tau1``). Columns
-    belong to a joint by its name, or else by their numbers, in the sequence of the joints; columns such as
+    belong to a joint by its name, or else by their numbers, in the order of the joints; columns such as
     ``name[0]`` say which number is which joint. Targets and external torques are left out.
 
     Parameters

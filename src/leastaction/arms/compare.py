@@ -122,7 +122,7 @@ def torque_errors(
     for run in runs:
         t = run.t
         if t[-1] - t[0] <= SHORTEST:
-            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; to compare torques takes {SHORTEST:g} s")
+            raise DataError(f"a run lasts {t[-1] - t[0]:.3g} s; comparing torques needs {SHORTEST:g} s")
         step = float(np.median(np.diff(t)))
         times = np.arange(t[0], t[-1], step)
         ours, theirs = (_at(times, t, values) for values in (run.predicted, run.measured))

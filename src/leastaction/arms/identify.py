@@ -93,7 +93,7 @@ def identify(
     ----------
     trajectories : Trajectory, Trajectories or iterable of Trajectory
         Joint coordinates (rad, m) and, as forces, joint torques (N m, N). Names are those of the tree, in any
-        sequence. Velocities serve to recover the clock of the robot, see `leastaction.arms.log`.
+        order. Velocities serve to recover the clock of the robot; see `leastaction.arms.log`.
     tree : KinematicTree
     friction : sequence of str
         Kinds that may be selected: "viscous", "dry", "stribeck", "load", "quadratic" and "asymmetric".
@@ -250,7 +250,7 @@ def _fitted(
     fit = fit_weights(laid.observations, physics, start)
     if not fit.usable:
         raise DataError(
-            "the fit has no finite result; look for jumps and gaps in the log, and compare its units"
+            "the fit has no finite result; look for jumps and gaps in the log, and check its units"
         )
     kept = _significant(columns, fit, _corrected(laid, columns, fit))
     if len(kept) == len(columns):

@@ -55,7 +55,7 @@ def read_log(
 ) -> Trajectories:
     """Read a log of joint angles and torques, whose columns are recognised by their names.
 
-    Known are joint states of ROS and ROS 2 in tables, libfranka, the RTDE of Universal Robots, and bags of
+    Recognises joint states of ROS and ROS 2 in tables, libfranka, the RTDE of Universal Robots, and bags of
     ROS 2 (``.mcap``, ``.db3`` or their directory; needs ``pip install 'leastaction[ros]'``). For other logs,
     `leastaction.read` takes the names of columns.
 

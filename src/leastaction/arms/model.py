@@ -270,8 +270,8 @@ class ArmModel:
                 f"balls of {BALL}; add the manufacturer's values to the file or by with_inertias(...)"
             )
         notes.append(
-            f"bodies that can exist: chi-squared of the {len(self.coefficients)} base parameters rises by "
-            f"{found.price:.3g}"
+            f"physically consistent bodies: chi-squared of the {len(self.coefficients)} base parameters "
+            f"rises by {found.price:.3g}"
         )
         facts = replace(self.facts, notes=(*self.facts.notes, *notes))
         tree = self.tree.with_inertias(values)

@@ -184,7 +184,7 @@ def payload(
     notes = _doubts(left, len(names) - rank)
     if consistent:
         body, price = _body(matrix, difference, covariance)
-        notes.append(f"a body that can exist: chi-squared rises by {max(price - left, 0.0):.3g}")
+        notes.append(f"a physically consistent body: chi-squared rises by {max(price - left, 0.0):.3g}")
         found = body
     else:
         open_ = _undetermined(matrix)

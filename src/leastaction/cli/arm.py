@@ -52,7 +52,7 @@ Example:
 @click.option(
     "--convention",
     type=click.Choice(["modified", "standard"]),
-    help="Of the table: modified (Craig) or standard.",
+    help="Convention of the --dh table: modified (Craig) or standard.",
 )
 @click.option(
     "--joints", metavar="A,B", help="Joints of the file that move; the others stay where it places them."
@@ -62,7 +62,7 @@ Example:
     type=float,
     nargs=3,
     metavar="X Y Z",
-    help="In the world, in m/s² (default: what the MuJoCo model says, or 0 0 -9.81).",
+    help="Gravity vector in the world frame, in m/s² (default: that of the MuJoCo model, or 0 0 -9.81).",
 )
 @click.option(
     "--base-rpy",
@@ -95,13 +95,13 @@ Example:
 @click.option(
     "--unmeasured",
     metavar="A,B",
-    help="Joints whose torque the log does not hold; their motion is used, their friction stays unknown.",
+    help="Joints whose torque is not in the log; their motion is used, their friction remains unknown.",
 )
 @click.option(
     "--hold-out",
     metavar="N|P%|NAMES",
-    help="Not fitted but predicted: the last N trials; the last 20% of them, or of a single trial its end; "
-    "or trials by name.",
+    help="Trials to predict instead of fitting: the last N; the last 20% (of a single trial, its end); "
+    "or by name.",
 )
 @click.option(
     "--workers",
@@ -138,7 +138,7 @@ def arm(
     give them, or by names such as q1 and tau1, and listed. Prints the combinations of parameters that the log
     determines, with standard errors, and writes the arm: arm.json, a report with figures, Python code of its
     inverse dynamics, and with --urdf a copy with the inertias found, or with --mjcf a MuJoCo model. The links
-    that are written can exist, and agree with the data as closely as possible. Give logged velocities with
+    that are written are physically consistent, as close to the data as possible. Give logged velocities with
     --velocity NAME=COLUMN: they show the clock of the robot where the stamps of the log scatter.
     """
     from leastaction import arms, write_arm_report
@@ -162,7 +162,7 @@ def arm(
     for note in solid.facts.notes[len(found.facts.notes) :]:
         say(f"note: {one_line(note)}")
     if errors is not None:
-        say(f"\nheld out, with bodies that can exist:\n{errors}")
+        say(f"\nheld out, with physically consistent bodies:\n{errors}")
     say("\n" + "\n".join(shown(folder / name) for name in writers))
 
 

@@ -238,7 +238,7 @@ _COLUMNS = (
     click.option(
         "--force-delay",
         metavar="SECONDS",
-        help="Delay of the forces relative to their record; half a sampling interval if a controller holds "
+        help="Delay of the forces after their time stamps; half a sampling interval if a controller holds "
         "them between samples.",
     ),
     click.option("--angles", metavar="A,B", help="Coordinates that are angles, in radians."),

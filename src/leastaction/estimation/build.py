@@ -219,7 +219,7 @@ def _library(given: Library | Iterable[str], coordinates: tuple[str, ...]) -> Li
     if library.coordinates != coordinates:
         raise InputError(
             f"the library has the coordinates {', '.join(library.coordinates)}, but the data have "
-            f"{', '.join(coordinates)}; give both the same names in the same sequence"
+            f"{', '.join(coordinates)}; give both the same names in the same order"
         )
     return library
 

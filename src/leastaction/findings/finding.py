@@ -248,7 +248,7 @@ def inexact(findings: Iterable[Finding]) -> bool:
 def status_of(findings: Iterable[Finding]) -> Status:
     """Return what findings leave of a result.
 
-    ``"ok"``: nothing is doubtful. ``"usable"``: the equations hold to some per cent only, nothing else is
+    ``"ok"``: nothing is doubtful. ``"usable"``: the equations hold only to a few per cent, nothing else is
     doubtful, and free runs follow the data (the finding ``forecasts``). ``"doubtful"``: all else.
 
     Examples

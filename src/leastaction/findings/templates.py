@@ -367,7 +367,7 @@ def hidden_coordinate(f: dict[str, Any]) -> str:
     choices = {"sign": "its sign", "half a turn": "its zero up to half a turn"}
     named = " and ".join(choices[kind] for kind in f["gauge"])
     verb = "are" if len(f["gauge"]) > 1 else "is"
-    text += f"; {named} {verb} arbitrary, and was fixed by convention" if named else ""
+    text += f"; {named} {verb} arbitrary and fixed by convention" if named else ""
     if f.get("factor", 0.0) > 1.05:
         text += "; a sensor for it would reduce standard errors by up to a factor of {factor:.2g} ({term})"
     return fill(text, f)

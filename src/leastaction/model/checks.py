@@ -305,7 +305,7 @@ def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Traject
     if data.coordinates != model.coordinates:
         raise InputError(
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
-            f"{', '.join(model.coordinates)}; give the same names in the same sequence"
+            f"{', '.join(model.coordinates)}; give the same names in the same order"
         )
     chosen = angles_in(model.coordinates, model.provenance)
     return data.unwrap(chosen) if chosen else data
