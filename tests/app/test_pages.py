@@ -339,9 +339,16 @@ def test_an_arm_is_identified_from_currents(tmp_path):
         user.find(marker="identify").click()
         await user.should_see("shoulder: 'one' is not a finite number")
         user.find(marker="gains").clear().type("shoulder=1")
+        user.find(marker="terms").type("sin(hip)")
+        user.find(marker="identify").click()
+        await user.should_see("unknown name 'hip'")
+        user.find(marker="terms").clear().type("shoulder_dot*elbow_dot")
+        user.find(marker="dissipation").type("(shoulder_dot+elbow_dot)**2")
         user.find(marker="identify").click()
         await user.should_see(marker="arm.urdf")
         assert "gain" in session.arm_job.result.report
+        assert "L[shoulder_dot*elbow_dot]" in session.arm_job.result.report
+        assert "psi[(shoulder_dot+elbow_dot)**2]" in session.arm_job.result.report
         user.find(marker="change").click()
         await user.should_see(marker="identify")
         user.find(marker="identify").click()

@@ -36,6 +36,8 @@ class ArmLog:
         Share of the log that is predicted, not fitted; empty for none.
     gains : str
         Torque per ampere of some joints, if the log has currents.
+    terms, dissipation : str
+        What acts beside links and single joints, as expressions.
     """
 
     paths: tuple[Path, ...]
@@ -44,6 +46,8 @@ class ArmLog:
     columns: JointColumns
     hold_out: str = "20%"
     gains: str = ""
+    terms: str = ""
+    dissipation: str = ""
 
     @property
     def title(self) -> str:
@@ -91,11 +95,12 @@ def identify(progress: Callable[[str, dict], None], given: ArmLog) -> ArmFound:
     """Identify an arm from its log, and write it for other programs."""
     from leastaction import arms, write_arm_report
     from leastaction.cli.arm import arm_files
-    from leastaction.cli.values import assignments
+    from leastaction.cli.values import assignments, expression_list
 
     progress("read", {})
     gains = assignments(given.gains) if given.gains.strip() else None
-    tree = _tree(given.robot)
+    added = [expression_list(text) if text.strip() else [] for text in (given.terms, given.dissipation)]
+    tree = _tree(given.robot).with_terms(*added)
     log = arms.read_log(given.paths, tree, currents=gains is not None)
     fitted, rest = log.hold_out(given.hold_out) if given.hold_out else (log, None)
     progress("fit", {})

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from nicegui import html, ui
+from nicegui import events, html, ui
 
 from leastaction.app.arm import ArmFound, ArmLog
 from leastaction.app.files import archive
@@ -25,9 +25,10 @@ _STAGES = {
     "": "Starting",
     "read": "Reading the log",
     "fit": "Fitting motion, inertial parameters and friction",
-    "links": "Making links that can exist",
+    "links": "Making links physically consistent",
     "report": "Writing the report",
 }
+_BESIDE = "Add terms if more acts than links and friction: coupled motors, {}; a balancing spring, {}."
 _HELD_OUT = {"20%": "the last 20 %", "": "nothing"}
 
 
@@ -76,24 +77,27 @@ class ArmView:
             table("Columns", head, [[kind[j] for kind in kinds.values() if kind] for j in arm.joints])
             with html.div().classes("trial"):
                 say("predicted, not fitted", "help", "span")
-                choice("Predicted, not fitted", _HELD_OUT, arm.hold_out, self._hold_out)
+                choice("Predicted, not fitted", _HELD_OUT, arm.hold_out, lambda s: self._set(hold_out=s))
             if columns.currents:
-                box = ui.input(
-                    "Torque per ampere of one joint or more",
-                    placeholder=f"{arm.joints[0]}=10.5",
-                    value=arm.gains,
-                    on_change=lambda event: self._set_gains(event.value or ""),
-                )
-                box.props("outlined dense").mark("gains")
+                self._text("gains", "Torque per ampere of one joint or more", f"{arm.joints[0]}=10.5")
                 say("Those of the other joints are estimated.", "help")
+            if len(arm.joints) > 1:
+                one, two = (f"{name}_dot" for name in arm.joints[-2:])
+                say(_BESIDE.format(f"{one}*{two}", f"cos(2*{arm.joints[1]})"), "help")
+                self._text("terms", "Terms of L", f"{one}*{two}")
+                self._text("dissipation", "Terms of the dissipation function", f"abs({one}+{two})")
             with html.div().classes("next"):
                 action("Identify the arm", self.page.guarded(self._start), "main", "identify")
 
-    def _hold_out(self, share: str) -> None:
-        self.session.arm = replace(self._arm, hold_out=share)
+    def _text(self, name: str, label: str, example: str) -> None:
+        def keep(event: events.ValueChangeEventArguments) -> None:
+            self._set(**{name: event.value or ""})
 
-    def _set_gains(self, text: str) -> None:
-        self.session.arm = replace(self._arm, gains=text)
+        box = ui.input(label, placeholder=example, value=getattr(self._arm, name), on_change=keep)
+        box.props("outlined dense").mark(name)
+
+    def _set(self, **given: Any) -> None:
+        self.session.arm = replace(self._arm, **given)
 
     def _start(self) -> None:
         self.session.identify()
