@@ -218,14 +218,14 @@ SAID = [
             force_factor=0.5,
         ),
         "the known coefficient of x**2 may be wrong (left free, it is 0.5 instead of 1, and 3 fewer terms "
-        "explain the motion better): correct it, or leave it free; or the forces are 0.5 times "
-        "too large",
+        "explain the motion better): correct it, or leave it free; or the recorded forces are 0.5 times "
+        "the true ones",
     ),
     (
         find("late-forces", delay=-0.01, half_a_sample=True, gain=99.0),
         "the forces appear to act about 10 ms earlier than recorded (-2 log likelihood lower by 99; this "
-        "is half a sample: are the forces held between samples?): estimate the delay with "
-        "la.delay.estimate",
+        "is half a sample: are the forces held between samples?): estimate it with "
+        "la.delay.estimate(..., max_delay=0.02)",
     ),
     (
         find("rate-scaled", "x", quantity="velocity", factor=-57.3, unit="deg/s"),
@@ -288,6 +288,12 @@ def test_remedies_speak_of_the_command_line_and_of_the_page():
     assert sentence(jumps, "page").endswith("mark theta as an angle")
     late = find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)
     assert "use --force-delay 0.03" in sentence(late, "command line")
+    assert str(late).endswith("la.delay.estimate(..., max_delay=0.06)")
+    later = find("late-forces", delay=0.1, half_a_sample=False, gain=90.0)
+    assert "act about 100 ms later" in str(later)
+    part = find("unmeasured-part", "x", hidden="h", friction="(x-h)**2", terms=["h_dot**2"], explained=0.9)
+    assert "FILE of the few terms" in sentence(part, "command line")
+    assert "beside the few terms that you expect" in str(part)
     assert "under “Delay of the forces”" in sentence(late, "page")
     missing = find("missing-term", "x", constant_force="x", free_terms=2, angles=["y"])
     assert sentence(missing, "page").endswith(

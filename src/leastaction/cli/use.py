@@ -18,6 +18,7 @@ from leastaction.cli.text import complete_file, one_line, shown
 from leastaction.cli.values import assignments, blame, number
 from leastaction.errors import DataError, InputError
 from leastaction.exporters import FORMATS, check_format
+from leastaction.findings import sentence
 from leastaction.identifiers import quoted
 
 if TYPE_CHECKING:
@@ -240,7 +241,7 @@ def validate(
     if file is not None:
         write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     for finding in trajectories.findings:
-        say(f"note: {one_line(str(finding))}")
+        say(f"note: {one_line(sentence(finding, 'command line'))}")
     show_forecast(result)
     if file is not None:
         say(f"errors: {shown(file)}")

@@ -62,7 +62,7 @@ CODES: dict[str, Message] = {
     "late-forces": Message(
         "warning",
         templates.late_forces,
-        "estimate the delay with la.delay.estimate",
+        templates.late_forces_remedy,
         on_command_line="use --force-delay {delay:.2g}, or the delay stated for the device",
         on_page="give it, or the delay stated for the device, under “Delay of the forces”",
     ),

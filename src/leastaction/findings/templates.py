@@ -26,6 +26,7 @@ __all__ = [
     "hidden_motion_open",
     "imitated_remedy",
     "late_forces",
+    "late_forces_remedy",
     "missing_term",
     "missing_term_remedy",
     "perhaps_angle_remedy",
@@ -222,9 +223,19 @@ def late_forces(f: dict[str, Any]) -> str:
     when = "later" if f["delay"] > 0.0 else "earlier"
     half = "; this is half a sample: are the forces held between samples?" if f["half_a_sample"] else ""
     return (
-        f"the forces appear to act about {1e3 * abs(f['delay']):.2g} ms {when} than recorded "
+        f"the forces appear to act about {_milliseconds(f['delay'])} {when} than recorded "
         f"(-2 log likelihood lower by {f['gain']:.0f}{half})"
     )
+
+
+def late_forces_remedy(f: dict[str, Any]) -> str:
+    """How to estimate the delay, over a range that contains it."""
+    return f"estimate it with la.delay.estimate(..., max_delay={2.0 * abs(f['delay']):.1g})"
+
+
+def _milliseconds(seconds: float) -> str:
+    """Two digits, without an exponent."""
+    return f"{float(f'{1e3 * abs(seconds):.2g}'):g} ms"
 
 
 def wrong_known(f: dict[str, Any]) -> str:
@@ -240,7 +251,7 @@ def wrong_known(f: dict[str, Any]) -> str:
 def wrong_known_remedy(f: dict[str, Any]) -> str:
     """What to do about a wrong known coefficient."""
     forces = f.get("force_factor")
-    units = f"; or the forces are {forces:.3g} times too large" if forces is not None else ""
+    units = f"; or the recorded forces are {forces:.3g} times the true ones" if forces is not None else ""
     return f"correct it, or leave it free{units}"
 
 
@@ -354,9 +365,10 @@ def unmeasured_part_remedy(f: dict[str, Any], audience: Audience = "python") -> 
     """How to declare the part; what is to be typed is in quotes."""
     name, friction = f["hidden"], f["friction"]
     if audience == "command line":
-        return f'add --hidden {name} {_term_options(f["terms"])}, and "{friction}" to --dissipation'
+        options = f'--hidden {name} {_term_options(f["terms"])}, and "{friction}" to --dissipation'
+        return f"add {options}, with a --library FILE of the few terms that you expect"
     terms = ", ".join(f"'{text}'" for text in f["terms"])
-    offer = f"offer {terms} beside the other candidates, with the dissipation '{friction}'"
+    offer = f"offer {terms} beside the few terms that you expect, with the dissipation '{friction}'"
     return f"declare it with hidden=['{name}'], and {offer}"
 
 
