@@ -777,6 +777,8 @@ def test_a_column_is_calibrated(tmp_path):
     assert "calibration numbers:" in result.output
     (number,) = json.loads((out / "model.json").read_text())["calibration"]["numbers"]
     assert abs(number["value"] - 3.0) < 4.0 * number["standard_error"]
+    many = run("discover", file, *options[:4], "--known", "z=1", "--output", out, code=2)
+    assert "warning: with --hidden, 32 candidates may take long" in many.output
     wrong = run("discover", file, *options, "--measure", "z = x", "--output", out, code=2)
     assert "--measure" in wrong.output
     assert "has no column" in wrong.output

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 __all__ = ["OUTPUTS", "command_line", "discover", "groups_of_trials", "write_outputs"]
 
 OUTPUTS = ("model.json", "report.html")
+_MANY = 20  # candidates with a hidden coordinate: 16 took 150 s
 
 _EPILOG = """\b
 Example:
@@ -338,6 +339,8 @@ def _library(
             library = Library.symbolic(options.all_names, options.angles)
         else:
             library = Library.from_file(source, options.all_names, angles=options.angles)
+    if options.hidden and len(library) > _MANY:
+        warn(f"with --hidden, {len(library)} candidates may take long; give a few terms by --library FILE")
     if dissipation is None:
         return library
     with blame("--dissipation"):
