@@ -9,19 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 import sympy as sp
 
 from leastaction.errors import InputError, MissingPackageError
 from leastaction.exporters.casadi import CasadiPrinter
 from leastaction.exporters.shared import equations
-from leastaction.library.tree import KinematicTree
+from leastaction.mechanics.arm_columns import Acting, ArmParts, entries
 from leastaction.model.model import LagrangianModel
 
 if TYPE_CHECKING:
     import casadi
 
-__all__ = ["Acting", "ArmParts", "CasadiFunctions", "arm_functions", "functions"]
+__all__ = ["CasadiFunctions", "arm_functions", "functions"]
 
 
 class CasadiFunctions(NamedTuple):
@@ -98,36 +97,6 @@ def functions(model: LagrangianModel) -> CasadiFunctions:
     )
 
 
-class Acting(NamedTuple):
-    """What acts in one joint of an arm: kind, number of the joint, coefficient, ε and v_s."""
-
-    kind: str
-    joint: int
-    value: float
-    width: float
-    speed: float
-
-
-class ArmParts(NamedTuple):
-    """What the torques of an arm consist of.
-
-    Attributes
-    ----------
-    tree : KinematicTree
-    inertial : (n_links, 10) array
-        Inertial parameters, or base parameters in their place.
-    local : sequence of Acting
-    law, loss : sequence of Expr
-        Torques of the terms that the tree adds to L and to the dissipation function, for each joint.
-    """
-
-    tree: KinematicTree
-    inertial: np.ndarray
-    local: Sequence[Acting]
-    law: Sequence[sp.Expr]
-    loss: Sequence[sp.Expr]
-
-
 def arm_functions(parts: ArmParts) -> dict[str, casadi.Function]:
     """``torques(q, qdot, qddot)``, ``gravity(q)`` and ``friction(qdot)`` of an arm."""
     try:
@@ -139,7 +108,7 @@ def arm_functions(parts: ArmParts) -> dict[str, casadi.Function]:
     q, v, a = (ca.SX.sym(name, n) for name in ("q", "qdot", "qddot"))
     rest, springs = ca.SX.zeros(n), [x for x in parts.local if x.kind == "spring"]
     rubbing = [x for x in parts.local if x.kind not in ("rotor", "spring", "offset")]
-    state = [sp.Symbol(name + "_dot" * nu, real=True) for nu in range(3) for name in parts.tree.coordinates]
+    state = [symbol for array in ("q", "qdot", "qddot") for symbol in entries(array, n)]
 
     def added(expressions: Sequence[sp.Expr], *arrays: Any) -> Any:
         modules: Any = [{"casadi": casadi}]

@@ -260,10 +260,9 @@ def tree_prior(
     for k, term in enumerate(base.terms):
         if term.kind == "inertia":
             prior[k], spread[k] = means[term.place, term.component], spreads[term.place, term.component]
-        elif term.kind in EXTRA and k not in base.members:
-            spread[k] = max(float(np.max(spreads)), 1e-3)
-        elif term.kind in ("rotor", "spring", "offset") and k not in base.members:
-            spread[k] = max(float(np.max(spreads[term.place])), 1e-3)
+        elif term.kind in _FREE and k not in base.members:
+            reached = spreads if term.kind in EXTRA else spreads[term.place]
+            spread[k] = max(float(np.max(reached)), 1e-3)
     return prior, spread
 
 

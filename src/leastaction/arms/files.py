@@ -21,16 +21,15 @@ from leastaction.arms.base import find_base
 from leastaction.arms.log import FitFacts
 from leastaction.arms.model import ArmModel
 from leastaction.arms.signals import Recording
-from leastaction.casadi import Acting, ArmParts, arm_functions
+from leastaction.casadi import arm_functions
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
 from leastaction.errors import InputError
 from leastaction.exporters.shared import CPrinter, PythonPrinter
 from leastaction.identifiers import quoted
-from leastaction.library import Term
 from leastaction.library.tree import Joint, KinematicTree
+from leastaction.mechanics.arm_columns import Acting, ArmParts, entries
 from leastaction.mechanics.arm_terms import EXTRA, ArmTerm
-from leastaction.mechanics.equations import RealAbs, RealSign
-from leastaction.mechanics.euler_lagrange import EulerLagrange
+from leastaction.mechanics.equations import Mechanics
 
 __all__ = ["casadi_functions", "from_dict", "load", "save", "to_dict", "write_c", "write_python"]
 
@@ -146,7 +145,6 @@ def _parts(model: ArmModel) -> ArmParts:
         If friction depends on the load of the joint.
     """
     inertial, local = np.zeros((len(model.tree), 10)), list[Acting]()
-    extra: dict[str, list[tuple[Term, float]]] = {kind: [] for kind in EXTRA}
     for term, value in zip(model.terms, model.coefficients.tolist(), strict=True):
         if term.kind == "load":
             raise InputError(
@@ -154,28 +152,29 @@ def _parts(model: ArmModel) -> ArmParts:
             )
         if term.kind == "inertia":
             inertial[term.place, term.component] = value
-        elif term.kind in EXTRA:
-            extra[term.kind].append((model.tree.extra[term.place], value))
-        else:
+        elif term.kind not in EXTRA:
             local.append(Acting(term.kind, term.place, value, term.width, term.speed))
-    law, loss = (
-        [e.replace(sp.Abs, RealAbs).replace(sp.sign, RealSign) for e in columns.symbolic(np.array(values))]
-        for columns, values in (
-            (EulerLagrange([t for t, _ in own], model.coordinates), [c for _, c in own])
-            for own in extra.values()
-        )
-    )
-    return ArmParts(model.tree, inertial, local, law, loss)
+    return ArmParts(model.tree, inertial, local, *(_added(model, kind) for kind in EXTRA))
 
 
-def _written(parts: ArmParts, expressions: Sequence[sp.Expr], printer: Any) -> list[str]:
-    """Code of expressions, with the entries of the arrays q, qdot and qddot as symbols."""
-    swap = {
-        sp.Symbol(name + "_dot" * nu, real=True): sp.Symbol(f"{array}[{k}]", real=True)
-        for k, name in enumerate(parts.tree.coordinates)
-        for nu, array in enumerate(("q", "qdot", "qddot"))
-    }
-    return [printer.doprint(e.xreplace(swap)) for e in expressions]
+def _added(model: ArmModel, kind: str) -> list[sp.Expr]:
+    """Torques of the expressions of one kind; the symbols are the entries of the arrays q, qdot and qddot."""
+    own = [
+        (model.tree.extra[term.place], value)
+        for term, value in zip(model.terms, model.coefficients.tolist(), strict=True)
+        if term.kind == kind
+    ]
+    law = Mechanics.of_terms([term for term, _ in own], [value for _, value in own], model.coordinates)
+    q, qdot, qddot = (entries(array, law.n_dof) for array in ("q", "qdot", "qddot"))
+    swap = dict(zip([*law.q, *law.qdot], [*q, *qdot], strict=True))
+    return [
+        (sp.Add(*(mass * a for mass, a in zip(row, qddot, strict=True))) - right).xreplace(swap)
+        for row, right in zip(law.mass, law.right, strict=True)
+    ]
+
+
+def _written(expressions: Sequence[sp.Expr], printer: Any) -> list[str]:
+    return [printer.doprint(expression) for expression in expressions]
 
 
 def write_python(model: ArmModel, path: str | Path) -> None:
@@ -185,7 +184,7 @@ def write_python(model: ArmModel, path: str | Path) -> None:
         (j.parent, j.kind == "revolute", j.rotation.tolist(), j.origin.tolist(), j.axis.tolist())
         for j in model.tree.joints
     ]
-    law, loss = (",\n        ".join(_written(parts, own, PythonPrinter())) for own in (parts.law, parts.loss))
+    law, loss = (",\n        ".join(_written(own, PythonPrinter())) for own in (parts.law, parts.loss))
     text = _PYTHON.format(
         joints=", ".join(model.coordinates),
         tree=",\n    ".join(map(repr, columns)),
@@ -215,7 +214,7 @@ def write_c(model: ArmModel, path: str | Path) -> None:
     ]
     kinds = ("rotor", "spring", "offset", "viscous", "dry", "stribeck", "quadratic", "asymmetric")
     acting = [f"{{{kinds.index(kind)}, {k}, {v!r}, {w!r}, {s!r}}}" for kind, k, v, w, s in parts.local]
-    law, loss = (enumerate(_written(parts, own, CPrinter())) for own in (parts.law, parts.loss))
+    law, loss = (enumerate(_written(own, CPrinter())) for own in (parts.law, parts.loss))
     text = files("leastaction.arms").joinpath("inverse_dynamics.c").read_text(encoding="utf-8")
     for name, value in {
         "JOINTS_IN_WORDS": ", ".join(model.coordinates),

@@ -119,8 +119,9 @@ def identify(
     DataError
         If the log is too short, or the arm stands still.
     """
-    for kind in (kind for kind in friction if kind not in FRICTION):
-        raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
+    for kind in friction:
+        if kind not in FRICTION:
+            raise InputError(f"friction holds {quoted(kind)}; expected {', '.join(FRICTION)}")
     data, notes = prepared(Trajectories.coerce(trajectories), tree, recording.places(tree))
     always = [kind for kind in _ALWAYS if kind in friction]
     fixed = [k for k, wanted in (("rotor", rotors), ("spring", springs), ("offset", offsets)) if wanted]
@@ -343,11 +344,10 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
     cut = chi2.isf(_FALSE_ALARM / max(sum(kind in FRICTION for kind in kinds), 1), 1)
     while True:
         seen = [k for k in kept if kinds[k] in FRICTION]
-        squares = [values[k] ** 2 / spread[k, k] for k in seen]
         # a term that feeds energy in is not friction
         squares = [
-            0.0 if values[k] < 0.0 and kinds[k] in ("viscous", "dry") else square
-            for k, square in zip(seen, squares, strict=True)
+            0.0 if values[k] < 0.0 and kinds[k] in ("viscous", "dry") else values[k] ** 2 / spread[k, k]
+            for k in seen
         ]
         if not seen or min(squares) >= cut:
             return kept

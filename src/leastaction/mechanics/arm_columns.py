@@ -38,7 +38,16 @@ from leastaction.mechanics.rigid_bodies import (
     slopes,
 )
 
-__all__ = ["ArmColumns", "dry_history", "presliding", "remembered", "smooth_sign"]
+__all__ = [
+    "Acting",
+    "ArmColumns",
+    "ArmParts",
+    "dry_history",
+    "entries",
+    "presliding",
+    "remembered",
+    "smooth_sign",
+]
 
 _N = len(INERTIAL)
 _FIRST = len(HISTORIES) + 1  # history of an expression
@@ -302,3 +311,39 @@ class ArmColumns:
         """The columns for a part of a motion, given by its knot intervals."""
         part = None if self.history is None else self.history[:, intervals]
         return ArmColumns(self.tree, self.terms, self.reference, self.prescribed, part)
+
+
+class Acting(NamedTuple):
+    """What acts in one joint of an arm: kind, number of the joint, coefficient, ε and v_s."""
+
+    kind: str
+    joint: int
+    value: float
+    width: float
+    speed: float
+
+
+class ArmParts(NamedTuple):
+    """What the torques of an arm consist of.
+
+    Attributes
+    ----------
+    tree : KinematicTree
+    inertial : (n_links, 10) array
+        Inertial parameters, or base parameters in their place.
+    local : sequence of Acting
+    law, loss : sequence of Expr
+        Torques of the terms that the tree adds to L and to the dissipation function, for each joint; in the
+        symbols of `entries`.
+    """
+
+    tree: KinematicTree
+    inertial: np.ndarray
+    local: Sequence[Acting]
+    law: Sequence[sp.Expr]
+    loss: Sequence[sp.Expr]
+
+
+def entries(array: str, n_dof: int) -> list[sp.Symbol]:
+    """Symbols for the entries of an array, written as in code: ``q[0]``, ``q[1]``, …"""
+    return [sp.Symbol(f"{array}[{k}]", real=True) for k in range(n_dof)]

@@ -146,10 +146,6 @@ class _Column:
         rows = [_gradient(p, self.qdot) for p in _gradient(self.term.expr, self.qdot)]
         return {(i, j): entry for i, row in enumerate(rows) for j, entry in enumerate(row)}
 
-    def symbolic(self) -> dict[tuple[int, ...], sp.Expr]:
-        """(i,): E_i[φ] or ∂ψ/∂q̇_i."""
-        return self._strong()
-
     def _strong(self) -> dict[tuple[int, ...], sp.Expr]:
         momenta = _gradient(self.term.expr, self.qdot)
         if self.term.kind == "dissipation":
@@ -270,14 +266,6 @@ class EulerLagrange:
                 else:
                     out[key] = product if before is None else before + product
         return out  # type: ignore[return-value]
-
-    def symbolic(self, coefficients: np.ndarray) -> list[sp.Expr]:
-        """Σ_k λ_k E_i[φ_k] of each coordinate, in symbols q, q_dot and q_dot_dot."""
-        out: list[sp.Expr] = [sp.S.Zero] * self.n_dof
-        for term, coefficient in zip(self.terms, coefficients.tolist(), strict=True):
-            for (i,), entry in _column(term, self.coordinates).symbolic().items():
-                out[i] += coefficient * entry
-        return out
 
     def mass_of(self, k: int, points: Points) -> np.ndarray:
         """(n_points, n_dof, n_dof): ∂²φ_k/∂q̇∂q̇."""
