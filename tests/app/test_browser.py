@@ -157,7 +157,11 @@ def test_from_a_file_to_the_downloads(open_tab, tmp_path):
     with page.expect_download() as code:
         page.get_by_text("Julia module").click()
     assert "function acceleration" in Path(code.value.path()).read_text(encoding="utf-8")
+    save = page.get_by_role("button", name="Save session")
+    save.evaluate("button => { button.dataset.same = 'yes' }")
     assert min(seconds_to_the_law_after(page, name) for name in ("Fewer terms", "More terms")) < 0.3
+    # A button that is made anew would lose a click, the focus, or an open list.
+    assert save.evaluate("button => button.dataset.same") == "yes"
     with page.expect_download() as session:
         tab.click("Save session")
     session.value.save_as(tmp_path / "mine.leastaction")

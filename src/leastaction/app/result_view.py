@@ -71,6 +71,7 @@ class ResultView:
         return self.session.angles if task is None else list(task.library.angles)
 
     def build(self) -> None:
+        self._heading()
         self.model = html.div().classes("stack follows")
         with html.div().classes("halves uneven"):
             self.table = panel("follows")
@@ -83,10 +84,13 @@ class ResultView:
     def refresh(self) -> None:
         """Show the model at the current position."""
         found = self.session.current
+        self._enable(found)
         for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
         model = found.model
-        notation = Notation.of_fit(model.coordinates, model.fit.findings, written_names(self.session.moving))
+        # The widths of smoothed friction belong to the candidates, which all models of the curve share.
+        findings = self.session.best.model.fit.findings
+        notation = Notation.of_fit(model.coordinates, findings, written_names(self.session.moving))
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -102,23 +106,41 @@ class ResultView:
         with self.motion:
             self._forecast(found, notation)
 
-    def _formula(self, found: Found, notation: Notation) -> None:
-        model = found.model
+    def _heading(self) -> None:
+        """Title and downloads. They stay when the model changes: a click or an open list must not be lost."""
         with html.div().classes("heading"):
             with html.div():
                 say(self.session.title, "help")
                 title("The Lagrangian", "h1")
             with html.div().classes("downloads"):
-                fitted = found.stage != "provisional"
-                for name, download, there in (
-                    ("report.html", self._report, fitted and not self.session.waiting),
-                    ("model.json", self._model, fitted),
-                    ("all.zip", self._everything, fitted and not self.session.waiting),
-                ):
-                    button = action(name, self.page.guarded(download), "plain", name.partition(".")[0])
-                    button.props("icon=download").set_enabled(there)
-                self._exports(fitted)
+                self.report, self.json, self.all = (
+                    action(name, self.page.guarded(make), "plain", name.partition(".")[0])
+                    for name, make in (
+                        ("report.html", self._report),
+                        ("model.json", self._model),
+                        ("all.zip", self._everything),
+                    )
+                )
+                for button in (self.report, self.json, self.all):
+                    button.props("icon=download")
+                self.exports = html.div()
+                with self.exports:
+                    self._exports()
+                self.no_exports = action("Export", lambda: None, "plain", "export")
+                self.no_exports.set_enabled(False)
                 action("Save session", self.page.guarded(self._save), "plain", "save").props("icon=save")
+
+    def _enable(self, found: Found) -> None:
+        """Offer the downloads that this model has."""
+        fitted = found.stage != "provisional"
+        self.json.set_enabled(fitted)
+        for button in (self.report, self.all):
+            button.set_enabled(fitted and not self.session.waiting)
+        self.exports.set_visibility(fitted)
+        self.no_exports.set_visibility(not fitted)
+
+    def _formula(self, found: Found, notation: Notation) -> None:
+        model = found.model
         if found.stage == "provisional":
             self._provisional()
         else:
@@ -244,11 +266,8 @@ class ResultView:
         take(self.session, offer)
         self.page.show("result")
 
-    def _exports(self, fitted: bool) -> None:
+    def _exports(self) -> None:
         """The formats with their descriptions, behind a button."""
-        if not fitted:
-            action("Export", lambda: None, "plain", "export").set_enabled(False)
-            return
         # Not the menu of Quasar: that lies outside the landmarks of the page.
         with disclosure("Export", "export"):
             for name, what in FORMATS.items():

@@ -115,8 +115,8 @@ class WalkPanel:
 
     def _list(self, text: str, terms: list[str]) -> None:
         if terms:
-            written = written_names(self.session.moving)
-            notation = Notation(self.session.current.model.coordinates, written=written)
+            model, written = self.session.best.model, written_names(self.session.moving)
+            notation = Notation.of_fit(model.coordinates, model.fit.findings, written)
             with html.p().classes("terms"):
                 say(text, "help", "span")
                 for term in terms:
