@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.gauss_newton import JointFit, fit_joint, shared
+from leastaction.estimation.gauss_newton import JointFit, coefficient_step, fit_joint, shared
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Measurements, linearise
 from leastaction.estimation.settings import ESTIMATION
@@ -160,7 +160,8 @@ def fit_weights(
     Stops when, from one round to the next, the coefficients move by less than a twentieth of a standard
     error, the degrees of freedom of the equation error by less than a twentieth, and the evidence by less
     than a half. Above 100,000 samples these limits grow in proportion to their number, and that of the
-    coefficients, whose standard errors become smaller, with its square root.
+    coefficients, whose standard errors become smaller, with its square root. A round is then omitted if its
+    effect is predicted to be below them, because each of its steps is a pass over the recording.
     """
     best = fit_joint(observations, physics, start.weights, start.control_points, start.coefficients)
     best_evidence = evidence(observations, best)
@@ -176,6 +177,8 @@ def fit_weights(
         except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
         change = _change(best.weights, update)
+        if share > 1.0 and _is_idle(observations, physics, best, update):
+            break
         if taken.size and float(taken @ change) < 0.0:
             update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
             change = _change(best.weights, update)
@@ -210,6 +213,27 @@ def fit_weights(
         if settled:
             break
     return best
+
+
+def _is_idle(observations: Measurements, physics: Physics, fit: JointFit, update: Weights) -> bool:
+    """Whether an update would change evidence and coefficients by less than the limits of `fit_weights`.
+
+    Half the slope of the evidence times the step is what a step to its maximum gains.
+    """
+    share, n = shared(observations), fit.weights.physics.size
+    change = _change(fit.weights, update)
+    slopes = 0.5 * (update.slack - fit.weights.physics * fit.linearisation.equation)
+    gain = 0.5 * float(slopes @ change[:n]) + float(observations.counts @ change[n:] ** 2)
+    settled = abs(gain) < ESTIMATION.evidence_settled * share
+    settled = settled and _have_settled(update.slack, fit.weights.slack, share)
+    if not settled or not physics.n_free:
+        return settled
+    try:
+        step = coefficient_step(fit.linearisation, update)[: physics.n_free]
+    except np.linalg.LinAlgError:
+        return False
+    spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
+    return bool(np.all(np.abs(step) < ESTIMATION.weights_settled * np.sqrt(share) * spread))
 
 
 def _change(old: Weights, new: Weights) -> np.ndarray:
@@ -266,4 +290,6 @@ def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tup
         weights = update_weights(observations, fit)
     except np.linalg.LinAlgError:
         return start, -np.inf
+    if shared(observations) > 1.0 and _is_idle(observations, held, fit, weights):
+        weights = fit.weights
     return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)
