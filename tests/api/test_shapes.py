@@ -445,6 +445,7 @@ def test_a_distance_to_an_unknown_point_grows_from_names_alone():
         assert abs(abs(found[name].value) - abs(truth)) < 4.5 * found[name].standard_error
 
 
+@pytest.mark.thorough
 def test_exponentials_take_the_place_of_the_powers_that_imitate_them():
     """A Morse oscillator: powers to the sixth degree leave the exponentials little to gain beside them."""
     t, rng, runs = np.arange(0.0, 20.0, 0.02), np.random.default_rng(5), []
@@ -463,6 +464,25 @@ def test_exponentials_take_the_place_of_the_powers_that_imitate_them():
     double, single = sorted((term for term in model.terms if not term.known), key=lambda t: t.coefficient)
     assert double.coefficient == pytest.approx(-3.0, abs=4.5 * double.standard_error)
     assert single.coefficient == pytest.approx(6.0, abs=4.5 * single.standard_error)
+
+
+@pytest.mark.parametrize(
+    ("term", "noise", "law"),
+    [
+        ("exp(-((x-{p})/{w})**2)", 0.05, {"exp(-((x-{p})/{w})**2)"}),
+        ("log((x-{p})**2+{h}**2)", 0.02, {"log((x-{p})**2+{h}**2)", "x**2"}),  # near enough at this noise
+    ],
+)
+def test_a_well_is_placed_beside_powers_that_resemble_it(term, noise, law):
+    """Steep wells at the edge of the motion explain noise; three terms that are alike are all weak."""
+    starts = [([1.2], [0.0]), ([0.4], [0.0]), ([0.0], [2.0])]
+    options = {"duration": 8.0, "rate": 100.0, "noise": noise, "seed": 3}
+    runs = record(lambda q, v, f: -6.0 * q * np.exp(-(q**2)), starts, ["x"], **options)
+    model = la.discover(runs, ["x_dot**2", "x", "x**2", "x**3", "x**4", term], known=KNOWN)
+    assert model.fit.status == "ok", model.fit.warnings
+    assert {found.written for found in model.terms if not found.known} == law
+    numbers = {shape.name: shape for shape in model.shapes}
+    assert abs(numbers["p"].value) <= 4.0 * numbers["p"].standard_error
 
 
 def test_what_is_undefined_along_the_data_is_left_out_and_said():

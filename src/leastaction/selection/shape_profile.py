@@ -72,14 +72,14 @@ class ProfilePoint:
     ratio : float
         ρ with these columns.
     score : float
-        Of the best support, where one was searched; less is better, see `support_score`.
+        Of these columns, or of the best support where one was searched; less is better.
     """
 
     values: Mapping[str, float]
     gram: WeakGram
     members: tuple[int, ...]
     ratio: float
-    score: float = np.inf
+    score: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,10 +186,10 @@ class Profile:
         gram = self._gram(values, bearers, (), _FEW)
         if gram is None:
             return []
-        scaled, first = ScaledGram(gram, SELECTION.not_followed), len(self.plain)
+        look, first = _Look(SELECTION.not_followed, _FEW), len(self.plain)
         own = tuple(range(first, first + len(self._free(bearers))))
         supports = [(*level, *own) for level in self._levels]
-        return [ProfilePoint(dict(values), gram, m, scaled.ratio(m)) for m in supports if m]
+        return [self._valued(values, gram, m, look) for m in supports if m]
 
     def chosen(
         self, kinds: Sequence[Kind], values: Mapping[str, float], bearers: Sequence[int]
@@ -210,7 +210,7 @@ class Profile:
         Returns
         -------
         list of list of ProfilePoint
-            Beside ever more plain candidates, as from `point`; their ratios allow for what a grid misses.
+            Beside ever more plain candidates, as from `point`; the ratios allow for what a grid misses.
         """
         beside = [k for k in bearers if not any(k in kind.alike for kind in kinds)]
         rows = self._rows.beside(self._columns(beside, values, [], [], 0)) if beside else self._rows
@@ -226,7 +226,7 @@ class Profile:
             rows = rows.beside(made)
             defined.append((replace(kind, starts=starts), range(edge, edge + len(starts))))
             edge += len(starts)
-        scaled = ScaledGram(rows.gram(), _UNEXPLAINED)
+        look, scaled = _Look(_UNEXPLAINED, 0), ScaledGram(rows.gram(), _UNEXPLAINED)
         free = range(len(self.plain), len(self.plain) + len(self._free(bearers)))
         counts = [(columns, len(kind.alike)) for kind, columns in defined]
         out: list[list[ProfilePoint]] = []
@@ -238,7 +238,7 @@ class Profile:
                     called |= kind.called([m - columns.start for m in support.members if m in columns])
                 gram = self._gram({**values, **called}, bearers, (), 0)
                 if gram is not None:
-                    out[-1].append(ProfilePoint({**values, **called}, gram, (*level, *free), support.ratio))
+                    out[-1].append(self._valued({**values, **called}, gram, (*level, *free), look))
         return out
 
     def _at_starts(
@@ -254,19 +254,30 @@ class Profile:
         return rows.of(defined), starts
 
     def searched(self, point: ProfilePoint) -> ProfilePoint:
-        """The point with the best support of all candidates.
-
-        Other numbers make the noise of the rows another, so that its size is part of their likelihood.
-        """
+        """The point with the best support of all candidates."""
         n_rows, price = self._counts(point.gram)
         levels = backward_search(point.gram, SELECTION.not_followed, price, n_rows, _BEAM)
         best = min((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
-        vector = np.append(solve_support(point.gram, SELECTION.not_followed, best.members), 1.0)
-        share = float(vector @ point.gram.residual @ vector / (vector @ point.gram.size @ vector))
-        if not share > 0.0:  # rounding is all that is left of columns that cancel
-            return replace(point, members=best.members, ratio=best.ratio)
-        score = support_score(best, price, n_rows) + n_rows * np.log(share / best.ratio)
-        return replace(point, members=best.members, ratio=best.ratio, score=score)
+        return self._valued(point.values, point.gram, best.members, _Look(SELECTION.not_followed, None))
+
+    def _valued(
+        self, values: Mapping[str, float], gram: WeakGram, members: tuple[int, ...], look: _Look
+    ) -> ProfilePoint:
+        """Numbers with their columns, and how well these explain the rows.
+
+        Other numbers make the noise of the rows another, so that its size is part of their likelihood:
+        a steep term at the edge of the motion explains nothing but itself, and with its own noise.  A number
+        costs as much as a term.
+        """
+        n_rows, price = self._counts(gram)
+        ratio = look.ratio(gram, members)
+        vector = np.append(solve_support(gram, look.error, members), 1.0)
+        share = float(vector @ gram.residual @ vector / (vector @ gram.size @ vector))
+        noise = share / ratio if look.replicates != 0 else 0.0
+        score = np.inf  # rounding is all that is left of columns that cancel
+        if share > 0.0:
+            score = n_rows * float(np.log(max(share, noise))) + price * (len(members) + len(values))
+        return ProfilePoint(dict(values), gram, members, ratio, score)
 
     def refined(self, point: ProfilePoint, bearers: Sequence[int], roughly: bool = False) -> ProfilePoint:
         """The point moved by Gauss–Newton steps, its columns held, with all noise accounted for.
@@ -278,7 +289,7 @@ class Profile:
         gram = self._gram(point.values, bearers, (), look.replicates)
         if gram is None:
             return point
-        point = replace(point, gram=gram, ratio=look.ratio(gram, point.members))
+        point = self._valued(point.values, gram, point.members, look)
         for _ in range(_STEPS):
             nearer = self._nearer(point, bearers, self._steps(point, bearers, look), look)
             if nearer is None:
@@ -318,9 +329,9 @@ class Profile:
             gram = self._gram(values, bearers, (), look.replicates)
             if gram is None:
                 continue
-            ratio = look.ratio(gram, point.members)
-            if ratio < point.ratio:
-                return ProfilePoint(values, gram, point.members, ratio)
+            nearer = self._valued(values, gram, point.members, look)
+            if nearer.ratio < point.ratio:
+                return nearer
         return None
 
     def _counts(self, gram: WeakGram) -> tuple[float, float]:

@@ -71,7 +71,7 @@ class ScaledGram:
         self.scale = scale
         self.residual: np.ndarray = gram.residual * np.outer(scale, scale)
         self.reference: np.ndarray = reference * np.outer(scale, scale)
-        self.known = self.residual.shape[0] - 1
+        self.known: int = self.residual.shape[0] - 1
 
     def ratio(self, members: tuple[int, ...]) -> float:
         """ρ of one support."""

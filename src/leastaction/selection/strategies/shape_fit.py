@@ -24,6 +24,7 @@ from leastaction.selection.search_state import Search
 __all__ = ["run"]
 
 _ROUNDS = 4  # at most, each with fits
+_WEAKEST = 3  # terms tried in turn
 
 
 def run(search: Search) -> Search:
@@ -72,11 +73,16 @@ def _exchanged(fit: Fit, swap: Mapping[str, str]) -> Fit:
 
 
 def _smaller(fit: Fit) -> Fit | None:
-    """The fit without its weakest term, where that is better."""
-    weakest = fit.structure.members[int(np.argmin(fit.z**2))]
-    if len(fit.structure) < 2 or np.min(fit.z**2) > penalty(fit.grid):
+    """The fit without one of its weakest terms, where that is better.
+
+    Of terms that resemble each other all are weak, and with other numbers each may explain what another did.
+    """
+    order: list[int] = np.argsort(fit.z**2)[:_WEAKEST].tolist()
+    weakest = [k for k in order if fit.z[k] ** 2 <= penalty(fit.grid)]
+    if len(fit.structure) < 2 or not weakest:
         return None
-    other = fit_shapes(fit.grid.fit(fit.structure.without([weakest]), fit.start))
+    smaller = [fit.structure.without([fit.structure.members[k]]) for k in weakest]
+    other = max((fit_shapes(fit.grid.fit(each, fit.start)) for each in smaller), key=value)
     return other if value(other) > value(fit) else None
 
 

@@ -35,7 +35,8 @@ _PLACES = {1: 33, 2: 1024}  # of candidates that are placed together, by the num
 _MOST_PLACES = 2048  # of those with more
 _SHARED_STARTS = 8  # of numbers that candidates share, beside those that are their own
 _CHOSEN = 16  # of sets of places, beside all of these together
-_REFINED = 4  # of the starts, beside each number of plain candidates
+_TRIED = 8  # of the starts, beside each number of plain candidates
+_REFINED = 4  # of the numbers that these lead to
 _MOST_SHARED = 2  # numbers of several kinds that are placed together
 
 
@@ -165,7 +166,7 @@ def _begun(
     most_each, levels = _CHOSEN // len(numbers), list[list[ProfilePoint]]()
     for level in zip(*filter(None, chosen), strict=True):
         points = [profile.refined(p, bearers, roughly=True) for some in level for p in some[:most_each]]
-        levels.append(_distinct(sorted(points, key=lambda p: p.ratio), ranges))
+        levels.append(_distinct(sorted(points, key=lambda p: p.score), ranges))
     return levels
 
 
@@ -186,18 +187,23 @@ def _best(
     found: list[ProfilePoint] = []
     for level in begun:
         lowest = _lowest(level) if len(group.names) == 1 else level
-        for point in sorted(lowest, key=lambda p: p.ratio)[:_REFINED]:
-            found.append(profile.searched(profile.refined(point, bearers)))
+        refined: list[ProfilePoint] = []
+        for start in sorted(lowest, key=lambda p: p.score)[:_TRIED]:  # many may lead to the same numbers
+            refined = _distinct([*refined, profile.refined(start, bearers)], profile.problem.ranges)
+            if len(refined) == _REFINED:
+                break
+        found += map(profile.searched, refined)
         found.sort(key=lambda p: p.score)
-        if found and found[0].ratio < SELECTION.rows_explained and not group.together:
+        explained = any(point.ratio < SELECTION.rows_explained for point in refined)
+        if explained and not group.together:
             break
     return found
 
 
 def _lowest(points: Sequence[ProfilePoint]) -> list[ProfilePoint]:
     """Points that are no worse than their neighbours."""
-    ratios = np.array([np.inf, *(p.ratio for p in points), np.inf])
-    low = (ratios[1:-1] <= ratios[:-2]) & (ratios[1:-1] <= ratios[2:])
+    scores = np.array([np.inf, *(p.score for p in points), np.inf])
+    low = (scores[1:-1] <= scores[:-2]) & (scores[1:-1] <= scores[2:])
     return [point for point, is_low in zip(points, low, strict=True) if is_low]
 
 
