@@ -49,12 +49,12 @@ demo: $(STAMPS)/core
 test: $(STAMPS)/test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -q $(TEST_ARGS)
 
-# Kernels of OpenBLAS round differently: results must not depend on the processor. Thorough tests that are not
-# numeric run once.
+# Kernels of OpenBLAS round differently: results must not depend on the processor. Thorough tests of other folders
+# run once.
 test-kernels: $(STAMPS)/test
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/test_kernels.py $(KERNELS) -- -n 2 -q $(TEST_ARGS)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -q -m thorough \
-	  tests/app tests/reproduction tests/studies tests/test_docs.py
+	  tests/app tests/arms tests/exporters tests/hidden tests/reproduction tests/studies tests/test_docs.py
 
 lint: $(STAMPS)/lint
 	$(BIN)/ruff check .

@@ -193,9 +193,13 @@ def tables(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 _MARKS = {
-    # by itself it takes as long as all others together
+    # each takes as long as all others together
     "choose": pytest.mark.thorough,
-    "arms": pytest.mark.skipif(not importlib.util.find_spec("pinocchio"), reason="needs the extra robots"),
+    "lab": pytest.mark.thorough,
+    "arms": [
+        pytest.mark.thorough,
+        pytest.mark.skipif(not importlib.util.find_spec("pinocchio"), reason="needs the extra robots"),
+    ],
 }
 _PAGES = [pytest.param(page, marks=_MARKS.get(page, ())) for page in OURS]
 

@@ -112,6 +112,16 @@ def test_what_is_listed_exists():
     assert [path for path in listed if not path.exists()] == []
 
 
+def test_every_thorough_test_runs_somewhere():
+    recipe = (ROOT / "Makefile").read_text(encoding="utf-8").partition("\ntest-kernels:")[2]
+    once = [word for word in recipe.partition("\n\n")[0].split() if word.startswith("tests/")]
+    run = {f"tests/{name}" for name in FOLDERS} | {f"tests/test_{name}.py" for name in MODULES} | {*once}
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        if "pytest.mark.thorough" in path.read_text(encoding="utf-8") and path != Path(__file__):
+            name = path.relative_to(ROOT).as_posix()
+            assert name in run or path.parent.relative_to(ROOT).as_posix() in run, name
+
+
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
 

@@ -99,6 +99,7 @@ def test_settings_are_frozen_documented_and_used(name):
     assert not [field for field in fields if f"{name}.{field}" not in source]
 
 
+@pytest.mark.thorough
 def test_benchmarks_of_settings_and_strategies_judge_a_search():
     case = thresholds.QUICK[0]
     assert thresholds.outcome(case, thresholds._searched(case)).status in ("ok", "usable", "doubtful")
@@ -609,6 +610,7 @@ def test_standard_error_covers_the_truth():
     assert 0.05 < np.mean(np.square(z)) < 3.3
 
 
+@pytest.mark.thorough
 def test_a_delay_beyond_the_range_is_not_believed():
     found = estimate(shift_forces(pendulum(0.01), -0.08), PENDULUM, max_delay=0.05)
     assert not found.determined

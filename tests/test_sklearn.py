@@ -202,6 +202,7 @@ def test_what_fit_leaves_behind(runs):
     assert vars(estimator) == state
 
 
+@pytest.mark.thorough
 def test_kinds_of_arrays(tmp_path):
     data = passive()
     q, t = np.array([r.q for r in data]), data[0].t

@@ -141,6 +141,7 @@ def test_found_model_forecasts_a_motion_it_has_not_seen():
     np.testing.assert_allclose(forecast.q, unseen.q, rtol=0, atol=0.02)
 
 
+@pytest.mark.thorough
 def test_the_stated_reach_is_that_of_unseen_motions():
     name, share = "double_pendulum", 0.05
     system = systems.get(name)
@@ -273,6 +274,7 @@ def test_mirror_image_turns_the_sign_of_odd_terms():
     assert_same_model(a, b, {"x**3": -1.0})
 
 
+@pytest.mark.thorough
 def test_time_reversal_leaves_mechanics_and_turns_friction_round():
     a = la.discover(pendulum(driven=False), PENDULUM_LIBRARY, {"theta_dot**2": 0.5}, FRICTION)
     data = changed(pendulum(driven=False), q=lambda q: q[::-1])
@@ -745,7 +747,7 @@ def rest_in_between():
         one(rest_in_between()),
         one(3.0 + 1e-9 * np.random.default_rng(2).standard_normal(T.size)),
         pytest.param(one(1e9 + np.cos(2.0 * T)), marks=pytest.mark.thorough),
-        one(np.random.default_rng(3).standard_normal(T.size)),
+        pytest.param(one(np.random.default_rng(3).standard_normal(T.size)), marks=pytest.mark.thorough),
     ],
     ids=["at rest in between", "noise on a constant", "far from zero", "noise"],
 )

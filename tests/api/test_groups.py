@@ -106,6 +106,7 @@ def test_groups_may_be_given_by_the_names_of_trajectories(model, payload):
     assert differences(same) == differences(model)
 
 
+@pytest.mark.thorough
 def test_a_group_of_one_trial():
     data = pendulums({}, PAYLOAD)[:3]
     model = found(data, ["empty", "empty", "loaded"])
@@ -126,6 +127,7 @@ def test_a_term_of_one_group_alone():
     assert abs(spring.coefficient + 4.0) < 4.0 * spring.standard_error < 0.4
 
 
+@pytest.mark.thorough
 def test_more_than_two_groups_and_friction():
     system = systems.get("single_pendulum")
     runs = [

@@ -501,6 +501,7 @@ def test_a_delay_that_friction_could_hide_is_named(seed):
     assert la.discover(cured, library, dissipation=friction).fit.status == "ok"
 
 
+@pytest.mark.thorough
 def test_a_half_sample_reads_as_held():
     data = systems.generate("single_pendulum", noise=0.001, trials=4, duration=20.0, seed=6)
     early = la.delay.shift_forces(data, -0.005)

@@ -326,6 +326,7 @@ def test_one_click_gives_a_column_another_meaning():
     simulate(script)
 
 
+@pytest.mark.thorough
 def test_an_arm_is_identified_from_currents(tmp_path):
     async def script(user) -> None:
         session = session_of_page()

@@ -920,6 +920,7 @@ def test_a_step_is_answered_at_once_and_refined_behind(walking):
     assert walking.current is third
 
 
+@pytest.mark.thorough
 def test_who_walks_on_gets_what_is_shown_and_nothing_else(walking):
     chosen = walking.walk.chosen
     process = walking.worker._process.pid

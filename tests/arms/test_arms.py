@@ -183,6 +183,7 @@ def test_mass_matrix_gravity_and_friction_are_found(found, rng):
     np.testing.assert_allclose(distances, 2e-3, rtol=0.3)
 
 
+@pytest.mark.thorough
 def test_intervals_hold_what_they_promise():
     """Over five logs; white noise, so that nothing need be corrected."""
     scores = []
@@ -472,6 +473,7 @@ def test_bad_logs_are_refused_in_one_line(found, rng):
         model.torques([0.0], [0.0], [0.0])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [2.0, pytest.param(60.0, id="so strong that it spoils the joint fit")])
 def test_a_contact_is_reported_and_a_clean_log_is_not(found, size):
     true, model = found
@@ -544,6 +546,7 @@ def test_friction_at_the_start_is_bounded_by_dry_friction(rng):
     np.testing.assert_array_equal(same[0], values[:4])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("rest", "seed", "copies"), [(0.7, 9, 2), (3.0, 11, 1)])
 def test_friction_that_holds_the_arm_when_a_log_begins_does_not_disturb(found, rest, seed, copies):
     true, log = found[0], rested(found[0], np.random.default_rng(seed), rest)
@@ -557,6 +560,7 @@ def test_friction_that_holds_the_arm_when_a_log_begins_does_not_disturb(found, r
     assert all(term.kind != "start" for term in model.terms)
 
 
+@pytest.mark.thorough
 def test_currents_are_reported_where_the_tree_has_inertias(found):
     true, _ = found
     log = recorded(true, np.random.default_rng(4), 8.0, 200.0)

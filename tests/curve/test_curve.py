@@ -480,6 +480,7 @@ def test_the_outliers_are_found(seed):
     assert [note.values["count"] for note in notes] == out.sum(axis=0).tolist()
 
 
+@pytest.mark.thorough
 def test_the_outliers_of_a_long_recording_are_those_of_its_trials():
     """Smoothness and noise from pieces; where outliers are is seen trial by trial."""
     data, _, _ = spoiled(1)

@@ -128,6 +128,7 @@ def estimates(model):
     return {t.expression: t.coefficient for t in free}, {t.expression: t.standard_error for t in free}
 
 
+@pytest.mark.thorough
 def test_rates_that_are_not_measured_change_nothing():
     system = systems.get("double_pendulum")
     data = systems.generate(system, noise=0.05, trials=2, duration=6.0, seed=2)
@@ -171,6 +172,7 @@ def test_velocities_reach_the_bound_without_bias():
     assert np.sqrt(np.mean(np.square(scores))) < 1.6
 
 
+@pytest.mark.thorough
 def test_accelerations_are_fitted_too():
     system = systems.get("magnetic_pendulum")
     truth = systems.simulate_truth(system, trials=1, duration=10.0, seed=1)
@@ -654,6 +656,7 @@ def test_what_is_no_part_is_not_taken_for_one(kind):
     assert unmeasured_part(searched(kind, 0)[0]) == []
 
 
+@pytest.mark.thorough
 def test_few_rows_say_nothing_of_a_part():
     search, _ = searched("absorber", 0)
     data = search.problem.trajectories

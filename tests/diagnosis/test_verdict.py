@@ -65,6 +65,7 @@ def test_delayed_forces():
     assert 0.02 <= late.values["delay"] <= 0.04
 
 
+@pytest.mark.thorough
 def test_a_delay_is_not_named_again_as_negative_friction():
     """20 ms feed energy in as friction of the wrong sign would."""
     data = _pendulum(6, pushed=0.4, noise=1e-4)
@@ -342,12 +343,14 @@ def test_the_error_of_trials_left_out_decides_and_is_stated(monkeypatch, error, 
     assert f"left out of the fit are off by {100 * error:.0f} % of the spread" in str(found)
 
 
+@pytest.mark.thorough
 def test_a_machine_that_free_runs_do_not_follow_is_doubtful():
     model = la.discover(measured(geared(6.0), ["theta"], 0.003, 2.0), PENDULUM_LIBRARY)
     assert model.fit.status == "doubtful"
     assert not findings_of(model, "forecasts")
 
 
+@pytest.mark.thorough
 def test_slow_sampling():
     data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=20.0, rate=3.0, seed=3)
     assert "looks-like-noise" in Doubts(data, systems.compact_library("double_pendulum")).codes
@@ -364,6 +367,7 @@ def test_an_angle_that_was_not_declared():
     assert turning.values["jumps"] == np.sum(np.abs(np.diff(wrapped)) > np.pi)
 
 
+@pytest.mark.thorough
 def test_angles_that_were_taken_for_positions():
     t = np.arange(0.0, 12.0, 0.02)
     swing = solve_ivp(lambda _, y: [y[1], -9.81 * np.sin(y[0])], (0, 12), [2.9, 0.0], t_eval=t, rtol=1e-9)

@@ -213,6 +213,7 @@ def test_neither_blocks_nor_workers_change_the_result(workers, alone):
     assert_same(model, found(data, workers=workers))
 
 
+@pytest.mark.thorough
 def test_slow_forces_are_found_in_blocks_too():
     """Their columns depend on time, so that a block has to know where it begins."""
     pendulum = systems.generate("single_pendulum", noise=0.02, trials=4, duration=15.0, seed=3)

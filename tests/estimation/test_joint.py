@@ -674,6 +674,7 @@ def test_the_identity_gives_the_model_of_the_column_itself() -> None:
     assert seen.fit.status == plain.fit.status == "ok"
 
 
+@pytest.mark.thorough
 def test_numbers_that_only_their_product_shows_are_open() -> None:
     measure = [text.replace("{a}", "{s}*{l}") for text in CAMERA]
     model = la.discover(filmed(1.0, seconds=3.0), LIBRARY, GIVEN, measure=measure)

@@ -221,6 +221,7 @@ def test_what_is_hardly_known_claims_nothing():
     assert rotates(wide, sigma=(*SIGMA, 0.01)) is None
 
 
+@pytest.mark.thorough
 def test_a_found_law_says_what_is_conserved_in_its_recording(tmp_path):
     system = systems.get("kepler_orbit")
     data = systems.generate("kepler_orbit", noise=0.02, trials=2, duration=6.0, seed=4)

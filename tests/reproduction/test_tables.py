@@ -45,6 +45,7 @@ def found(coefficients, acceleration=None, **more):
 
 
 class TestScore:
+    @pytest.mark.thorough
     def test_truth_has_no_error(self):
         scores = found(problem().true_coefficients, problem().system.acceleration)
         assert (scores["l2"], scores["l2_over_crb"], scores["equation_error"]) == (0.0, 0.0, 0.0)
@@ -112,6 +113,7 @@ class TestScore:
         assert scores["l2_over_crb"] is None
         assert scores["l2"] == 0.0
 
+    @pytest.mark.thorough
     def test_bound_in_a_library_that_splits_a_true_term(self):
         p = problem("double_pendulum", 0.1, "large")
         assert set(p.true_coefficients) != set(p.system.lagrangian)
@@ -551,6 +553,7 @@ def brief(monkeypatch):
     monkeypatch.setattr(xlsindy, "THRESHOLDS", (0.1,))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["double_pendulum", "cart_spring_pendulum"])
 def test_acceleration_of_true_coefficients(name):
     problem = posed("energy", name)
@@ -662,6 +665,7 @@ def test_energy_balances_the_true_energy_against_the_work():
     assert energies @ weights == pytest.approx(problem.system.energy(motion.q, motion.qdot))
 
 
+@pytest.mark.thorough
 def test_energy_cannot_see_terms_linear_in_the_velocities():
     texts, _, _ = load("energy")._balances(posed("energy", "magnetic_pendulum"))
     assert "x*y_dot" not in texts

@@ -624,7 +624,10 @@ def found(held: bool) -> Search:
     return run_search(begin_search(build_problem(data, Request(CANDIDATES, {}, ["q_dot**2/2"]))))
 
 
-@pytest.mark.parametrize(("held", "between"), [(False, "band-limited"), (True, "held")])
+@pytest.mark.parametrize(
+    ("held", "between"),
+    [(False, "band-limited"), pytest.param(True, "held", marks=pytest.mark.thorough)],
+)
 def test_a_resonator_at_nine_samples_a_period(held, between):
     search = found(held)
     fit = search.found
@@ -748,6 +751,7 @@ def test_friction_that_does_not_differ_between_directions_is_not_found_to():
     assert list(found) == ["q_dot**2/2", "abs(q_dot)"]
 
 
+@pytest.mark.thorough
 def test_asymmetry_that_would_feed_energy_in_is_left_out():
     """A constant force without any friction."""
     request = Request(["theta_dot**2", "cos(theta)"], {}, ["asymmetric"])
@@ -776,6 +780,7 @@ def test_stribeck_friction_is_found_with_its_speed():
     np.testing.assert_allclose(sizes, [0.2, 0.4, 0.5], rtol=0.1)
 
 
+@pytest.mark.thorough
 def test_dry_friction_alone_is_no_stribeck_friction():
     found = friction_of(rubbing(1, lambda q, v: 0.5 * sign(v)), "auto", "stribeck")
     assert list(found) == ["abs(q_dot)"]

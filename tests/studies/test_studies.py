@@ -107,6 +107,7 @@ def faulty(setup: str, system: str, **shape):
     return wrong, right
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("setup", "system"), [(s, names[-1]) for s, names in SETUPS.items()])
 def test_a_fault_changes_something_and_poses_a_problem(setup, system):
     wrong, right = faulty(setup, system, duration=3.0)

@@ -482,7 +482,7 @@ def by_differences(system, truth, sigma, terms, seen):
     ("name", "friction"),
     [
         ("single_pendulum", {"theta_dot**2/2": 0.1}),
-        ("cart_spring_pendulum", {}),
+        pytest.param("cart_spring_pendulum", {}, marks=pytest.mark.thorough),
         pytest.param("magnetic_pendulum", {"(x_dot**2+y_dot**2)/2": 0.05}, marks=pytest.mark.thorough),
     ],
 )
@@ -502,6 +502,7 @@ def test_bound_agrees_with_finite_differences(name, friction):
     assert np.allclose(bound.standard_errors**2, np.diag(expected), rtol=1e-3)
 
 
+@pytest.mark.thorough
 def test_bound_when_a_cyclic_angle_is_not_measured():
     system = systems.get("spherical_pendulum")
     truth = systems.simulate_truth(system, trials=1, duration=4.0, rate=50.0, seed=2)
