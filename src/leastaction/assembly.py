@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def assemble_model(
     search: Search,
     verdict: Verdict,
     alternatives: Sequence[Alternative],
-    options: dict,
+    options: Mapping[str, Any],
     timings: dict[str, float],
 ) -> LagrangianModel:
     """The model of a search's fit; ``options`` and ``timings`` are kept as they are."""

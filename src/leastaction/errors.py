@@ -49,6 +49,6 @@ class MissingPackageError(InputError, ImportError):
         other = f", or {instead}" if instead else ""
         super().__init__(f"{use} needs {package}; install it with: pip install 'leastaction[{extra}]'{other}")
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[type[InputError], tuple[object, ...]]:
         # As InputError: the text is all there is, and unpickling must not ask for the four parts.
         return (InputError, self.args)

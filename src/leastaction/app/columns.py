@@ -47,7 +47,7 @@ COORDINATE, ANGLE, DEGREES = "coordinate", "angle (rad)", "angle (degrees)"
 FORCE, VELOCITY, ACCELERATION = "force on ", "velocity of ", "acceleration of "
 """A role is one of these, or one of the last three followed by the name of a coordinate."""
 
-TIMES = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
+TIMES: dict[str, str | None] = {TIME: "s", MILLISECONDS: "ms", MICROSECONDS: "us", DATES: None}
 """Role of the times -> their unit; dates have none."""
 
 _MOVING = (COORDINATE, ANGLE, DEGREES)

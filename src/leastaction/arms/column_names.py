@@ -11,7 +11,7 @@ from leastaction.errors import InputError
 
 __all__ = ["QUANTITIES", "columns_of", "tokens_of", "told_joints"]
 
-QUANTITIES = {
+QUANTITIES: dict[str, tuple[str, ...]] = {
     "torques": ("tau", "effort", "efforts", "torque", "torques"),
     "currents": ("current", "currents"),
     "velocities": ("dq", "qd", "qdot", "velocity", "velocities", "vel", "v"),

@@ -64,7 +64,7 @@ def _named(name: str, value: Any) -> str:
     return f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
 
 
-def say(text: str = "", **style) -> None:
+def say(text: str = "", **style: Any) -> None:
     """Print a line on stdout."""
     click.secho(text, **style)
 

@@ -197,7 +197,7 @@ class AdamProblem:
         self.grid: SplineGrid = grid
         self.physics: Physics = physics
         self.options: AdamOptions = options
-        self.n_dof = values[0].shape[1]
+        self.n_dof: int = values[0].shape[1]
         stacked = np.concatenate(values)
         self.observed: np.ndarray = np.isfinite(stacked)
         self.y: np.ndarray = np.where(self.observed, stacked, 0.0)

@@ -94,7 +94,8 @@ class Crew(Protocol):
 class Alone:
     """The calling thread: a task is computed when its result is requested."""
 
-    keeps, size = False, 1
+    keeps: bool = False
+    size: int = 1
 
     def __init__(self) -> None:
         self._folder = Folder()

@@ -287,7 +287,7 @@ class WithPushes(EulerLagrange):
             raise ValueError("forces are known at the quadrature points only")
         return np.concatenate([own, self.pushes.on(points.intervals, self.n_dof)])
 
-    def jacobian(self, points: Points, coefficients: np.ndarray):
+    def jacobian(self, points: Points, coefficients: np.ndarray) -> dict[tuple[int, int, int], np.ndarray]:
         return self.own.jacobian(points, coefficients[: len(self.terms)])
 
     def mass_matrix(self, points: Points, coefficients: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ __all__ = [
     "worst_share",
 ]
 
-STRUCTURES = {
+STRUCTURES: dict[str, tuple[str, ...]] = {
     "not found": ("not-converged", "stopped-early", "mass-matrix-not-finite", "mass-matrix-not-positive"),
     "not among the candidates": (
         *("missing-term", "time-dependent", "form-imitated", "simpler-form", "wrong-known-coefficient"),
