@@ -485,6 +485,20 @@ def test_a_well_is_placed_beside_powers_that_resemble_it(term, noise, law):
     assert abs(numbers["p"].value) <= 4.0 * numbers["p"].standard_error
 
 
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.thorough)])
+def test_powers_that_make_up_for_one_another_are_dropped(seed):
+    """Beside a wall, x**2 is the weakest of four: without it, x and x**3 would take its place for good."""
+    options = {"duration": 10.0, "rate": 100.0, "noise": 0.02, "seed": seed}
+    starts = [([1.0], [0.0]), ([0.1], [0.4]), ([0.4], [1.0])]
+    runs = record(lambda q, v, f: 6.0 * np.exp(-3.0 * q) - 4.0 * q, starts, ["x"], **options)
+    model = la.discover(
+        runs, ["x_dot**2", "x", "x**2", "x**3", "x**4", "x**2*x_dot**2", "exp(-{a}*x)"], known=KNOWN
+    )
+    assert {found.written for found in model.terms if not found.known} == {"x**2", "exp(-{a}*x)"}
+    (rate,) = model.shapes
+    assert abs(rate.value - 3.0) <= 4.0 * rate.standard_error
+
+
 def test_what_is_undefined_along_the_data_is_left_out_and_said():
     data = systems.generate("double_well", noise=0.01, trials=2, duration=8.0, seed=2)
     assert min(run.q.min() for run in data) < 0.0

@@ -73,17 +73,29 @@ def _exchanged(fit: Fit, swap: Mapping[str, str]) -> Fit:
 
 
 def _smaller(fit: Fit) -> Fit | None:
-    """The fit without one of its weakest terms, where that is better.
+    """The best fit with fewer terms, if it is better: without one of the weakest, then of those that remain.
 
     Of terms that resemble each other all are weak, and with other numbers each may explain what another did.
     """
+    best = fit
+    for weak in _weakest(fit):
+        other: Fit | None = _without(fit, weak)
+        while other is not None:
+            best = max(best, other, key=value)
+            smaller = [_without(other, k) for k in _weakest(other)[:1]]
+            other = next((each for each in smaller if value(each) > value(other)), None)
+    return None if best is fit else best
+
+
+def _weakest(fit: Fit) -> list[int]:
+    """Members of a structure whose worth is less than their price, the weakest first."""
     order: list[int] = np.argsort(fit.z**2)[:_WEAKEST].tolist()
-    weakest = [k for k in order if fit.z[k] ** 2 <= penalty(fit.grid)]
-    if len(fit.structure) < 2 or not weakest:
-        return None
-    smaller = [fit.structure.without([fit.structure.members[k]]) for k in weakest]
-    other = max((fit_shapes(fit.grid.fit(each, fit.start)) for each in smaller), key=value)
-    return other if value(other) > value(fit) else None
+    weak = [fit.structure.members[k] for k in order if fit.z[k] ** 2 <= penalty(fit.grid)]
+    return weak if len(fit.structure) > 1 else []
+
+
+def _without(fit: Fit, member: int) -> Fit:
+    return fit_shapes(fit.grid.fit(fit.structure.without([member]), fit.start))
 
 
 def _larger(fit: Fit) -> Fit | None:
