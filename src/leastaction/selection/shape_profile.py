@@ -21,7 +21,7 @@ from leastaction.selection.likelihood_search import term_penalty
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakForm, WeakGram, weak_form, weak_gram, weak_replicates
-from leastaction.selection.weak_search import ScaledGram, choose, solve_support, support_score
+from leastaction.selection.weak_search import ScaledGram, Support, choose, solve_support, support_score
 
 __all__ = ["Kind", "Profile", "ProfilePoint"]
 
@@ -128,9 +128,9 @@ class _Look:
     error: float
     replicates: int | None
 
-    def ratio(self, gram: WeakGram, members: tuple[int, ...]) -> float:
-        """ρ of some columns."""
-        return ScaledGram(gram, self.error).ratio(members)
+    def support(self, gram: WeakGram, members: tuple[int, ...]) -> Support:
+        """Some columns and their ρ."""
+        return Support(members, ScaledGram(gram, self.error).ratio(members))
 
 
 def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -187,9 +187,10 @@ class Profile:
         if gram is None:
             return []
         look, first = _Look(SELECTION.not_followed, _FEW), len(self.plain)
+        scaled = ScaledGram(gram, look.error)
         own = tuple(range(first, first + len(self._free(bearers))))
         supports = [(*level, *own) for level in self._levels]
-        return [self._valued(values, gram, m, look) for m in supports if m]
+        return [self._valued(values, gram, Support(m, scaled.ratio(m)), look) for m in supports if m]
 
     def chosen(
         self, kinds: Sequence[Kind], values: Mapping[str, float], bearers: Sequence[int]
@@ -238,7 +239,8 @@ class Profile:
                     called |= kind.called([m - columns.start for m in support.members if m in columns])
                 gram = self._gram({**values, **called}, bearers, (), 0)
                 if gram is not None:
-                    out[-1].append(self._valued({**values, **called}, gram, (*level, *free), look))
+                    same = Support((*level, *free), support.ratio)
+                    out[-1].append(self._valued({**values, **called}, gram, same, look))
         return out
 
     def _at_starts(
@@ -258,10 +260,10 @@ class Profile:
         n_rows, price = self._counts(point.gram)
         levels = backward_search(point.gram, SELECTION.not_followed, price, n_rows, _BEAM)
         best = min((s for level in levels for s in level), key=lambda s: support_score(s, price, n_rows))
-        return self._valued(point.values, point.gram, best.members, _Look(SELECTION.not_followed, None))
+        return self._valued(point.values, point.gram, best, _Look(SELECTION.not_followed, None))
 
     def _valued(
-        self, values: Mapping[str, float], gram: WeakGram, members: tuple[int, ...], look: _Look
+        self, values: Mapping[str, float], gram: WeakGram, support: Support, look: _Look
     ) -> ProfilePoint:
         """Numbers with their columns, and how well these explain the rows.
 
@@ -270,14 +272,13 @@ class Profile:
         costs as much as a term.
         """
         n_rows, price = self._counts(gram)
-        ratio = look.ratio(gram, members)
-        vector = np.append(solve_support(gram, look.error, members), 1.0)
+        vector = np.append(solve_support(gram, look.error, support.members), 1.0)
         share = float(vector @ gram.residual @ vector / (vector @ gram.size @ vector))
-        noise = share / ratio if look.replicates != 0 else 0.0
+        noise = share / support.ratio if look.replicates != 0 else 0.0
         score = np.inf  # rounding is all that is left of columns that cancel
         if share > 0.0:
-            score = n_rows * float(np.log(max(share, noise))) + price * (len(members) + len(values))
-        return ProfilePoint(dict(values), gram, members, ratio, score)
+            score = n_rows * float(np.log(max(share, noise))) + price * (len(support.members) + len(values))
+        return ProfilePoint(dict(values), gram, support.members, support.ratio, score)
 
     def refined(self, point: ProfilePoint, bearers: Sequence[int], roughly: bool = False) -> ProfilePoint:
         """The point moved by Gauss–Newton steps, its columns held, with all noise accounted for.
@@ -289,7 +290,7 @@ class Profile:
         gram = self._gram(point.values, bearers, (), look.replicates)
         if gram is None:
             return point
-        point = self._valued(point.values, gram, point.members, look)
+        point = self._valued(point.values, gram, look.support(gram, point.members), look)
         for _ in range(_STEPS):
             nearer = self._nearer(point, bearers, self._steps(point, bearers, look), look)
             if nearer is None:
@@ -329,9 +330,9 @@ class Profile:
             gram = self._gram(values, bearers, (), look.replicates)
             if gram is None:
                 continue
-            nearer = self._valued(values, gram, point.members, look)
-            if nearer.ratio < point.ratio:
-                return nearer
+            support = look.support(gram, point.members)
+            if support.ratio < point.ratio:
+                return self._valued(values, gram, support, look)
         return None
 
     def _counts(self, gram: WeakGram) -> tuple[float, float]:

@@ -77,14 +77,17 @@ def _smaller(fit: Fit) -> Fit | None:
 
     Of terms that resemble each other all are weak, and with other numbers each may explain what another did.
     """
-    best = fit
-    for weak in _weakest(fit):
-        other: Fit | None = _without(fit, weak)
-        while other is not None:
-            best = max(best, other, key=value)
-            smaller = [_without(other, k) for k in _weakest(other)[:1]]
-            other = next((each for each in smaller if value(each) > value(other)), None)
-    return None if best is fit else best
+    best = max((_reduced(_without(fit, weak)) for weak in _weakest(fit)), key=value, default=fit)
+    return best if value(best) > value(fit) else None
+
+
+def _reduced(fit: Fit) -> Fit:
+    """The fit without its weakest term, and so on, as long as that is better."""
+    for weakest in _weakest(fit)[:1]:
+        smaller = _without(fit, weakest)
+        if value(smaller) > value(fit):
+            return _reduced(smaller)
+    return fit
 
 
 def _weakest(fit: Fit) -> list[int]:
