@@ -36,7 +36,6 @@ from leastaction.mechanics.euler_lagrange import EulerLagrange
 __all__ = [
     "JointFit",
     "Quadratic",
-    "coefficient_step",
     "fit_joint",
     "nearer",
     "score_candidates",
@@ -212,14 +211,6 @@ def _step(
     if not np.isfinite(predicted):
         raise np.linalg.LinAlgError("the step is not finite")
     return shift, delta, predicted, -float(quadratic.gradient @ delta)
-
-
-def coefficient_step(at: Linearised, weights: Weights) -> np.ndarray:
-    """First Gauss–Newton step of the coefficients at other weights.
-
-    Raises LinAlgError when it is not finite.
-    """
-    return _step(at.normal(weights), 0.0, weights)[1]
 
 
 def _moved(

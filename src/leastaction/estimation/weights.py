@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leastaction.estimation.gauss_newton import JointFit, coefficient_step, fit_joint, shared
+from leastaction.estimation.gauss_newton import JointFit, fit_joint, shared, symmetric_inverse
 from leastaction.estimation.joint import Physics, Weights
 from leastaction.estimation.protocols import Measurements, linearise
 from leastaction.estimation.settings import ESTIMATION
@@ -177,7 +177,7 @@ def fit_weights(
         except np.linalg.LinAlgError:  # near the limit of rounding, H may not be positive definite for others
             break
         change = _change(best.weights, update)
-        if share > 1.0 and _is_idle(observations, physics, best, update):
+        if _is_idle(observations, physics, best, update):
             break
         if taken.size and float(taken @ change) < 0.0:
             update = _part_of_the_way(best.weights, update, min(1.0, _FARTHEST / np.abs(change).max()))
@@ -203,9 +203,8 @@ def fit_weights(
             stride *= 0.5  # two equations compete for the same error, and the weights oscillate
         else:
             break
-        spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
-        moved = np.abs(fit.coefficients - best.coefficients)[physics.free] / spread
-        settled = np.all(moved < ESTIMATION.weights_settled * np.sqrt(share))
+        step = (fit.coefficients - best.coefficients)[physics.free]
+        settled = _hardly_moves(step, fit.covariance, share)
         settled = settled and value - best_evidence < tolerance
         settled = settled and _have_settled(weights.slack, best.weights.slack, share)
         taken = _change(best.weights, fit.weights)
@@ -218,9 +217,12 @@ def fit_weights(
 def _is_idle(observations: Measurements, physics: Physics, fit: JointFit, update: Weights) -> bool:
     """Whether an update would change evidence and coefficients by less than the limits of `fit_weights`.
 
-    Half the slope of the evidence times the step is what a step to its maximum gains.
+    Half the slope of the evidence times the step is what a step to its maximum gains. On short recordings,
+    rounds cost little and are not predicted.
     """
     share, n = shared(observations), fit.weights.physics.size
+    if share <= 1.0:
+        return False
     change = _change(fit.weights, update)
     slopes = 0.5 * (update.slack - fit.weights.physics * fit.linearisation.equation)
     gain = 0.5 * float(slopes @ change[:n]) + float(observations.counts @ change[n:] ** 2)
@@ -229,11 +231,17 @@ def _is_idle(observations: Measurements, physics: Physics, fit: JointFit, update
     if not settled or not physics.n_free:
         return settled
     try:
-        step = coefficient_step(fit.linearisation, update)[: physics.n_free]
+        quadratic = fit.linearisation.normal(update).eliminate()
+        step = -symmetric_inverse(quadratic.matrix) @ quadratic.gradient
     except np.linalg.LinAlgError:
         return False
-    spread = np.sqrt(np.clip(np.diag(fit.covariance), 1e-300, None))
-    return bool(np.all(np.abs(step) < ESTIMATION.weights_settled * np.sqrt(share) * spread))
+    return _hardly_moves(step[: physics.n_free], fit.covariance, share)
+
+
+def _hardly_moves(step: np.ndarray, covariance: np.ndarray, share: float) -> bool:
+    """Whether a step of the coefficients is small beside their standard errors."""
+    spread = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
+    return bool(np.all(np.abs(step) / spread < ESTIMATION.weights_settled * np.sqrt(share)))
 
 
 def _change(old: Weights, new: Weights) -> np.ndarray:
@@ -276,7 +284,7 @@ def _accelerate(old: Weights, new: Weights) -> Weights:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tuple[Start, float]:
-    """Fit the curve alone with fixed coefficients, and update the weights once.
+    """Fit the curve alone with fixed coefficients, and update the weights once if that has an effect.
 
     Returns the new start and the evidence at the old weights; −inf when the fit failed.
     """
@@ -290,6 +298,6 @@ def fit_curve(observations: Measurements, physics: Physics, start: Start) -> tup
         weights = update_weights(observations, fit)
     except np.linalg.LinAlgError:
         return start, -np.inf
-    if shared(observations) > 1.0 and _is_idle(observations, held, fit, weights):
+    if _is_idle(observations, held, fit, weights):
         weights = fit.weights
     return Start(fit.control_points, fit.coefficients, weights), evidence(observations, fit)
