@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,6 +64,11 @@ class ResultView:
 
     def __init__(self, page: Page) -> None:
         self.page, self.session = page, page.session
+        # The widths of smoothed friction belong to the candidates, which all models of the curve share.
+        chosen = self.session.best.model
+        self.notation = Notation.of_fit(
+            chosen.coordinates, chosen.fit.findings, written_names(self.session.moving)
+        )
 
     @property
     def _angles(self) -> list[str]:
@@ -75,7 +81,7 @@ class ResultView:
         self.model = html.div().classes("stack follows")
         with html.div().classes("halves uneven"):
             self.table = panel("follows")
-            WalkPanel(self.page, self.refresh).build()
+            WalkPanel(self.page, self.notation, self.refresh).build()
         self.compared = html.div().classes("stack follows")
         self.symmetries = html.div().classes("stack follows")
         self.motion = html.div().classes("stack follows")
@@ -87,10 +93,7 @@ class ResultView:
         self._enable(found)
         for box in (self.model, self.table, self.compared, self.symmetries, self.motion):
             box.clear()
-        model = found.model
-        # The widths of smoothed friction belong to the candidates, which all models of the curve share.
-        findings = self.session.best.model.fit.findings
-        notation = Notation.of_fit(model.coordinates, findings, written_names(self.session.moving))
+        notation = self.notation
         with self.model:
             self._formula(found, notation)
         with self.table:
@@ -113,22 +116,19 @@ class ResultView:
                 say(self.session.title, "help")
                 title("The Lagrangian", "h1")
             with html.div().classes("downloads"):
-                self.report, self.json, self.all = (
-                    action(name, self.page.guarded(make), "plain", name.partition(".")[0])
-                    for name, make in (
-                        ("report.html", self._report),
-                        ("model.json", self._model),
-                        ("all.zip", self._everything),
-                    )
-                )
-                for button in (self.report, self.json, self.all):
-                    button.props("icon=download")
+                self.report = self._download("report.html", self._report)
+                self.json = self._download("model.json", self._model)
+                self.all = self._download("all.zip", self._everything)
                 self.exports = html.div()
                 with self.exports:
                     self._exports()
                 self.no_exports = action("Export", lambda: None, "plain", "export")
                 self.no_exports.set_enabled(False)
                 action("Save session", self.page.guarded(self._save), "plain", "save").props("icon=save")
+
+    def _download(self, name: str, make: Callable[[], Awaitable[None]]) -> ui.button:
+        button = action(name, self.page.guarded(make), "plain", name.partition(".")[0])
+        return button.props("icon=download")
 
     def _enable(self, found: Found) -> None:
         """Offer the downloads that this model has."""

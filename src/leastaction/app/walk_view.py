@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 from nicegui import html, ui
 
-from leastaction.app.columns import written_names
 from leastaction.app.figures import walk_figure
 from leastaction.app.parts import action, aside, drawn, math, panel, say, title
-from leastaction.model.mathml import Notation
 
 if TYPE_CHECKING:
     from leastaction.app.page import Page
+    from leastaction.model.mathml import Notation
 
 __all__ = ["WalkPanel"]
 
@@ -21,8 +20,8 @@ __all__ = ["WalkPanel"]
 class WalkPanel:
     """Figure, slider, and differences from the chosen structure."""
 
-    def __init__(self, page: Page, refresh: Callable[[], None]) -> None:
-        self.page, self.session, self.refresh = page, page.session, refresh
+    def __init__(self, page: Page, notation: Notation, refresh: Callable[[], None]) -> None:
+        self.page, self.session, self.notation, self.refresh = page, page.session, notation, refresh
 
     def build(self) -> None:
         walk = self.session.walk
@@ -115,9 +114,7 @@ class WalkPanel:
 
     def _list(self, text: str, terms: list[str]) -> None:
         if terms:
-            model, written = self.session.best.model, written_names(self.session.moving)
-            notation = Notation.of_fit(model.coordinates, model.fit.findings, written)
             with html.p().classes("terms"):
                 say(text, "help", "span")
                 for term in terms:
-                    math(notation.term(term), "term")
+                    math(self.notation.term(term), "term")
