@@ -378,6 +378,21 @@ def test_validate(work, model, tmp_path):
     assert "without --forces" not in result.stderr
 
 
+def test_validate_says_that_angles_are_in_degrees(model, work, tmp_path):
+    table = np.genfromtxt(work / "run.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    table["theta"] *= 180.0 / np.pi
+    names, file = table.dtype.names, tmp_path / "degrees.csv"
+    lines = [",".join(map(str, row)) for row in table.tolist()]
+    file.write_text("\n".join([",".join(names), *lines]) + "\n", encoding="utf-8")
+    options = ("--forces", "theta_force", "--horizon", 0.5)
+    wrong = run("validate", model, file, *options)
+    assert "give --units theta=deg" in wrong.stderr
+    right = run("validate", model, file, *options, "--units", "theta=deg")
+    assert "deg" not in right.stderr
+    pushed = run("validate", model, work / "run.csv", "--coordinates", "theta", "--trial", "trial")
+    assert "deg" not in pushed.stderr
+
+
 def _data_options(data, coordinates, forces, angles=None, force_delay=None):
     given = {"data": [str(data)], "coordinates": coordinates, "forces": forces, "angles": angles}
     others = {"time": "t", "trial": None, "velocity": (), "acceleration": ()}

@@ -22,11 +22,13 @@ from leastaction.findings import sentence
 from leastaction.identifiers import quoted
 
 if TYPE_CHECKING:
-    from leastaction import LagrangianModel
+    from leastaction import LagrangianModel, Trajectories
+    from leastaction.simulation.results import ForecastResult
 
 __all__ = ["export", "show", "simulate", "validate"]
 
 _MAX_SAMPLES = 5_000_000
+_FOLLOWED, _MUCH_LESS = 0.1, 0.2  # error over standard deviation, and share of it with angles in degrees
 _GROUP = click.option(
     "--group",
     metavar="NAME",
@@ -236,6 +238,11 @@ def validate(
         warn("the model was found with known forces; without --forces, none act in the forecast")
     with live_progress("forecast"):
         result = found.validate(trajectories, length, groups=groups)
+        degrees = _in_degrees(found, trajectories, result, groups)
+    if degrees:
+        units = ",".join(f"{name}=deg" for name in degrees)
+        named = ", ".join(degrees)
+        warn(f"{named}: the forecasts follow these data if they are in degrees; give --units {units}")
     if found.fit.status != "ok":
         warn_of_doubts("the model", found)
     if file is not None:
@@ -245,6 +252,26 @@ def validate(
     show_forecast(result)
     if file is not None:
         say(f"errors: {shown(file)}")
+
+
+def _in_degrees(
+    model: LagrangianModel, data: Trajectories, result: ForecastResult, groups: dict[str, str] | None
+) -> list[str]:
+    """Angles that forecasts do not follow as they are, and do if they are taken as degrees."""
+    import numpy as np
+
+    off = np.flatnonzero(result.rms_over_std > _FOLLOWED).tolist()
+    doubted = [i for i in off if model.coordinates[i] in model.angles]
+    if not doubted:
+        return []
+    factors = np.ones(len(model.coordinates))
+    factors[doubted] = np.pi / 180.0
+    try:
+        other = model.validate([t.changed(q=t.q * factors) for t in data], result.horizon, groups=groups)
+    except DataError:
+        return []
+    better = np.all(other.rms_over_std[doubted] < _MUCH_LESS * result.rms_over_std[doubted])
+    return [model.coordinates[i] for i in doubted] if better else []
 
 
 _EXPORT_HELP = """Write a model for other programs.
