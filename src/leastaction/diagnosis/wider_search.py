@@ -28,6 +28,7 @@ from leastaction.selection.families import searched_with
 from leastaction.selection.forecast_error import forecast_error
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold, restarted
+from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies import feeding_friction, weak_start
 from leastaction.selection.weak_proposals import explicable
 
@@ -46,8 +47,9 @@ MOST_SAMPLES = 50_000  # a search on more takes too long for a hint
 def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit | None:
     """What is found on a grid of all data, if its equations hold and every term is certain.
 
-    It has to be likelier than the fit that is in doubt.  What explains the motion no better may still move
-    the unexplained from the equations to the noise, as vibrations can be either.
+    It has to be likelier than the fit that is in doubt, by more than chance.  What explains the motion no
+    better may still move the unexplained from the equations to the noise, as vibrations can be either, or
+    hide it behind large terms that cancel each other.
     """
     begun = restarted(replace(search, report=silent), grid, curve)
     if not explicable(begun.grid, begun.curve, begun.seed):
@@ -57,7 +59,8 @@ def begun_anew(search: Search, grid: Grid, curve: Smooth | None = None) -> Fit |
         return None
     before = search.found
     same = found.grid.knots_per_second == before.grid.knots_per_second
-    if same and before.converged and not found.evidence > before.evidence:
+    chance = 0.5 * chi_square_cutoff()
+    if same and before.converged and not found.evidence > before.evidence + chance:
         return None
     certain = np.abs(found.estimates) >= DIAGNOSIS.certain * found.standard_errors
     return found if np.all(certain) else None
