@@ -417,7 +417,7 @@ def test_score_predicts_the_gain_of_a_candidate():
     """The quadratic model at a fit foretells the cost of the refit with one term more."""
     grid, start = duffing_grid(0.03, 8.0, "x**6", "cos(x)")
     fit = grid.fit(MEMBERS, start)
-    quadratic = fit.score()
+    quadratic = fit.quadratic
     # free columns: x², x⁴, x⁶, cos x; members are at their minimum
     spread = 1.0 / np.sqrt(np.diag(quadratic.matrix))
     assert np.abs(quadratic.gradient[:2] * spread[:2]).max() < 0.15
@@ -453,7 +453,7 @@ def test_structure_keeps_known_and_leaves_out_what_is_not_a_member():
 def test_numbers_that_overflow_end_a_fit_and_never_enter_a_structure():
     """exp(800 x) is infinite along this motion: no warning, no step, nothing promised."""
     grid, start = duffing_grid(0.03, 8.0, "exp(800*x)")
-    quadratic = grid.fit(MEMBERS, start).score()
+    quadratic = grid.fit(MEMBERS, start).quadratic
     assert np.isfinite(quadratic.matrix).all()
     assert quadratic.gradient[2] == 0.0
     assert np.all(quadratic.matrix[2, :2] == 0.0)

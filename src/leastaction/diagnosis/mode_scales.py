@@ -42,7 +42,7 @@ def free_scales(fit: Fit, curvature: np.ndarray | None = None) -> list[Finding]:
     found = _scale_directions(fit, parts, offered)
     if not found.size:
         return []
-    rise = (fit.score().matrix if curvature is None else curvature)[np.ix_(places, places)]
+    rise = (fit.quadratic.matrix if curvature is None else curvature)[np.ix_(places, places)]
     loose = _null_space(parts[offered].reshape(len(offered), -1).T)
     if loose.size:  # what else candidates can do about the nonlinear part
         inner = np.linalg.pinv(loose.T @ rise @ loose, rcond=1e-10, hermitian=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -261,8 +262,15 @@ class Fit:
         """Gain in 2 log likelihood of a term that explains a share ``relevance`` of the equation error."""
         return relevance * float(self.weights.slack.sum())
 
-    def score(self, candidates: EulerLagrange | None = None) -> Quadratic:
-        """Quadratic model of the cost in candidates about this fit, by default in all free ones."""
-        if candidates is None:
-            candidates = self.problem.candidates.subset(self.problem.free.tolist())
+    @cached_property
+    def quadratic(self) -> Quadratic:
+        """Quadratic model of the cost in all free candidates about this fit.
+
+        Refinement, the selection of terms and the alternatives ask for it in turn, and on a long recording
+        it takes as long as two Gauss–Newton steps.
+        """
+        return self.score(self.problem.candidates.subset(self.problem.free.tolist()))
+
+    def score(self, candidates: EulerLagrange) -> Quadratic:
+        """Quadratic model of the cost in some candidates about this fit."""
         return score_candidates(self.linearisation, self.weights, candidates)

@@ -73,7 +73,7 @@ class Neighbourhood:
     @classmethod
     def of(cls, fit: Fit) -> Neighbourhood:
         """Score every candidate about a fit."""
-        quadratic = fit.score()
+        quadratic = fit.quadratic
         free = fit.problem.free
         about = quadratic.matrix, quadratic.gradient, fit.coefficients[free]
         return cls(fit, quadratic, QuadraticModel(*about, fit.problem.surcharges[free]))

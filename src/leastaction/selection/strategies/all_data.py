@@ -15,10 +15,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from leastaction.estimation.grid import Grid
-from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.weights import Start
 from leastaction.hidden.start import completed
 from leastaction.selection.likelihood_refinement import refine
@@ -48,9 +45,6 @@ def _start(search: Search, grid: Grid) -> Start:
     data = completed(grid.problem, found.structure, search.scales.period, found.coefficients)
     points = grid.posed(grid.problem.on(data)).smooth(search.scales.smooth.penalty).control_points
     longer = grid.spline.n_ctrl / len(found.control_points)
-    slack, physics = found.weights.slack, found.weights.physics
-    # w grows in proportion to the data where equations are exact, and not at all where an error shows;
-    # where hardly any shows in the pieces it may in all data: the geometric mean is a start for both
-    rise = np.where(slack < ESTIMATION.slack_left, np.sqrt(longer), 1.0)
-    weights = replace(found.weights, physics=rise * physics, slack=longer * slack / rise)
+    # w is that of the pieces: equations whose error hardly shows there may show it in all data
+    weights = replace(found.weights, slack=longer * found.weights.slack)
     return grid.fit_curve(found.structure, Start(points, found.coefficients, weights))[0]
