@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 import leastaction as la
-from helpers import DUFFING_LIBRARY, KINETIC, SMALL, duffing, euler_lagrange, findings_of, record
+from helpers import DUFFING_LIBRARY, KINETIC, SMALL, duffing, euler_lagrange, findings_of, pendulum, record
 from leastaction import systems
 from leastaction.curve.bspline import uniform_grid
 from leastaction.errors import DataError, InputError
@@ -98,6 +99,38 @@ def test_names_and_sequence_of_groups_do_not_matter(model, payload):
         assert its_error == pytest.approx(error, rel=0.02)
     for a, b in zip(model.of_group("loaded").terms, turned.of_group("B").terms, strict=True):
         assert a.coefficient == pytest.approx(b.coefficient, abs=0.05 * a.standard_error)
+
+
+def test_a_table_of_two_machines_is_noticed_and_the_advice_works(payload, model):
+    mixed = la.discover(payload, systems.get("single_pendulum").library)
+    assert mixed.fit.status == "doubtful"
+    (finding,) = findings_of(mixed, "trials-differ")
+    assert finding.subject == ("theta_dot**2", "cos(theta)")
+    assert finding.values["trials"] == ("00", "01", "10", "11")
+    assert finding.values["places"] == (0, 0, 1, 1)
+    advised = ast.literal_eval(finding.remedy.partition("groups=")[2].partition("}")[0] + "}")
+    again = found(payload, advised)
+    assert again.fit.status == "ok"
+    for name, (value, error) in differences(model).items():
+        assert differences(again)[name.replace("loaded", "B")][0] == pytest.approx(value, abs=0.05 * error)
+    told = dict(zip(finding.values["terms"], finding.values["differences"], strict=True))
+    for name, (value, error) in differences(again).items():
+        assert told[name] == pytest.approx(value, abs=error)
+
+
+@pytest.mark.parametrize("amplitudes", [(0.4, 0.7, 1.0, 1.3), (0.4, 0.4, 1.3, 1.3), None])
+def test_another_fault_is_not_a_difference_between_trials(amplitudes):
+    """An imitated law needs other coefficients for every amplitude, and missing friction the same for all."""
+    if amplitudes:
+        starts = [([x], [0.0]) for x in amplitudes]
+        data = record(lambda q, v, f: -4.0 * np.sin(2.0 * q), starts, ["x"], duration=12.0, noise=0.002)
+        candidates, known = la.Library(["x_dot**2", "x**2"], ["x"]), {"x_dot**2": 0.5}
+    else:
+        data, known = pendulum(viscous=0.6, trials=3), {}
+        candidates = la.Library(["theta_dot**2", "cos(theta)"], ["theta"], angles=["theta"])
+    model = la.discover(data, candidates, known=known)
+    assert findings_of(model, "equations-off")
+    assert not findings_of(model, "trials-differ")
 
 
 def test_groups_may_be_given_by_the_names_of_trajectories(model, payload):

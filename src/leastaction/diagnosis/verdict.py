@@ -9,6 +9,7 @@ import numpy as np
 import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
+from leastaction.diagnosis.differing_trials import differences, differing_trials
 from leastaction.diagnosis.effects import Effects
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
@@ -96,7 +97,7 @@ def verify(
     found += _unexplained_rates(fit, chi2) + causes
     if (unexplained or excused.any()) and samples_per_period >= needed:
         found += _looks_like_noise(fit, noise)
-    if unexplained:
+    if unexplained and not any(cause.code == "trials-differ" for cause in causes):
         found += perhaps_degrees(fit, period, share, causes)
     found += _unexplained_little(names, share, excused, unexplained)
     if samples_per_period < needed:
@@ -145,13 +146,7 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     # a new search has one law for all trials, and takes every coordinate as measured
     again = short and not fit.problem.candidates.grouped and not fit.problem.hidden
     if off and again and not any(cause.holds for cause in known):
-        # causes that need no further term come first
-        found = exchanged_forces(search) or search_afresh(search)
-        # first those with the name of an angle; without any, whichever it may be comes after the families
-        named = perhaps_angles(fit.problem.candidates)
-        found = found or undeclared_angles(search, named) or lacking_family(search)
-        found = found or undeclared_angles(search, () if named else fit.problem.coordinates)
-        found = found or time_dependence(search) or unmeasured_part(search)
+        found = _by_search(search)
     if found or not usable:
         return found + [cause.finding for cause in known]
     # Terms imitate each other and wrong coefficients: name the more likely cause of the two.
@@ -164,6 +159,25 @@ def _likely_causes(search: Search, effects: Effects, off: bool) -> list[Finding]
     if not found and np.any(effects.left > DIAGNOSIS.worth_knowing):
         found = scaled_forces(fit)
     return found
+
+
+def _by_search(search: Search) -> list[Finding]:
+    """What a new search finds; causes that need no further term come first."""
+    differing = differing_trials(search)
+    if differing:  # where a family is imitated, motions of other amplitudes need other coefficients
+        return lacking_family(search) or differing
+    problem = search.found.problem
+    # first those with the name of an angle; without any, whichever it may be comes after the families
+    named = perhaps_angles(problem.candidates)
+    return (
+        exchanged_forces(search)
+        or search_afresh(search)
+        or undeclared_angles(search, named)
+        or lacking_family(search)
+        or undeclared_angles(search, () if named else problem.coordinates)
+        or time_dependence(search)
+        or unmeasured_part(search)
+    )
 
 
 def _form(search: Search, exact: bool) -> list[Finding]:
@@ -319,22 +333,8 @@ def _between_groups(fit: Fit) -> list[Finding]:
     problem, columns = fit.problem, fit.problem.candidates
     if not isinstance(columns, GroupedColumns):
         return []
-    own = [
-        (problem.terms[k], *n)
-        for k, *n in zip(fit.structure, fit.estimates, fit.standard_errors, strict=True)
-    ]
-    differing = [(term, *numbers) for term, *numbers in own if isinstance(term, GroupTerm)]
-    subject = list(dict.fromkeys(term.whole.text for term, *_ in differing))
-    figures = {
-        "groups": list(columns.names),
-        "terms": [term.text for term, *_ in differing],
-        "differences": [value for _, value, _ in differing],
-        "standard_errors": [error for *_, error in differing],
-        "alike": [
-            term.text for term, *_ in own if not isinstance(term, GroupTerm) and term.text not in subject
-        ],
-    }
-    out = [find("groups-differ", subject, **figures) if differing else find("groups-alike", **figures)]
+    differing, figures = differences(fit)
+    out = [find("groups-differ", differing, **figures) if differing else find("groups-alike", **figures)]
     known = [
         term.text for term, value in zip(problem.terms, np.nan_to_num(problem.known), strict=True) if value
     ]

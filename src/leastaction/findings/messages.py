@@ -40,6 +40,13 @@ CODES: dict[str, Message] = {
         "add {subject} to the candidates, or measure the input that drives the system",
         on_command_line=templates.time_dependent_remedy,
     ),
+    "trials-differ": Message(
+        "warning",
+        templates.trials_differ,
+        templates.trials_differ_remedy,
+        on_command_line="name the machine or load of each trial in a column, and give it with --group",
+        on_page="discover each group by itself, or compare them in Python or on the command line",
+    ),
     "unmeasured-part": Message(
         "warning",
         templates.unmeasured_part,
@@ -320,7 +327,7 @@ CODES: dict[str, Message] = {
         on_page="natural frequencies, damping ratios and mode shapes are not affected; a known coefficient "
         "or force for each mode fixes its scale",
     ),
-    "groups-differ": Message("note", templates.groups_differ),
+    "groups-differ": Message("note", stated.groups_differ),
     "groups-alike": Message("note", "no coefficient differs significantly between the groups {groups}"),
     "groups-known": Message(
         "note",

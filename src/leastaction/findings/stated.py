@@ -1,4 +1,4 @@
-"""The three statements of a verdict, on structure, equations and forecast, and what they are made of."""
+"""The three statements of a verdict, on structure, equations and forecast, and statements of figures."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ __all__ = [
     "STRUCTURES",
     "failed",
     "followed",
+    "groups_differ",
     "reach",
     "stated_error",
     "statements",
@@ -126,3 +127,19 @@ def reach(f: dict[str, Any]) -> str:
     """State how far ahead the model forecasts, according to its intervals."""
     within = "forecasts are off by less than {share:.0f%} of the spread for "
     return fill(within + ("{seconds:.2g} s and more" if f["to_the_end"] else "{seconds:.2g} s"), f)
+
+
+def groups_differ(f: dict[str, Any]) -> str:
+    """State which coefficients differ between groups, and by how much."""
+    numbers = zip(f["terms"], f["differences"], f["standard_errors"], strict=True)
+    changes = ", ".join(f"{term} by {value:+.3g} ± {error:.2g}" for term, value, error in numbers)
+    others = len(f["alike"])
+    same = "; one other does not" if others == 1 else f"; {others} others do not" if others else ""
+    what = (
+        "the coefficient of {subject} differs"
+        if len(f["subject"]) == 1
+        else "the coefficients of {subject} differ"
+    )
+    return fill(
+        what + " between the groups {groups} ({changes}){same}", {**f, "changes": changes, "same": same}
+    )

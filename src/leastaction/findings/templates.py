@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from leastaction.findings.finding import Audience, fill
+from leastaction.findings.stated import groups_differ
 
 __all__ = [
     "REASONS",
@@ -20,7 +21,6 @@ __all__ = [
     "equations_off_remedy",
     "friction",
     "gravity_remedy",
-    "groups_differ",
     "hardly_determined",
     "hidden_coordinate",
     "hidden_motion_open",
@@ -36,6 +36,8 @@ __all__ = [
     "time_dependent",
     "time_dependent_remedy",
     "time_unit",
+    "trials_differ",
+    "trials_differ_remedy",
     "wrong_known",
     "wrong_known_remedy",
     "zero_offset",
@@ -339,19 +341,21 @@ def gravity_remedy(f: dict[str, Any]) -> str:
     return fill(text + "plane of motion is inclined", f)
 
 
-def groups_differ(f: dict[str, Any]) -> str:
-    """State which coefficients differ between groups, and by how much."""
-    numbers = zip(f["terms"], f["differences"], f["standard_errors"], strict=True)
-    changes = ", ".join(f"{term} by {value:+.3g} ± {error:.2g}" for term, value, error in numbers)
-    same = f"; {len(f['alike'])} others do not" if f["alike"] else ""
-    what = (
-        "the coefficient of {subject} differs"
-        if len(f["subject"]) == 1
-        else "the coefficients of {subject} differ"
-    )
-    return fill(
-        what + " between the groups {groups} ({changes}){same}", {**f, "changes": changes, "same": same}
-    )
+def trials_differ(f: dict[str, Any]) -> str:
+    """State which trials have other coefficients, and by how much these differ."""
+    placed = list(zip(f["trials"], f["places"], strict=True))
+    machines = [
+        f"{group} ({', '.join(name for name, place in placed if place == k)})"
+        for k, group in enumerate(f["groups"])
+    ]
+    text = f"the trials appear to be of {len(machines)} machines or loads, " + " and ".join(machines)
+    return f"{text}: {groups_differ(f)}"
+
+
+def trials_differ_remedy(f: dict[str, Any]) -> str:
+    """How to declare the groups."""
+    own = {name: f["groups"][place] for name, place in zip(f["trials"], f["places"], strict=True)}
+    return f"compare them with groups={own!r}, or discover each by itself"
 
 
 def unmeasured_part(f: dict[str, Any]) -> str:

@@ -40,7 +40,7 @@ from leastaction.selection.significance import chi_square_cutoff
 from leastaction.selection.strategies import exact_equations, weak_start
 from leastaction.selection.weak_proposals import settled
 
-__all__ = ["search_groups"]
+__all__ = ["compared", "law_alone", "search_groups"]
 
 _ROUNDS = 5  # choices that are fitted, at most
 _MOST_COLUMNS = 400  # candidates in all groups: of more only terms found may differ, which bounds memory
@@ -71,10 +71,10 @@ def search_groups(setup: Setup, search: Search, grouping: Grouping) -> Search:
             "groups cannot be compared with shape parameters in the candidates; give numbers in their place"
         )
     alone = find_on_data(_in_one_group(setup, search, grouping))
-    best = _compared(search, grouping, alone)
+    best = compared(search, grouping, alone)
     if not alone.stopped and not (best.converged and explains(best, best.evidence)):
         together = find_on_data(search)
-        other = _compared(search, grouping, together)
+        other = compared(search, grouping, together)
         if _worth(other, search.relevance) > _worth(best, search.relevance):
             alone, best = together, other
     done = search.now(best, knots_settled=alone.knots_settled, feeding=alone.feeding, stopped=alone.stopped)
@@ -98,7 +98,7 @@ def _in_one_group(setup: Setup, search: Search, grouping: Grouping) -> Search:
     )
 
 
-def _compared(search: Search, grouping: Grouping, found: Search) -> Fit:
+def compared(search: Search, grouping: Grouping, found: Search) -> Fit:
     """What a search has found, on all data and in every group: which terms differ."""
     fit = found.found
     faster = max(1.0, search.scales.per_second / found.scales.per_second)
@@ -107,7 +107,7 @@ def _compared(search: Search, grouping: Grouping, found: Search) -> Fit:
     search.report("confirm", {})
     own = fit.problem.trajectories
     parts = [problem.trajectories.select(grouping.members(g)) for g in range(len(grouping.names))]
-    laws = [fit if [*part] == [*own] else _law(found, part, grid.knots_per_second) for part in parts]
+    laws = [fit if [*part] == [*own] else law_alone(found, part, grid.knots_per_second) for part in parts]
     groups = _Groups(grid, grouping)
     best, terms = groups.apart(laws)
     for _ in range(_ROUNDS):
@@ -124,8 +124,8 @@ def _compared(search: Search, grouping: Grouping, found: Search) -> Fit:
     return best
 
 
-def _law(found: Search, data: Trajectories, knots_per_second: float) -> Fit:
-    """The law of one group with the terms that a search has found, and more if it does not hold."""
+def law_alone(found: Search, data: Trajectories, knots_per_second: float) -> Fit:
+    """The law of some trials with the terms that a search has found, and more if it does not hold."""
     problem = found.found.problem.on(data).excerpt(ENOUGH_SAMPLES)
     others = [k for k in problem.free.tolist() if k not in found.found.structure]
     grid = Grid.lay(problem.excluding(others), knots_per_second)
