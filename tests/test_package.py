@@ -63,7 +63,7 @@ def test_measured_pendulum(name, coordinates, n_trials, n_times):
 
 
 def test_licence_is_beside_the_data():
-    assert "dynamicslab" in (DATA / "LICENSE-MultiArm-Pendulum").read_text(encoding="utf-8")
+    assert "MIT License\n\nCopyright (c) 2022 dynamicslab" in (DATA / "README.md").read_text(encoding="utf-8")
 
 
 # ------------------------- thresholds: one frozen object a package, every value documented and in use
