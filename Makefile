@@ -6,6 +6,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMPS := $(VENV)/.stamps
 TEST_ARGS ?=
+WORKERS ?= 2
 KERNELS ?= Haswell Sandybridge
 RUN_ARGS ?=
 
@@ -22,7 +23,7 @@ STUDIES := structure single calibration faults noise further unlisted names shap
 
 help:
 	@echo "make demo           find the Lagrangian of a measured double pendulum; report in demo-output/"
-	@echo "make test           run the tests (TEST_ARGS='-k spline' for some of them)"
+	@echo "make test           run the tests (TEST_ARGS='-k spline' for some of them, WORKERS=8 on eight cores)"
 	@echo "make test-kernels   run the numeric tests under other kernels of OpenBLAS (KERNELS='$(KERNELS)')"
 	@echo "make lint           check style, types and the direction of imports"
 	@echo "make format         put the code into the style that lint checks"
@@ -44,16 +45,16 @@ help:
 demo: $(STAMPS)/core
 	$(BIN)/leastaction demo --output demo-output
 
-# Two workers with one BLAS thread each: small matrices gain nothing from more threads. Each takes half of the files
-# in a row, so that what the tests of a file share is computed once, and then steals from the other.
+# Workers have one BLAS thread each: small matrices gain nothing from more threads. Each takes a part of the
+# files in a row, so that what the tests of a file share is computed once, and then steals from the others.
 test: $(STAMPS)/test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal -q $(TEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -q $(TEST_ARGS)
 
 # Kernels of OpenBLAS round differently: results must not depend on the processor. Thorough tests of other folders
 # run once.
 test-kernels: $(STAMPS)/test
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/test_kernels.py $(KERNELS) -- -n 2 -q $(TEST_ARGS)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 -q -m thorough \
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/test_kernels.py $(KERNELS) -- -n $(WORKERS) -q $(TEST_ARGS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) -q -m thorough \
 	  tests/app tests/arms tests/exporters tests/hidden tests/reproduction tests/studies tests/test_docs.py
 
 lint: $(STAMPS)/lint
