@@ -393,6 +393,19 @@ def test_validate_says_that_angles_are_in_degrees(model, work, tmp_path):
     assert "deg" not in pushed.stderr
 
 
+def test_validate_needs_no_column_of_every_coordinate(tmp_path):
+    data = systems.generate("cart_spring_pendulum", noise=0.01, trials=1, duration=6.0, seed=4)
+    system = systems.get("cart_spring_pendulum")
+    terms = list(system.lagrangian.items())
+    given = {"noise_std": [0.01, 0.01], "provenance": {"options": {"angles": ["theta"]}}}
+    path = model_file(tmp_path / "model.json", terms, system.coordinates, **given)
+    la.write_csv(tmp_path / "run.csv", data)
+    result = run("validate", path, tmp_path / "run.csv", "--coordinates", "theta")
+    assert "note: x has no column: the motion follows from the other columns" in result.stdout
+    rows = [line.split() for line in result.stdout.splitlines() if line.startswith("theta")]
+    assert float(rows[0][1]) < 1.5 * float(rows[0][2])
+
+
 def _data_options(data, coordinates, forces, angles=None, force_delay=None):
     given = {"data": [str(data)], "coordinates": coordinates, "forces": forces, "angles": angles}
     others = {"time": "t", "trial": None, "velocity": (), "acceleration": ()}

@@ -656,6 +656,23 @@ def test_a_filmed_pendulum_gives_its_law_and_the_camera(tmp_path) -> None:
     assert len(model.calibration.covariance) == 1 + 4
 
 
+def test_a_film_that_was_held_out_is_forecast_in_pixels(tmp_path) -> None:
+    """Within its noise, and 95 % inside the bands; with one column too, although a sine has two angles."""
+    model = la.discover(filmed(1.0), LIBRARY, GIVEN, measure=CAMERA)
+    other = filmed(1.0, amplitudes=(0.7,), seed=5)
+    result = model.validate(other)
+    assert result.coordinates == ("u", "v")
+    assert np.all(result.rms < 1.1 * result.expected_rms)
+    assert np.all((result.coverage > 0.9) & (result.coverage < 0.99))
+    one = la.Trajectories([run.changed(q=run.q * [1.0, np.nan]) for run in other])
+    alone = model.validate(one)
+    assert alone.coordinates == ("u",)
+    assert np.all(alone.rms < 1.1 * alone.expected_rms)
+    la.write_report(model, tmp_path / "report.html", validation=result)
+    with pytest.raises(InputError, match=r"the model has theta, u, v"):
+        model.validate(la.Trajectories([la.Trajectory(r.t, r.q[:, :1], coordinates=["w"]) for r in other]))
+
+
 def test_without_noise_everything_is_recovered() -> None:
     model = la.discover(filmed(0.0, seconds=4.0), LIBRARY, GIVEN, measure=CAMERA)
     assert model.terms[1].coefficient == pytest.approx(STIFFNESS, rel=1e-4)

@@ -127,6 +127,24 @@ def test_misuse_is_refused(hidden, terms, message) -> None:
         la.discover(data, terms or list(PENDULUM.lagrangian), known=PENDULUM.known, hidden=hidden)
 
 
+@pytest.mark.parametrize(
+    ("name", "gone"),
+    [("double_pendulum", "theta2"), ("double_pendulum", "theta1"), ("cart_spring_pendulum", "x")],
+)
+def test_trials_without_a_coordinate_are_forecast(name: str, gone: str) -> None:
+    """The motion of the others determines it: forecasts are as good as noise and law allow."""
+    system = systems.get(name)
+    data = systems.generate(name, noise=0.01, trials=3, duration=6.0, seed=2)
+    model = la.discover(data.select([0, 1]), system.library, known=system.known)
+    kept = [i for i, coordinate in enumerate(system.coordinates) if coordinate != gone]
+    run = data[2]
+    unseen = run.changed(q=np.where(np.isin(np.arange(run.n_dof), kept), run.q, np.nan))
+    result = model.validate(unseen)
+    assert result.coordinates == tuple(system.coordinates[i] for i in kept)
+    assert np.all(result.rms < 1.3 * result.expected_rms)
+    assert np.all(result.coverage > 0.88)
+
+
 def test_all_coordinates_hidden_is_refused() -> None:
     run = la.Trajectory([0.0, 1.0], [[np.nan], [np.nan]], coordinates=["x"])
     with pytest.raises(InputError, match="nothing is measured"):

@@ -128,9 +128,10 @@ def _motion(model: LagrangianModel, task: Task) -> Motion:
     place = next(k for k, run in enumerate(data) if run.duration > 0.99 * longest)
     run = data.select(place)
     result = model.validate(run, horizon=min(_SHARE * run.duration, _LONGEST))
+    if result.coordinates != model.coordinates:
+        raise InputError("a motion of which some coordinates have no column is not drawn")
     trace = result.traces[0]
-    step = -(-trace.t.size // _FRAMES)
-    keep = slice(None, None, step)
+    keep = slice(None, None, -(-trace.t.size // _FRAMES))
     return Motion(
         data.names[place],
         task.held_out is not None,

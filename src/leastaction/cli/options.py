@@ -101,13 +101,13 @@ class DataOptions:
         return (*(name for name in self.coordinates if name not in sensors), *self.hidden)
 
     def in_order_of(self, names: Sequence[str]) -> DataOptions:
-        """Return the same with the coordinates in another order."""
-        if sorted(names) != sorted(self.names):
+        """Return the same with the columns in another order; some of the names may have none."""
+        if {*self.names} - {*names}:
             raise InputError(
                 f"--coordinates: the model has {', '.join(names)}, not {', '.join(self.names)}; if the "
                 "columns have other names, write name=column"
             )
-        ordered = {name: self.coordinates[name] for name in names}
+        ordered = {name: self.coordinates[name] for name in names if name in self.coordinates}
         return replace(self, coordinates=ordered)
 
     def read(self) -> Trajectories:

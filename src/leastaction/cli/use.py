@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -216,7 +217,8 @@ def validate(
     """Forecast measured trials with a model, and print the errors.
 
     MODEL is a model.json written by discover. Forecasts start at regular intervals in every trial, from the
-    state that best fits the preceding samples. Errors are given in the units of the coordinates, next to
+    state that best fits the preceding samples. Coordinates without a column, and columns of --measure, are
+    treated as in the discovery. Errors are given in the units of the coordinates, next to
     those of an exact model, and relative to the noise and the standard deviation of the data.
     """
     import leastaction
@@ -230,7 +232,8 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    options = data(default=found.coordinates).in_order_of(found.coordinates)
+    sensors = () if found.calibration is None else found.calibration.columns
+    options = data(default=_measured(found)).in_order_of((*found.coordinates, *sensors))
     trajectories = options.read()
     groups = None if group is None else groups_of_trials(options, group, trajectories.names)
     if not trajectories.driven and not any(term.known for term in found.terms):
@@ -249,9 +252,20 @@ def validate(
         write_text(file, json.dumps(result.to_dict(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     for finding in trajectories.findings:
         say(f"note: {one_line(sentence(finding, 'command line'))}")
+    without = [name for name in found.coordinates if name not in options.names]
+    if without:
+        verb = "has" if len(without) == 1 else "have"
+        say(f"note: {', '.join(without)} {verb} no column: the motion follows from the other columns")
     show_forecast(result)
     if file is not None:
         say(f"errors: {shown(file)}")
+
+
+def _measured(model: LagrangianModel) -> tuple[str, ...]:
+    """Columns that the model was found from: sensors, and coordinates that had samples."""
+    sensors = () if model.calibration is None else model.calibration.columns
+    noise = zip(model.coordinates, model.noise_std.tolist(), strict=True)
+    return (*sensors, *(name for name, std in noise if math.isfinite(std)))
 
 
 def _in_degrees(
@@ -260,6 +274,8 @@ def _in_degrees(
     """Angles that forecasts do not follow as they are, and do if they are taken as degrees."""
     import numpy as np
 
+    if result.coordinates != model.coordinates:
+        return []
     off = np.flatnonzero(result.rms_over_std > _FOLLOWED).tolist()
     doubted = [i for i in off if model.coordinates[i] in model.angles]
     if not doubted:

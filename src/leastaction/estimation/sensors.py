@@ -11,7 +11,7 @@ second part adds a column for each number to the border of the coefficients.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -93,6 +93,13 @@ class SensorFunctions:
         order = " ".join(map(str, texts))
         names = sorted(symbols, key=lambda name: re.search(rf"\{{\s*{name}\W", order).start())  # type: ignore[union-attr]
         return cls(tuple(columns), tuple(expressions), tuple(coordinates), tuple(names), starts)
+
+    def fixed(self, values: Mapping[str, float], columns: Container[str]) -> SensorFunctions:
+        """The functions of some columns, with values of all calibration numbers in place."""
+        numbers = {shape_symbol(name): values[name] for name in self.names}
+        pairs = zip(self.columns, self.expressions, strict=True)
+        kept = {name: expr.subs(numbers) for name, expr in pairs if name in columns}
+        return replace(self, columns=(*kept,), expressions=(*kept.values(),), names=(), starts={})
 
     @cached_property
     def _compiled(self) -> tuple[Callable[..., Any], Callable[..., Any]]:

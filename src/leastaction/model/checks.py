@@ -10,19 +10,26 @@ import numpy as np
 import sympy as sp
 from numpy.typing import ArrayLike
 
+from leastaction.data.coerce import arranged
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.data.validation import real_array
-from leastaction.errors import InputError
+from leastaction.errors import DataError, InputError
+from leastaction.estimation.calibration import calibrate
+from leastaction.estimation.sensors import SensorFunctions
 from leastaction.identifiers import check_coordinate_names, names_in_terms, quoted
 from leastaction.kinds import is_list, is_mapping
 from leastaction.library import make_term, parse_expression
 from leastaction.model.groups import Groups
 from leastaction.model.term import FitSummary, ModelTerm, ShapeParameter
+from leastaction.simulation.forecast import Sight
 from leastaction.simulation.law import Law
 
 if TYPE_CHECKING:
     from leastaction.model.diagnostics import Diagnostics
     from leastaction.model.model import LagrangianModel
+
+_DEGREE = 5  # of the splines through sensor columns
+_LONG = 2.0  # horizons: the state of a coordinate without a sensor follows from the motion of others
 
 __all__ = [
     "angles_in",
@@ -299,16 +306,74 @@ def checked_inputs(
     return {coordinates.index(name): values for name, values in inputs.items()}
 
 
-def held_out(model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]) -> Trajectories:
-    """Return trajectories of the coordinates of the model, with the angles of its discovery unwrapped."""
-    data = Trajectories.coerce(trajectories)
-    if data.coordinates != model.coordinates:
+def held_out(
+    model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]
+) -> tuple[Trajectories, np.ndarray, Sight | None]:
+    """Return the channels to forecast, their noise, and how they see the motion.
+
+    The channels are the coordinates of the model, with the angles of its discovery unwrapped, some of them
+    (others have no sensor), or columns of its `calibration`.
+    """
+    data, names = Trajectories.coerce(trajectories), model.coordinates
+    sensors = () if model.calibration is None else model.calibration.columns
+    unknown = [name for name in data.coordinates if name not in (*names, *sensors)]
+    turned = data.coordinates != names and {*data.coordinates} == {*names}
+    if unknown or turned:
         raise InputError(
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
-            f"{', '.join(model.coordinates)}; give the same names in the same order"
+            f"{', '.join((*names, *sensors))}; give the same names in the same order"
         )
-    chosen = angles_in(model.coordinates, model.provenance)
-    return data.unwrap(chosen) if chosen else data
+    angles = angles_in(names, model.provenance)
+    seen = [
+        name for i, name in enumerate(data.coordinates) if any(np.isfinite(t.q[:, i]).any() for t in data)
+    ]
+    if not seen:
+        raise InputError(f"the trajectories have no samples of {', '.join(data.coordinates)}")
+    if {*seen} >= {*names} and not {*seen} & {*sensors}:
+        return data.unwrap(angles) if angles else data, model.noise_std, None
+    return _seen_in_part(model, data, seen, angles)
+
+
+def _seen_in_part(
+    model: LagrangianModel, data: Trajectories, seen: Sequence[str], angles: Sequence[str]
+) -> tuple[Trajectories, np.ndarray, Sight]:
+    """Some coordinates, and columns that are functions of them, with the calibration of the model."""
+    names, calibration = model.coordinates, model.calibration
+    direct = [name for name in names if name in seen]
+    unmeasured = [name for name in model.prescribed if name not in direct]
+    if unmeasured:
+        raise InputError(f"{quoted(unmeasured[0])} is prescribed and has no samples; measure it")
+    data = data.unwrap([name for name in angles if name in direct])
+    columns = () if calibration is None else [c for c in calibration.columns if c in seen]
+    if calibration is not None and columns:
+        numbers = {number.name: number.value for number in calibration.numbers}
+        functions = SensorFunctions.parse(calibration.functions, names).fixed(numbers, columns)
+        try:
+            motion = calibrate(data, functions, angles, _DEGREE, {}).trajectories
+        except DataError as error:
+            raise InputError(f"no motion explains the columns: {error}") from None
+        kept = [k for k, degree in enumerate(functions.degrees) if degree < 2]  # no accelerations
+        own = dict(zip(calibration.columns, calibration.noise_std, strict=True))
+    else:
+        functions, kept, own = None, list[int](), dict[str, float]()
+        whole = arranged(data, names)
+        motion = Trajectories([t.changed(q=np.where(np.isin(names, direct), t.q, 0.0)) for t in whole])
+    places = [names.index(name) for name in direct]
+    channels = [*(columns[k] for k in kept), *direct]
+    noise = np.array([*(own[name] for name in channels[: len(kept)]), *model.noise_std[places]])
+    extent = np.nanstd(np.concatenate([t.q for t in motion]), axis=0)
+    extent = np.where(extent > 0.0, extent, extent.max() or 1.0)
+
+    def observe(q: np.ndarray, qdot: np.ndarray, t: np.ndarray) -> np.ndarray:
+        if functions is None:
+            return q[..., places]
+        states = np.stack([q, qdot, np.zeros_like(q)]).reshape(3, -1, len(names))
+        found = functions.values(states, t.ravel(), np.zeros(0))[kept].T.reshape(*t.shape, len(kept))
+        return np.concatenate([found, q[..., places]], axis=-1)
+
+    table = Trajectories([t.changed(forces=None) for t in arranged(data.without_rates(), channels)])
+    window = 0.5 if functions is not None else _LONG
+    return table, noise, Sight(motion, observe, extent, np.isin(names, angles), window)
 
 
 def angles_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> list[str]:

@@ -320,13 +320,13 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Parameters
         ----------
         trajectories : Trajectory, Trajectories or sequence of Trajectory
-            Of the same coordinates in the same order.
+            Of the same coordinates in the same order, without some, or of columns of the `calibration`.
         horizon : float, optional
             Length of the simulations in seconds. By default 1 s, at least 20 sampling intervals, at most half
             of the shortest trial.
         window : float, optional
-            Length of the data from which the initial state is found. By default half of the horizon, or less
-            in a short trial, but at least 8 sampling intervals.
+            Length of the data from which the initial state is found. By default half of the horizon (twice
+            if a coordinate has no sensor) or less in a short trial, but at least 8 sampling intervals.
         tolerance : float
             A forecast is valid until the error of a coordinate exceeds `tolerance` times its standard
             deviation plus three times the noise.
@@ -342,13 +342,15 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Raises
         ------
         InputError
-            If the coordinates differ, no trial is long enough for one forecast, or there is no such group.
+            If the coordinates are others, no trial is long enough for one forecast, or no group has the name.
         """
-        data = checks.held_out(self, trajectories)
+        data, noise, sight = checks.held_out(self, trajectories)
         if groups is not None:
-            run = self.forecast_groups(data, groups, (horizon, window, tolerance))
+            run = self.forecast_groups(
+                Trajectories.coerce(trajectories), groups, (horizon, window, tolerance)
+            )
         else:
-            run = forecast(self._open_law, data, self.noise_std, horizon, window, tolerance)
+            run = forecast(self._open_law, data, noise, horizon, window, tolerance, sight)
         return replace(run, angles=self.angles)
 
     def _states(self, t: ArrayLike | None, **arrays: ArrayLike | None) -> list[Any]:

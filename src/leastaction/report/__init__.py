@@ -84,13 +84,13 @@ def write_report(
             "path; run discover() again on the data and write the report from its result"
         )
     if validation is not None and not isinstance(validation, ForecastResult):
-        raise InputError(
-            f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)"
-        )
-    if validation is not None and validation.coordinates != model.coordinates:
+        text = f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)"
+        raise InputError(text)
+    known = (*model.coordinates, *(() if model.calibration is None else model.calibration.columns))
+    if validation is not None and not {*validation.coordinates} <= {*known}:
         raise InputError(
             f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "
-            f"{', '.join(model.coordinates)}; use the result of validate() of this model"
+            f"{', '.join(known)}; use the result of validate() of this model"
         )
     _check_command(command)
     return write_text(path, render(model, validation, command, names or {}))

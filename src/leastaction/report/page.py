@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from datetime import date
 from importlib.metadata import version
 from importlib.resources import files
@@ -124,7 +124,7 @@ def _context(
         **_data(series, notation, units),
         **_selection(model, notation),
         **_energy(series),
-        **_forecast(validation, notation, units),
+        **_forecast(validation, notation, angles),
         "dropped": tables.dropped_rows(diagnostics.dropped, notation),
         "has_units": "units" in units,
         "has_angles": "rad" in units,
@@ -296,9 +296,11 @@ def _energy(series: Series) -> dict[str, Any]:
     }
 
 
-def _forecast(result: ForecastResult | None, notation: Notation, units: tuple[str, ...]) -> dict[str, Any]:
+def _forecast(result: ForecastResult | None, notation: Notation, angles: Container[str]) -> dict[str, Any]:
     if result is None:
         return {"forecast": None}
+    notation = Notation(result.coordinates, (), notation.written)  # columns of sensors have names, too
+    units = tuple("rad" if c in angles else "units" for c in result.coordinates)
     picked = _typical_starts(result)
     n_drawn = min(len(units), _MOST_DRAWN)
     panels = [

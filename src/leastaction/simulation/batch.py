@@ -10,7 +10,7 @@ import numpy as np
 from leastaction.simulation.integrate import rk4
 from leastaction.simulation.law import MEMBERS, Drawn, Law, standard_deviation
 
-__all__ = ["Start", "StartResult", "run_starts"]
+__all__ = ["Channels", "Observe", "Start", "StartResult", "nearest_states", "run_starts"]
 
 # Bounds the memory of one batch.
 _MAX_BATCH = 400
@@ -31,8 +31,8 @@ _STEP = 1e-5
 class Start:
     """One window and the free run after it: index of the trial, start of the window, samples.
 
-    `t` (n_samples,) counts from the start of the window; `q` (n_samples, n_dof) may contain NaN; `forces` is
-    a function of the time in the trial, or None.
+    `t` (n_samples,) counts from the start of the window; `q` (n_samples, n_channels) may contain NaN;
+    `forces` is a function of the time in the trial, or None.
     """
 
     trial: int
@@ -42,12 +42,36 @@ class Start:
     forces: Callable[[np.ndarray], np.ndarray] | None = None
 
 
+Observe = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Channels:
+    """What is measured of a motion: the coordinates themselves, or functions of them.
+
+    Attributes
+    ----------
+    sigma, scale : ndarray, shape (n_channels,)
+        Noise, and size of the signals.
+    extent : ndarray, shape (n_dof,)
+        Size of the motion of each coordinate.
+    observe : callable, optional
+        ``observe(q, qdot, t)`` with q, q̇ of the shape (..., n_dof) and times of the shape (...) ->
+        (..., n_channels). By default, the channels are the coordinates.
+    """
+
+    sigma: np.ndarray
+    scale: np.ndarray
+    extent: np.ndarray
+    observe: Observe | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class StartResult:
-    """Motion `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended.
+    """Channels `q` at the samples of a start, the `variance` (in σ²) of its state error, and how it ended.
 
-    ``spread``, (n_samples, n_dof), is the standard deviation of the motion from all uncertainties of the law;
-    None if unknown.
+    ``spread``, (n_samples, n_channels), is the standard deviation from all uncertainties of the law; None if
+    unknown.
     """
 
     q: np.ndarray
@@ -61,8 +85,7 @@ def run_starts(
     law: Law,
     starts: Sequence[Start],
     state: np.ndarray,
-    sigma: np.ndarray,
-    scale: np.ndarray,
+    channels: Channels,
     window: float,
     horizon: float,
 ) -> list[StartResult]:
@@ -74,31 +97,47 @@ def run_starts(
     starts : sequence of Start
     state : ndarray, shape (n_starts, 2 n_dof)
         First guess of q, q̇ at the start of the windows.
-    sigma, scale : ndarray, shape (n_dof,)
-        Noise, and size of the motion.
+    channels : Channels
     window, horizon : float
         In seconds.
     """
     out: list[StartResult] = []
     for a in range(0, len(starts), _MAX_BATCH):
         chunk = slice(a, a + _MAX_BATCH)
-        batch = _Batch(law, starts[chunk], sigma, scale, window, horizon)
+        batch = _Batch(law, starts[chunk], channels, window, horizon)
         # A motion that diverges is a valid result: it must not warn or affect the others.
         with np.errstate(all="ignore"):
             out += batch.run(state[chunk])
     return out
 
 
+def nearest_states(
+    law: Law, starts: Sequence[Start], states: np.ndarray, channels: Channels, window: float
+) -> np.ndarray:
+    """The fitted states that follow the windows best, (n_starts, 2 n_dof).
+
+    ``states``, (n_guesses, n_starts, 2 n_dof), are several guesses for each start.
+    """
+    out = np.empty(states.shape[1:])
+    for k, start in enumerate(starts):
+        with np.errstate(all="ignore"):
+            batch = _Batch(law, [start] * len(states), channels, window, 0.0)
+            fitted = batch.begun(states[:, k])
+            out[k] = fitted[np.argmin(batch.linearised(fitted, 1.0)[1])]
+    return out
+
+
 class _Batch:
-    def __init__(self, law: Law, starts, sigma, scale, window: float, horizon: float) -> None:
+    def __init__(self, law: Law, starts, channels: Channels, window: float, horizon: float) -> None:
         self.clock = np.array([start.begin for start in starts]) if law.timed else None
         self.law, self.starts = law, starts
-        self.sigma, self.scale = sigma, scale
+        self.sigma, self.scale = channels.sigma, channels.scale
+        self.extent, self.observe = channels.extent, channels.observe
         self.window, self.horizon = window, horizon
-        self.n_dof = sigma.size
+        self.n_dof = channels.extent.size
         longest = max(start.t.size for start in starts)
         self.t = np.zeros((len(starts), longest))
-        self.q = np.full((len(starts), longest, self.n_dof), np.nan)
+        self.q = np.full((len(starts), longest, self.sigma.size), np.nan)
         for s, start in enumerate(starts):
             self.t[s, : start.t.size] = start.t
             self.q[s, : start.t.size] = start.q
@@ -111,10 +150,8 @@ class _Batch:
         """Fit and run free, with the step halved until another halving would not change the motions."""
         alive = np.asarray(np.isfinite(state).all(axis=1))
         state = np.where(alive[:, None], state, 0.0)
-        speed = np.sqrt((state[:, self.n_dof :] ** 2).mean(axis=0))
-        self.unit = np.concatenate([self.scale, np.fmax(speed, self.scale / self.window)])
         guess = state
-        state = self._grow(guess)
+        state = self.begun(guess)
         coarse = self._flow(state[None], 1.0 + self.horizon / self.window)
         resolved = np.zeros(len(self.starts), dtype=bool)
         before = np.zeros(len(self.starts))
@@ -134,6 +171,12 @@ class _Batch:
             if resolved.all():
                 break
         return self._results(state, coarse[0], alive, resolved)
+
+    def begun(self, state: np.ndarray) -> np.ndarray:
+        """Fit from first guesses, which tell the size of the rates."""
+        speed = np.sqrt((state[:, self.n_dof :] ** 2).mean(axis=0))
+        self.unit = np.concatenate([self.extent, np.fmax(speed, self.extent / self.window)])
+        return self._grow(state)
 
     def _grow(self, state: np.ndarray) -> np.ndarray:
         """Fit on growing windows, so that a poor first guess can follow a long motion."""
@@ -172,7 +215,7 @@ class _Batch:
         return np.asarray((valid[..., None] & ~(np.abs(q) <= _FAR * self._range())).any(axis=(1, 2)))
 
     def _flow(self, state: np.ndarray, share: float, drawn: Drawn | None = None) -> np.ndarray:
-        """Motions (n_variants, n_starts, n_samples, n_dof) from (n_variants, n_starts, 2 n_dof).
+        """Channels (n_variants, n_starts, n_samples, n_channels) from (n_variants, n_starts, 2 n_dof).
 
         They are integrated over `share` of the window by RK4 with common steps. Cubic Hermite interpolation
         gives the values between them.  Each variant obeys the law, or one of the `drawn` laws.
@@ -194,7 +237,12 @@ class _Batch:
         q0, q1, v0, v1 = (x[j, :, start] for x in (q, v) for j in (k, k + 1))
         d = q1 - q0
         values = q0 + u * (h * v0 + u * (3 * d - h * (2 * v0 + v1) + u * (h * (v0 + v1) - 2 * d)))
-        return np.moveaxis(values, 2, 0)
+        values = np.moveaxis(values, 2, 0)
+        if self.observe is None:
+            return values
+        rates = v0 + u * (6.0 * d / h - 4.0 * v0 - 2.0 * v1 + u * (3.0 * (v0 + v1) - 6.0 * d / h))
+        times = self.t + np.array([start.begin for start in self.starts])[:, None]
+        return self.observe(values, np.moveaxis(rates, 2, 0), np.broadcast_to(times, values.shape[:-1]))
 
     def _forces(self, times: np.ndarray) -> np.ndarray:
         """Forces (n_times, n_starts, n_dof), cached because the same times recur."""
@@ -218,7 +266,7 @@ class _Batch:
         """The states, followed by the states with one component shifted."""
         return np.concatenate([state[None], state[None] + _STEP * np.diag(self.unit)[:, None, :]])
 
-    def _linearised(self, state: np.ndarray, share: float):
+    def linearised(self, state: np.ndarray, share: float):
         """Residual (n_starts, m), cost (n_starts,), and Jacobian (n_starts, m, 2 n_dof) in `unit`."""
         r = self._residual(self._flow(self._variants(state), share), self.window * share)
         jacobian = np.moveaxis((r[:, 1:] - r[:, :1]) / _STEP, 1, 2)
@@ -233,7 +281,7 @@ class _Batch:
     def _fit(self, state: np.ndarray, share: float, rounds: int = 8) -> np.ndarray:
         """Levenberg–Marquardt for all starts side by side; one batch of motions per round."""
         damping = np.full(len(state), 1e-3)
-        residual, cost, jacobian = self._linearised(state, share)
+        residual, cost, jacobian = self.linearised(state, share)
         for _ in range(rounds):
             normal = np.swapaxes(jacobian, 1, 2) @ jacobian
             gradient = np.einsum("smi,sm->si", jacobian, residual)
@@ -245,7 +293,7 @@ class _Batch:
             if (settled | (damping > 1e6) | ~np.isfinite(cost)).all():
                 break
             trial = state + move * self.unit
-            new = self._linearised(trial, share)
+            new = self.linearised(trial, share)
             better = new[1] < cost
             state = np.where(better[:, None], trial, state)
             residual = np.where(better[:, None], new[0], residual)
@@ -256,7 +304,7 @@ class _Batch:
 
     def _state_error(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Covariance (n_starts, 2 n_dof, 2 n_dof), in `unit`, of the fitted states, and the Jacobian."""
-        *_, jacobian = self._linearised(state, 1.0)
+        *_, jacobian = self.linearised(state, 1.0)
         normal = np.swapaxes(jacobian, 1, 2) @ jacobian
         diagonal = np.einsum("sii->si", normal)
         ridge = 1e-10 * diagonal.max(axis=1, keepdims=True) + 1e-300

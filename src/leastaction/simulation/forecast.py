@@ -15,16 +15,19 @@ from leastaction.curve.bspline import SplineGrid, uniform_space
 from leastaction.curve.smoothing import smooth
 from leastaction.data.trajectories import Trajectories
 from leastaction.errors import InputError
-from leastaction.simulation.batch import Start, StartResult, run_starts
+from leastaction.simulation.batch import Channels, Observe, Start, StartResult, nearest_states, run_starts
 from leastaction.simulation.law import Law
 from leastaction.simulation.results import ForecastResult
 
-__all__ = ["ForecastResult", "ForecastTrace", "forecast", "lengths_of"]
+__all__ = ["ForecastResult", "ForecastTrace", "Sight", "forecast", "lengths_of"]
 
 Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_times, n_dof), at times
 
 # A coordinate needs this many samples in the window to determine the initial state.
 _LEAST_SAMPLES = 4
+# A window is followed if residuals are smaller, in units of the noise; and states tried where it is not.
+_FOLLOWED, _DRAWS = 1.5, 64
+_SHARE = 0.5  # of the horizon: length of a window
 _Z95 = 1.96
 
 
@@ -77,6 +80,22 @@ class ForecastTrace:
         return None if self.std is None else _Z95 * self.std
 
 
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """How channels that are not all coordinates see the motion.
+
+    ``motion`` holds the coordinates, as far as the channels tell them, and the forces of each trial;
+    ``extent`` and ``angles``, (n_dof,), are the size of each coordinate and whether it is an angle;
+    ``window`` is the length of the window by default, as a multiple of the horizon.
+    """
+
+    motion: Trajectories
+    observe: Observe
+    extent: np.ndarray
+    angles: np.ndarray
+    window: float
+
+
 def forecast(
     law: Law,
     data: Trajectories,
@@ -84,15 +103,18 @@ def forecast(
     horizon: float | None = None,
     window: float | None = None,
     tolerance: float = 0.4,
+    sight: Sight | None = None,
 ) -> ForecastResult:
     """Run the forecasts of `LagrangianModel.validate`, which describes the arguments.
 
-    Forces on coordinates that are prescribed are the accelerations of their smoothed measurements.
+    ``data`` hold the coordinates, or other channels with a ``sight``. Forces on coordinates that are
+    prescribed are the accelerations of their smoothed measurements.
     """
-    horizon, window = lengths_of(data, horizon, window)
+    motion = data if sight is None else sight.motion
+    horizon, window = lengths_of(data, horizon, window, _SHARE if sight is None else sight.window)
     if not _positive(tolerance):
         raise InputError(f"tolerance is {tolerance!r}; expected a positive number, e.g. 0.4")
-    starts, skipped = _plan(data, horizon, window)
+    starts, skipped = _plan(data, motion, horizon, window)
     if not starts:
         raise InputError(
             f"a forecast over {horizon:g} s from a window of {window:g} s needs {_LEAST_SAMPLES} samples of "
@@ -100,18 +122,23 @@ def forecast(
             f"{max(trial.duration for trial in data):g} s). Choose a shorter horizon or window"
         )
     std = np.sqrt(np.nanvar(np.concatenate([trial.q for trial in data]), axis=0))
-    curves, estimated = _smoothed(data, starts)
-    state = np.full((len(starts), 2 * data.n_dof), np.nan)
+    curves, estimated = _smoothed(motion, starts)
+    state = np.full((len(starts), 2 * motion.n_dof), np.nan)
     if curves:
         begins = [(curves[start.trial], np.array([start.begin])) for start in starts]
         state = np.array([np.concatenate([curve(t, nu)[0] for nu in (0, 1)]) for curve, t in begins])
     if curves and law.prescribed:
         starts = [_moved(start, curves[start.trial], list(law.prescribed)) for start in starts]
-    sigma = np.where(noise_std > 0, noise_std, estimated)
+    sigma = np.where(noise_std > 0, noise_std, estimated if sight is None else 0.0)
     # Avoids division by zero for data without noise, or a coordinate at rest.
     tiny = np.finfo(float).tiny
     sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
-    results = run_starts(law, starts, state, sigma, np.fmax(std, sigma), window, horizon)
+    scale = np.fmax(std, sigma)
+    seen = (scale, None) if sight is None else (sight.extent, sight.observe)
+    channels = Channels(sigma, scale, *seen)
+    results = run_starts(law, starts, state, channels, window, horizon)
+    if sight is not None:
+        results = _from_elsewhere(law, starts, state, results, channels, sight.angles, window, horizon)
     limit = tolerance * std + 3.0 * sigma
     traces = [_trace(data, s, r, sigma, limit, window, horizon) for s, r in zip(starts, results, strict=True)]
     std = np.fmax(std, tiny)
@@ -125,8 +152,10 @@ def _positive(value: Any) -> bool:
     return number and bool(0 < value < math.inf)
 
 
-def lengths_of(data: Trajectories, horizon: float | None, window: float | None) -> tuple[float, float]:
-    """Horizon and window; by default those of `LagrangianModel.validate`."""
+def lengths_of(
+    data: Trajectories, horizon: float | None, window: float | None, share: float = _SHARE
+) -> tuple[float, float]:
+    """Horizon and window; by default those of `LagrangianModel.validate`, with a share of the horizon."""
     steps = np.concatenate([np.diff(trial.t) for trial in data])
     if not steps.size:
         raise InputError("no trial has more than one time; a forecast needs a motion")
@@ -138,11 +167,13 @@ def lengths_of(data: Trajectories, horizon: float | None, window: float | None) 
     if horizon is None:
         horizon = min(max(1.0, 20 * step), 0.5 * shortest)
     if window is None:
-        window = max(min(0.5 * horizon, shortest - horizon), 8 * step)
+        window = max(min(share * horizon, shortest - horizon), 8 * step)
     return float(horizon), float(window)
 
 
-def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start], list[tuple[str, str]]]:
+def _plan(
+    data: Trajectories, motion: Trajectories, horizon: float, window: float
+) -> tuple[list[Start], list[tuple[str, str]]]:
     starts, skipped = [], []
     # Rounding of times such as 0.1 + 0.2 must not remove the last start.
     slack = 1e-9 * (horizon + window)
@@ -157,7 +188,7 @@ def _plan(data: Trajectories, horizon: float, window: float) -> tuple[list[Start
             seen = np.isfinite(q)
             enough = seen[t <= window + slack].sum(axis=0) >= _LEAST_SAMPLES
             if enough.all() and seen[t > window + slack].any():
-                known = trial.forces if trial.driven else None
+                known = motion[k].forces if motion[k].driven else None
                 forces = None if known is None else CubicSpline(trial.t, known)
                 starts.append(Start(k, float(begin), t, q, forces))
         if len(starts) == before:
@@ -183,6 +214,43 @@ def _smoothed(data: Trajectories, starts: list[Start]) -> tuple[dict[int, Curve]
     parts = zip(spaces, grid.split(fitted.control_points), strict=True)
     curves = [partial(space.evaluate, control) for space, control in parts]
     return dict(zip(used, curves, strict=True)), fitted.noise_std
+
+
+def _from_elsewhere(
+    law: Law,
+    starts: Sequence[Start],
+    state: np.ndarray,
+    results: Sequence[StartResult],
+    channels: Channels,
+    angles: np.ndarray,
+    window: float,
+    horizon: float,
+) -> list[StartResult]:
+    """Results whose window is not followed, begun again from other states; the best of each.
+
+    Channels may determine the coordinates in more than one way: a sine, for example, has two angles.
+    """
+    out, rng = list(results), np.random.default_rng(0)
+    off = [_misfit(s, r, channels.sigma, window) for s, r in zip(starts, out, strict=True)]
+    lost = [k for k, value in enumerate(off) if not value < _FOLLOWED]
+    if not lost:
+        return out
+    wide = np.concatenate([np.where(angles, np.pi, 2.0 * channels.extent), 4.0 * channels.extent / window])
+    begun = state[lost] + wide * rng.uniform(-1.0, 1.0, (_DRAWS, len(lost), wide.size))
+    again = [starts[k] for k in lost]
+    nearest = nearest_states(law, again, begun, channels, window)
+    for k, result in zip(lost, run_starts(law, again, nearest, channels, window, horizon), strict=True):
+        if not _misfit(starts[k], result, channels.sigma, window) >= off[k]:
+            out[k] = result
+    return out
+
+
+def _misfit(start: Start, result: StartResult, sigma: np.ndarray, window: float) -> float:
+    """Root mean square of the residuals in the window of a start, in units of the noise."""
+    inside = start.t <= window * (1 + 1e-9)
+    error = ((result.q - start.q) / sigma)[inside]
+    seen = np.isfinite(start.q[inside])
+    return float(np.sqrt(np.mean(np.where(np.isfinite(error), error, np.inf)[seen] ** 2)))
 
 
 def _moved(start: Start, curve: Curve, prescribed: Sequence[int]) -> Start:
