@@ -118,12 +118,17 @@ def nearest_states(
 
     ``states``, (n_guesses, n_starts, 2 n_dof), are several guesses for each start.
     """
-    out = np.empty(states.shape[1:])
-    for k, start in enumerate(starts):
+    n, out = len(states), np.empty(states.shape[1:])
+    together = max(1, _MAX_BATCH // n)
+    for first in range(0, len(starts), together):
+        chunk = slice(first, first + together)
+        own = [start for _ in range(n) for start in starts[chunk]]
         with np.errstate(all="ignore"):
-            batch = _Batch(law, [start] * len(states), channels, window, 0.0)
-            fitted = batch.begun(states[:, k])
-            out[k] = fitted[np.argmin(batch.linearised(fitted, 1.0)[1])]
+            batch = _Batch(law, own, channels, window, 0.0)
+            fitted = batch.begun(states[:, chunk].reshape(len(own), -1))
+            cost = batch.linearised(fitted, 1.0)[1].reshape(n, -1)
+        best = np.argmin(cost, axis=0)
+        out[chunk] = fitted.reshape(n, cost.shape[1], -1)[best, np.arange(cost.shape[1])]
     return out
 
 

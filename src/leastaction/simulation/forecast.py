@@ -25,8 +25,9 @@ Curve = Callable[[np.ndarray, int], np.ndarray]  # derivative of a motion, (n_ti
 
 # A coordinate needs this many samples in the window to determine the initial state.
 _LEAST_SAMPLES = 4
-# A window is followed if residuals are smaller, in units of the noise; and states tried where it is not.
-_FOLLOWED, _DRAWS = 1.5, 64
+# A window is followed if residuals are smaller, in units of the noise and of a share of the signal, by which
+# a machine differs from its law. Where it is not, so many states are tried, in so many rounds.
+_FOLLOWED, _NEAR, _DRAWS, _ROUNDS = 1.5, 0.005, 16, 4
 _SHARE = 0.5  # of the horizon: length of a window
 _Z95 = 1.96
 
@@ -231,24 +232,27 @@ def _from_elsewhere(
     Channels may determine the coordinates in more than one way: a sine, for example, has two angles.
     """
     out, rng = list(results), np.random.default_rng(0)
-    off = [_misfit(s, r, channels.sigma, window) for s, r in zip(starts, out, strict=True)]
-    lost = [k for k, value in enumerate(off) if not value < _FOLLOWED]
-    if not lost:
-        return out
+    allowed = np.hypot(channels.sigma, _NEAR * channels.scale)
+    off = [_misfit(s, r, allowed, window) for s, r in zip(starts, out, strict=True)]
     wide = np.concatenate([np.where(angles, np.pi, 2.0 * channels.extent), 4.0 * channels.extent / window])
-    begun = state[lost] + wide * rng.uniform(-1.0, 1.0, (_DRAWS, len(lost), wide.size))
-    again = [starts[k] for k in lost]
-    nearest = nearest_states(law, again, begun, channels, window)
-    for k, result in zip(lost, run_starts(law, again, nearest, channels, window, horizon), strict=True):
-        if not _misfit(starts[k], result, channels.sigma, window) >= off[k]:
-            out[k] = result
+    for _ in range(_ROUNDS):
+        lost = [k for k, value in enumerate(off) if not value < _FOLLOWED]
+        if not lost:
+            break
+        again = [starts[k] for k in lost]
+        begun = state[lost] + wide * rng.uniform(-1.0, 1.0, (_DRAWS, len(lost), wide.size))
+        nearest = nearest_states(law, again, begun, channels, window)
+        for k, result in zip(lost, run_starts(law, again, nearest, channels, window, horizon), strict=True):
+            value = _misfit(starts[k], result, allowed, window)
+            if not value >= off[k]:
+                out[k], off[k] = result, value
     return out
 
 
-def _misfit(start: Start, result: StartResult, sigma: np.ndarray, window: float) -> float:
-    """Root mean square of the residuals in the window of a start, in units of the noise."""
+def _misfit(start: Start, result: StartResult, allowed: np.ndarray, window: float) -> float:
+    """Root mean square of the residuals in the window of a start, relative to what is allowed."""
     inside = start.t <= window * (1 + 1e-9)
-    error = ((result.q - start.q) / sigma)[inside]
+    error = ((result.q - start.q) / allowed)[inside]
     seen = np.isfinite(start.q[inside])
     return float(np.sqrt(np.mean(np.where(np.isfinite(error), error, np.inf)[seen] ** 2)))
 
