@@ -360,6 +360,10 @@ def _seen_in_part(
         motion = Trajectories([t.changed(q=np.where(np.isin(names, direct), t.q, 0.0)) for t in whole])
     places = [names.index(name) for name in direct]
     channels = [*(columns[k] for k in kept), *direct]
+    if not channels:
+        raise InputError(
+            f"{', '.join(columns)} depend on accelerations, which are not forecast; add a column"
+        )
     noise = np.array([*(own[name] for name in channels[: len(kept)]), *model.noise_std[places]])
     extent = np.nanstd(np.concatenate([t.q for t in motion]), axis=0)
     extent = np.where(extent > 0.0, extent, extent.max() or 1.0)
@@ -372,8 +376,8 @@ def _seen_in_part(
         return np.concatenate([found, q[..., places]], axis=-1)
 
     table = Trajectories([t.changed(forces=None) for t in arranged(data.without_rates(), channels)])
-    window = 0.5 if functions is not None else _LONG
-    return table, noise, Sight(motion, observe, extent, np.isin(names, angles), window)
+    sight = Sight(motion, observe, extent, np.isin(names, angles))
+    return table, noise, replace(sight, window=_LONG) if functions is None else sight
 
 
 def angles_in(coordinates: Sequence[str], provenance: Mapping[str, Any]) -> list[str]:

@@ -94,7 +94,7 @@ class Sight:
     observe: Observe
     extent: np.ndarray
     angles: np.ndarray
-    window: float
+    window: float = _SHARE
 
 
 def forecast(
