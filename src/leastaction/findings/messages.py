@@ -318,8 +318,8 @@ CODES: dict[str, Message] = {
     ),
     "mode-scale": Message(
         "note",
-        "L is not unique: the motion is nearly linear, and the scales of {open} of its {modes} modes can be "
-        "chosen freely without changing the accelerations",
+        "L is not unique: other laws of the candidates, with another scale of {open} of the {modes} modes, "
+        "give indistinguishable accelerations along these data",
         "natural frequencies, damping ratios and mode shapes are not affected (model.linearise); a known "
         "coefficient or force for each mode fixes its scale",
         on_command_line="natural frequencies, damping ratios and mode shapes are not affected; --known or "
