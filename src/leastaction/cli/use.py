@@ -223,6 +223,7 @@ def validate(
     """
     import leastaction
     from leastaction.io import write_text
+    from leastaction.model.checks import columns_of
 
     file = None if json_file is None else check_file(json_file)
     length = None
@@ -232,8 +233,7 @@ def validate(
             if length <= 0:
                 raise InputError(f"{quoted(horizon)} is not positive")
     found = leastaction.load(model)
-    sensors = () if found.calibration is None else found.calibration.columns
-    options = data(default=_measured(found)).in_order_of((*found.coordinates, *sensors))
+    options = data(default=_measured(found)).in_order_of(columns_of(found))
     trajectories = options.read()
     groups = None if group is None else groups_of_trials(options, group, trajectories.names)
     if not trajectories.driven and not any(term.known for term in found.terms):
@@ -262,10 +262,11 @@ def validate(
 
 
 def _measured(model: LagrangianModel) -> tuple[str, ...]:
-    """Columns that the model was found from: sensors, and coordinates that had samples."""
-    sensors = () if model.calibration is None else model.calibration.columns
-    noise = zip(model.coordinates, model.noise_std.tolist(), strict=True)
-    return (*sensors, *(name for name, std in noise if math.isfinite(std)))
+    """Columns that the model was found from: coordinates that had samples, and sensors."""
+    from leastaction.model.checks import columns_of
+
+    noise = dict(zip(model.coordinates, model.noise_std.tolist(), strict=True))
+    return tuple(name for name in columns_of(model) if math.isfinite(noise.get(name, 0.0)))
 
 
 def _in_degrees(

@@ -24,7 +24,7 @@ from leastaction.estimation.groups import GroupedColumns, Grouping, GroupTerm, l
 from leastaction.findings import Finding, find
 from leastaction.selection.groups import compared, law_alone
 from leastaction.selection.progress import silent
-from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.search_state import Search, explains
 from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["differences", "differing_trials"]
@@ -41,29 +41,27 @@ def differing_trials(search: Search) -> list[Finding]:
     if search.problem.ranges:  # groups have no shape parameters
         return []
     search = replace(search, report=silent)
-    longest = max(range(len(names)), key=lambda k: (data[k].driven, len(data[k].t)))
-    if not _holds(law_alone(search, data.select([longest]), fit.grid.knots_per_second)):
-        return []
-    apart = compared(search, Grouping(names, tuple(range(len(names)))), search)
-    groups = _alike(apart, len(names), search.relevance) if _holds(apart) else []
+    trials = range(len(names))
+    laws_of: dict[int, Fit] = {}
+    for k in sorted(trials, key=lambda k: (data[k].driven, len(data[k].t)), reverse=True):
+        laws_of[k] = law_alone(search, data.select([k]), fit.grid.knots_per_second)
+        if len(laws_of) == 1 and not explains(laws_of[k], laws_of[k].evidence):
+            return []
+    apart = compared(search, Grouping(names, tuple(trials)), search, [laws_of[k] for k in trials])
+    groups = _alike(apart, len(names), search.relevance) if explains(apart, apart.evidence) else []
     if not 1 < len({*groups}) <= (len(names) + 1) // 2:
         return []
     labels = [chr(ord("A") + list(dict.fromkeys(groups)).index(g)) for g in groups]
     best = compared(search, Grouping.of(labels, data), search)
-    if not _holds(best) or doubts_about_the_form(best, search.relevance):
+    if not explains(best, best.evidence) or doubts_about_the_form(best, search.relevance):
         return []
     return [] if _sorted_by_amplitude(best) else _as_finding(best)
 
 
-def _holds(fit: Fit) -> bool:
-    return bool(fit.converged and np.isfinite(fit.evidence) and equations_hold(fit))
-
-
 def _alike(fit: Fit, n_trials: int, relevance: float) -> list[int]:
     """The group of each trial: in a group, coefficients differ by no more than chance and equation error."""
-    members = list(fit.structure)
-    own = [fit.problem.terms[m] for m in members]
-    differing = list(dict.fromkeys(t.whole.text for t in own if isinstance(t, GroupTerm)))
+    own = [fit.problem.terms[m] for m in fit.structure]
+    differing, _ = differences(fit)
     if not differing:
         return [0] * n_trials
     # deviations of every trial from the first, and where their columns are

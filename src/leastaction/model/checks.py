@@ -40,6 +40,7 @@ __all__ = [
     "checked_start_std",
     "checked_states",
     "checked_times",
+    "columns_of",
     "held_out",
     "prescribed_in",
 ]
@@ -306,6 +307,11 @@ def checked_inputs(
     return {coordinates.index(name): values for name, values in inputs.items()}
 
 
+def columns_of(model: LagrangianModel) -> tuple[str, ...]:
+    """Names of all columns that a table may have: the coordinates, then the columns of the calibration."""
+    return (*model.coordinates, *(() if model.calibration is None else model.calibration.columns))
+
+
 def held_out(
     model: LagrangianModel, trajectories: Trajectory | Sequence[Trajectory]
 ) -> tuple[Trajectories, np.ndarray, Sight | None]:
@@ -314,22 +320,18 @@ def held_out(
     The channels are the coordinates of the model, with the angles of its discovery unwrapped, some of them
     (others have no sensor), or columns of its `calibration`.
     """
-    data, names = Trajectories.coerce(trajectories), model.coordinates
-    sensors = () if model.calibration is None else model.calibration.columns
-    unknown = [name for name in data.coordinates if name not in (*names, *sensors)]
-    turned = data.coordinates != names and {*data.coordinates} == {*names}
-    if unknown or turned:
+    data, names, every = Trajectories.coerce(trajectories), model.coordinates, columns_of(model)
+    given = {*data.coordinates}
+    if not given <= {*every} or (given == {*names} and data.coordinates != names):
         raise InputError(
             f"the trajectories have the coordinates {', '.join(data.coordinates)}; the model has "
-            f"{', '.join((*names, *sensors))}; give the same names in the same order"
+            f"{', '.join(every)}; give the same names in the same order"
         )
     angles = angles_in(names, model.provenance)
-    seen = [
-        name for i, name in enumerate(data.coordinates) if any(np.isfinite(t.q[:, i]).any() for t in data)
-    ]
+    seen = [c for i, c in enumerate(data.coordinates) if any(np.isfinite(t.q[:, i]).any() for t in data)]
     if not seen:
         raise InputError(f"the trajectories have no samples of {', '.join(data.coordinates)}")
-    if {*seen} >= {*names} and not {*seen} & {*sensors}:
+    if {*seen} == {*names}:
         return data.unwrap(angles) if angles else data, model.noise_std, None
     return _seen_in_part(model, data, seen, angles)
 

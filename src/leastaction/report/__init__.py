@@ -72,6 +72,7 @@ def write_report(
     '<!DOCTYPE html>'
     """
     # Imported here, because the import is slow and --help does not need it.
+    from leastaction.model.checks import columns_of
     from leastaction.model.model import LagrangianModel
     from leastaction.report.page import render
     from leastaction.simulation.forecast import ForecastResult
@@ -86,11 +87,10 @@ def write_report(
     if validation is not None and not isinstance(validation, ForecastResult):
         text = f"validation is {quoted(validation)}; expected the result of model.validate(trajectories)"
         raise InputError(text)
-    known = (*model.coordinates, *(() if model.calibration is None else model.calibration.columns))
-    if validation is not None and not {*validation.coordinates} <= {*known}:
+    if validation is not None and not {*validation.coordinates} <= {*columns_of(model)}:
         raise InputError(
             f"validation is for the coordinates {', '.join(validation.coordinates)}, but the model has "
-            f"{', '.join(known)}; use the result of validate() of this model"
+            f"{', '.join(columns_of(model))}; use the result of validate() of this model"
         )
     _check_command(command)
     return write_text(path, render(model, validation, command, names or {}))

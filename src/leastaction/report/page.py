@@ -102,7 +102,7 @@ def _context(
     widths = notation.widths
     options = {name: _as_given(value, widths) for name, value in _options(model).items()}
     angles = options.get("angles") or ()
-    units = tuple("rad" if c in angles else "units" for c in model.coordinates)
+    units = _units(model.coordinates, angles)
     groups = tables.coefficient_groups(model, notation)
     return {
         "model": model,
@@ -296,11 +296,15 @@ def _energy(series: Series) -> dict[str, Any]:
     }
 
 
+def _units(names: Sequence[str], angles: Container[str]) -> tuple[str, ...]:
+    return tuple("rad" if name in angles else "units" for name in names)
+
+
 def _forecast(result: ForecastResult | None, notation: Notation, angles: Container[str]) -> dict[str, Any]:
     if result is None:
         return {"forecast": None}
     notation = Notation(result.coordinates, (), notation.written)  # columns of sensors have names, too
-    units = tuple("rad" if c in angles else "units" for c in result.coordinates)
+    units = _units(result.coordinates, angles)
     picked = _typical_starts(result)
     n_drawn = min(len(units), _MOST_DRAWN)
     panels = [

@@ -98,16 +98,20 @@ def _in_one_group(setup: Setup, search: Search, grouping: Grouping) -> Search:
     )
 
 
-def compared(search: Search, grouping: Grouping, found: Search) -> Fit:
-    """What a search has found, on all data and in every group: which terms differ."""
+def compared(search: Search, grouping: Grouping, found: Search, laws: Sequence[Fit] | None = None) -> Fit:
+    """What a search has found, on all data and in every group: which terms differ.
+
+    ``laws`` are those of the groups by themselves, if they are known.
+    """
     fit = found.found
     faster = max(1.0, search.scales.per_second / found.scales.per_second)
     problem = fit.problem.on(search.problem.trajectories)
     grid = Grid.lay(problem, fit.grid.knots_per_second * faster)
     search.report("confirm", {})
-    own = fit.problem.trajectories
-    parts = [problem.trajectories.select(grouping.members(g)) for g in range(len(grouping.names))]
-    laws = [fit if [*part] == [*own] else law_alone(found, part, grid.knots_per_second) for part in parts]
+    if laws is None:
+        own = fit.problem.trajectories
+        parts = [problem.trajectories.select(grouping.members(g)) for g in range(len(grouping.names))]
+        laws = [fit if [*part] == [*own] else law_alone(found, part, grid.knots_per_second) for part in parts]
     groups = _Groups(grid, grouping)
     best, terms = groups.apart(laws)
     for _ in range(_ROUNDS):

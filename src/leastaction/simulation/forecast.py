@@ -135,8 +135,9 @@ def forecast(
     tiny = np.finfo(float).tiny
     sigma = np.fmax(np.fmax(sigma, 1e-6 * std), tiny)
     scale = np.fmax(std, sigma)
-    seen = (scale, None) if sight is None else (sight.extent, sight.observe)
-    channels = Channels(sigma, scale, *seen)
+    channels = Channels(sigma, scale, scale)
+    if sight is not None:
+        channels = Channels(sigma, scale, sight.extent, sight.observe)
     results = run_starts(law, starts, state, channels, window, horizon)
     if sight is not None:
         results = _from_elsewhere(law, starts, state, results, channels, sight.angles, window, horizon)
