@@ -24,6 +24,8 @@ from leastaction.metrics import (
     precision,
     recall,
 )
+from leastaction.simulation.integrate import rk4
+from leastaction.systems._system import TwoSines, Uniform
 
 NAMES = systems.names()
 FURTHER = systems.further_names()
@@ -224,6 +226,27 @@ def test_fixed_step_agrees_with_adaptive_integrator(name):
         assert result.complete
         assert np.abs(result.q - motion.q).max() < 1e-7
         assert np.allclose(motion.qddot, system.acceleration(motion.q, motion.qdot, motion.forces))
+
+
+@pytest.mark.parametrize("name", SEVEN_FIRST)
+def test_a_step_of_numbers_is_a_step_of_arrays(name):
+    system = systems.get(name)
+    system = system.with_dissipation({f"{v}**2/2": 0.1 for v in system.velocities})
+    drive = TwoSines((1.0,) * system.n_dof)(np.random.default_rng(7))
+    for q, qdot in zip(*states(system, 3, seed=7), strict=True):
+        ends = rk4(system.acceleration, q, qdot, [0.0, 0.01], substeps=1, forces=drive)
+        step = system.step(0.01, *q, *qdot, *drive([0.0, 0.005, 0.01]).ravel())
+        assert np.allclose(step, np.concatenate([end[1] for end in ends]), rtol=1e-12, atol=1e-14)
+
+
+@pytest.mark.parametrize("term", ["exp(x)", "log(x)", "x**2.5"])
+def test_a_motion_that_leaves_the_range_of_the_law_is_drawn_again(term):
+    """It runs to infinity, or to x < 0, where Python raises an error or makes a complex number."""
+    initial = Uniform(((-1.0, 1.0),), ((-3.0, 3.0),))
+    law = {"x_dot**2/2": 1.0, term: -30.0 if term == "x**2.5" else 30.0}
+    system = systems.MechanicalSystem("fall", "Fall", ("x",), law, tuple(law), initial)
+    motions = systems.simulate_truth(system, trials=9, duration=0.3)
+    assert all(np.isfinite(motion.q).all() for motion in motions)
 
 
 @pytest.mark.parametrize("name", EVERY)

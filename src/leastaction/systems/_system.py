@@ -118,11 +118,14 @@ class MechanicalSystem:
         return sp.Add(*(sp.Float(c, 17) * self.parse(k) for k, c in self.dissipation.items()))
 
     @cached_property
-    def _compiled(self):
-        """Functions of (q..., q̇...): upper mass matrix and right-hand side; energy."""
+    def _momentum(self) -> list[sp.Expr]:
+        return [sp.diff(self.lagrangian_expression, s) for s in self.symbols[1]]
+
+    @cached_property
+    def _equations(self) -> list[sp.Expr]:
+        """Upper triangle of the mass matrix, row by row, then the right-hand side."""
         q, v = self.symbols
-        lagrangian, n = self.lagrangian_expression, self.n_dof
-        momentum = [sp.diff(lagrangian, s) for s in v]
+        lagrangian, momentum, n = self.lagrangian_expression, self._momentum, self.n_dof
         mass = [sp.diff(momentum[i], v[j]) for i in range(n) for j in range(i, n)]
         right = [
             sp.diff(lagrangian, q[i])
@@ -130,16 +133,32 @@ class MechanicalSystem:
             - sum(sp.diff(momentum[i], q[j]) * v[j] for j in range(n))
             for i in range(n)
         ]
-        energy = sum(p * s for p, s in zip(momentum, v, strict=True)) - lagrangian
-        return (
-            sp.lambdify([*q, *v], [*mass, *right], "numpy", cse=True),
-            sp.lambdify([*q, *v], energy, "numpy", cse=True),
-        )
+        return [*mass, *right]
+
+    @cached_property
+    def _compiled(self):
+        """The equations as a function of arrays q..., q̇...."""
+        return sp.lambdify([*self.symbols[0], *self.symbols[1]], self._equations, "numpy", cse=True)
+
+    @cached_property
+    def _compiled_energy(self):
+        q, v = self.symbols
+        energy = sum(p * s for p, s in zip(self._momentum, v, strict=True)) - self.lagrangian_expression
+        return sp.lambdify([*q, *v], energy, "numpy", cse=True)
+
+    @cached_property
+    def step(self) -> Callable[..., list[float]]:
+        """A step of the classical Runge–Kutta method: h, q..., q̇..., forces... -> q..., q̇... after h seconds.
+
+        The forces are those at its begin, in its middle and at its end.  All are numbers, and one function
+        computes the whole step: NumPy takes tens of times as long for arrays of a few.
+        """
+        return _step_of(self._equations, [*self.symbols[0], *self.symbols[1]])
 
     def mass_and_force(self, q: np.ndarray, qdot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return M, shape (..., n_dof, n_dof), and M q̈ without external forces, shape (..., n_dof)."""
         n = self.n_dof
-        values = iter(self._compiled[0](*(q[..., i] for i in range(n)), *(qdot[..., i] for i in range(n))))
+        values = iter(self._compiled(*(q[..., i] for i in range(n)), *(qdot[..., i] for i in range(n))))
         mass, right = np.empty((*q.shape, n)), np.empty(q.shape)
         for i in range(n):
             for j in range(i, n):
@@ -174,7 +193,7 @@ class MechanicalSystem:
     def energy(self, q: ArrayLike, qdot: ArrayLike) -> np.ndarray:
         """Return q̇·∂L/∂q̇ − L, shape (...): conserved if nothing drives or damps the system."""
         q, qdot = self._states(q, qdot)
-        values = self._compiled[1](*np.moveaxis(q, -1, 0), *np.moveaxis(qdot, -1, 0))
+        values = self._compiled_energy(*np.moveaxis(q, -1, 0), *np.moveaxis(qdot, -1, 0))
         return np.broadcast_to(values, q.shape[:-1]).copy()
 
     def simulate(
@@ -198,6 +217,43 @@ class MechanicalSystem:
                 f"q has shape {q.shape}; the last axis must hold {self.n_dof} coordinates {self.coordinates}"
             )
         return q, qdot
+
+
+def _step_of(equations: list[sp.Expr], symbols: list[sp.Symbol]) -> Callable[..., list[float]]:
+    """The function of `MechanicalSystem.step`, written by SymPy."""
+    n = len(symbols) // 2
+    shared, values = sp.cse(equations, symbols=sp.numbered_symbols("_shared"))
+    lines: list[tuple[sp.Symbol, sp.Expr]] = []
+
+    def let(value: sp.Expr) -> sp.Symbol:
+        lines.append((sp.Symbol(f"_line{len(lines)}"), value))
+        return lines[-1][0]
+
+    def rates(state: list[sp.Symbol], forces: list[sp.Symbol]) -> list[sp.Expr]:
+        swap: dict[sp.Basic, sp.Basic] = dict(zip(symbols, state, strict=True))
+        for symbol, value in shared:
+            swap[symbol] = let(value.xreplace(swap))
+        entries = iter([let(value.xreplace(swap)) for value in values])
+        rows = [[next(entries) for _ in range(i, n)] for i in range(n)]  # of the upper triangle
+        right = [next(entries) + force for force in forces]
+        for k in range(n):
+            for i in range(k + 1, n):
+                factor = let(rows[k][i - k] / rows[k][0])
+                rows[i] = [let(a - factor * b) for a, b in zip(rows[i], rows[k][i - k :], strict=True)]
+                right[i] = let(right[i] - factor * right[k])
+        for k in reversed(range(n)):
+            others = sum(a * b for a, b in zip(rows[k][1:], right[k + 1 :], strict=True))
+            right[k] = let((right[k] - others) / rows[k][0])
+        return [*state[n:], *right]
+
+    h, start = sp.Symbol("_h"), [sp.Symbol(f"_start{i}") for i in range(2 * n)]
+    begin, middle, end = ([sp.Symbol(f"_force{j}_{i}") for i in range(n)] for j in range(3))
+    slopes = [rates(start, begin)]
+    for share, forces in ((h / 2, middle), (h / 2, middle), (h, end)):
+        reached = [let(y + share * slope) for y, slope in zip(start, slopes[-1], strict=True)]
+        slopes.append(rates(reached, forces))
+    out = [y + h / 6 * (a + 2 * (b + c) + d) for y, a, b, c, d in zip(start, *slopes, strict=True)]
+    return sp.lambdify([h, *start, *begin, *middle, *end], out, "math", cse=lambda _: (lines, out))
 
 
 # --------- draws of initial conditions and of known forcing, and acceptance rules, as small picklable objects
