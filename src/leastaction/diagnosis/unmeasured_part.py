@@ -22,7 +22,6 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize, nnls
-from scipy.signal import bilinear, lfilter
 
 from leastaction.diagnosis.friction import rates_of_forces, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms
@@ -126,6 +125,8 @@ def _places(points: Points, problem: Problem) -> Iterator[tuple[int, np.ndarray,
 
 def _left(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) -> tuple[float, float]:
     """Squares of an equation error that everything else leaves, and that parts leave beside it."""
+    from scipy.signal import bilinear, lfilter  # takes half a second to import
+
     omega, damping = np.exp(np.minimum(logs, _MOST))
     turn, above = omega * np.sqrt(1.0 - damping**2), [2.0 * damping * omega, omega**2]
     free, forces = list[np.ndarray](), list[np.ndarray]()
@@ -133,8 +134,7 @@ def _left(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) ->
         ringing = np.array([np.cos(turn * t.times), np.sin(turn * t.times)])
         free.append(np.exp(-damping * omega * t.times) * ringing)
         numbers = bilinear(above, [1.0, *above], 1.0 / t.step)
-        own = [-slope * lfilter(*numbers, a)[:: t.every] for k, a, slope in t.places if k == i]
-        forces.append(np.array(own))
+        forces.append(np.array([-s * lfilter(*numbers, a)[:: t.every] for k, a, s in t.places if k == i]))
     residual, parts = np.concatenate([t.residual[i] for t in trials]), np.concatenate(forces, axis=1)
     columns = np.concatenate([residual[None], parts, block_diag(*free)]).T
     columns = columns - others @ (others.T @ columns)
