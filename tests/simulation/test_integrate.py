@@ -8,14 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import sympy as sp
 
 import leastaction as la
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.estimation.error_spectrum import _bands
+from leastaction.library import Library
+from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import FitSummary, LagrangianModel, ModelTerm
 from leastaction.simulation.integrate import rk4, simulate
-from leastaction.simulation.law import Spectrum
+from leastaction.simulation.law import Law, Spectrum, compiled_step
 
 T = np.linspace(0.0, 2.0, 21)
 
@@ -179,6 +182,58 @@ def test_simulate_passes_the_time():
     np.testing.assert_allclose(run.q[:, 0], forced_from_rest(t, 1.5), atol=1e-7)
     run = simulate(forced, [0.0], [0.0], t, timed=True, mass_matrix=lambda q, v, t: np.eye(1) * (t - 3.0))
     assert run.reason.startswith("singular mass matrix at t = 3.")
+
+
+LAWS = {
+    "dry friction": (["x"], ["x_dot**2/2", "x**2"], ["abs(x_dot)", "sqrt(x_dot**2+1/100)"], ()),
+    "time": (["x", "y"], ["x_dot**2/2", "y_dot**2", "x*y*cos(3*t)", "t*y"], ["y_dot**2/2"], ()),
+    "prescribed": (["x", "b"], ["x_dot**2", "b_dot**2/2", "x_dot*b_dot*cos(b)", "cos(b)"], [], (0,)),
+    "roots": (["r", "b", "c"], ["r_dot**2", "(r**2+1)*b_dot**2", "b_dot*c_dot", "2*c_dot**2", "1/r"], [], ()),
+    "no mass": (["x", "y"], ["x_dot**2", "x*y"], [], ()),
+    "crossed masses": (["x", "y"], ["x_dot*y_dot", "x*y"], [], ()),
+}
+
+
+@pytest.mark.parametrize("forced", [False, True])
+@pytest.mark.parametrize("name", LAWS)
+def test_a_compiled_step_computes_what_arrays_do(name, forced):
+    coordinates, terms, friction, prescribed = LAWS[name]
+    library = Library(terms, coordinates, dissipation=friction)
+    values = [sp.Rational(7 + k, 10) for k in range(len(library.terms))]
+    law = Law.of(Mechanics.of_terms(library.terms, values, coordinates, prescribed=prescribed))
+    rng = np.random.default_rng(1)
+    q, v = rng.uniform(0.6, 1.4, (2, 4, len(coordinates)))
+    given = {"substeps": 3, "clock": np.arange(4.0) if law.timed else None}
+    if forced:
+        given["forces"] = lambda t: np.sin(t)[:, None, None] * np.arange(1.0, 5.0)[:, None] * np.ones(q.shape)
+    t = np.array([0.0, 0.1, 0.15, 0.3])
+    slow, fast = (rk4(law.acceleration, q, v, t, step=step, **given) for step in (None, law.step))
+    assert np.allclose(slow, fast, rtol=1e-12, atol=1e-13, equal_nan=True)
+    assert np.isfinite(fast).all() == (name != "no mass")
+
+
+def test_a_compiled_step_eliminates_more_coordinates():
+    masses = sp.Matrix(5, 5, lambda i, j: sp.Rational(1, 1 + i + j) + int(i == j))
+    symbols = [sp.Symbol(f"z{k}", real=True) for k in range(10)]
+    right = [sp.sin(symbols[i]) - symbols[(i + 1) % 5] * symbols[5 + i] for i in range(5)]
+    step = compiled_step(masses.tolist(), right, symbols)
+    function, matrix = sp.lambdify(symbols, right), np.array(masses, dtype=float)
+
+    def acceleration(q, v, forces):
+        return np.linalg.solve(matrix, np.array(function(*q, *v), dtype=float))
+
+    q, v = np.random.default_rng(2).normal(size=(2, 5))
+    slow, fast = (rk4(acceleration, q, v, [0.0, 0.1], 2, step=some) for some in (None, step))
+    assert np.allclose(slow, fast, rtol=1e-12, atol=0.0)
+
+
+def test_a_motion_beyond_the_range_of_numbers_ends_there():
+    """Numbers raise errors where arrays hold inf and NaN."""
+    library = Library(["x_dot**2/2", "exp(x)"], ["x"])
+    law = Law.of(Mechanics.of_terms(library.terms, [sp.Integer(1), sp.Integer(1)], ["x"]))
+    q, _ = rk4(law.acceleration, [[0.0], [6.0]], [[0.0], [9.0]], np.linspace(0, 1, 11), step=law.step)
+    assert np.isfinite(q[:, 0]).all()
+    assert np.isnan(q[-1, 1]).all()
 
 
 def test_rk4_gives_each_motion_its_own_time():

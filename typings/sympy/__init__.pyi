@@ -12,6 +12,7 @@ class Basic:
     def __eq__(self, other: object) -> bool: ...
     def __hash__(self) -> int: ...
     is_Add: bool
+    is_Atom: bool
     is_Float: bool
     is_Function: bool
     is_Integer: bool

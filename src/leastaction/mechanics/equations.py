@@ -292,7 +292,7 @@ class Mechanics:
             mass, right = self.mass_and_right(q, qdot, parameters, t)
             return _solve(mass, right if forces is None else right + forces)
         # Simulations call this for few states at a time; columns then take half the time of matrices.
-        out = np.empty(q.shape if forces is None else np.broadcast_shapes(q.shape, forces.shape))
+        out = np.empty(q.shape if forces is None else np.broadcast(q, forces).shape)
         with np.errstate(all="ignore"):
             values = self._equations_function(*self._columns(q, qdot, t), *parameters)
             right = values[self.n_dof**2 :]
@@ -303,7 +303,7 @@ class Mechanics:
             else:
                 a, b, c, d = values[:4]
                 solved, pivot = [d * right[0] - b * right[1], a * right[1] - c * right[0]], a * d - b * c
-            if not np.all(pivot):
+            if np.count_nonzero(pivot) < np.size(pivot):
                 pivot = np.where(np.equal(pivot, 0), np.nan, pivot)
             for i, value in enumerate(solved):
                 out[..., i] = value / pivot

@@ -313,8 +313,7 @@ class Grouped:
     def _open_law(self) -> Law:
         """The law for simulations and forecasts, with the uncertainty of its coefficients."""
         model = cast("LagrangianModel", self)
-        law = model.mechanics
-        return Law(law.acceleration, law.prescribed, law.timed, openness_of(model))
+        return Law.of(model.mechanics, openness_of(model))
 
     def own_trials(self, count: int) -> list[int]:
         """Indices of the trials, out of ``count``, that obey this model: all, or the first group."""

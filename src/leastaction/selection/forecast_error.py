@@ -108,7 +108,7 @@ def _runs(fit: Fit, horizon: float, data: Trajectories, law: Sequence[Any]) -> t
     shortest = min(trajectory.duration for trajectory in data)
     horizon = min(horizon, 0.4 * shortest)
     window = max(SELECTION.window * horizon, _WINDOW_STEPS * data.sampling_interval)
-    run = Law(mechanics.acceleration, problem.prescribed, mechanics.timed)
+    run = Law.of(mechanics)
     noise, seen = fit.position_std, [i for i in range(data.n_dof) if i not in problem.hidden]
     if problem.hidden:  # the estimated curve replaces the samples, with the same weight
         spread = np.nanstd(np.concatenate([t.q for t in data]), axis=0)

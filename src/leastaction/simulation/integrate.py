@@ -46,6 +46,7 @@ def rk4(
     substeps: int = 4,
     forces: Callable[[np.ndarray], np.ndarray] | None = None,
     clock: np.ndarray | None = None,
+    step: Callable[..., list[float]] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Integrate many motions at once by the classical fixed-step Runge–Kutta method of degree 4.
 
@@ -64,6 +65,9 @@ def rk4(
     clock : ndarray, optional
         Offset of the time of each motion from ``t``, broadcastable to (...); the acceleration then takes the
         time as its last argument.
+    step : callable, optional
+        The `leastaction.simulation.law.compiled_step` of the same law, used in place of ``acceleration``: one
+        motion after another, which is faster for up to some ten.
 
     Returns
     -------
@@ -86,19 +90,52 @@ def rk4(
     edges = np.interp(np.arange(2 * n_steps + 1) / (2 * substeps), np.arange(t.size), t)
     # All forces in advance: one vectorised call costs less than four small ones in every step.
     table = None if forces is None else np.asarray(forces(edges), dtype=float)
+    if step is not None:
+        return _one_by_one(step, q, v, substeps, edges, table, clock)
     out_q, out_v = np.empty((t.size, *q.shape)), np.empty((t.size, *q.shape))
     out_q[0], out_v[0] = q, v
     with np.errstate(all="ignore"):
-        for step in range(n_steps):
-            stages = slice(2 * step, 2 * step + 3)
+        for k in range(n_steps):
+            stages = slice(2 * k, 2 * k + 3)
             times = edges[stages]
             pushes = [(None,)] * 3 if table is None else [(f,) for f in table[stages]]
             if clock is not None:
                 pushes = [(*push, clock + time) for push, time in zip(pushes, times, strict=True)]
             q, v = _rk4_step(acceleration, q, v, times[2] - times[0], *pushes)
-            if (step + 1) % substeps == 0:
-                out_q[(step + 1) // substeps], out_v[(step + 1) // substeps] = q, v
+            if (k + 1) % substeps == 0:
+                out_q[(k + 1) // substeps], out_v[(k + 1) // substeps] = q, v
     return out_q, out_v
+
+
+def _one_by_one(
+    step: Callable[..., list[float]],
+    q: np.ndarray,
+    v: np.ndarray,
+    substeps: int,
+    edges: np.ndarray,
+    table: np.ndarray | None,
+    clock: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The result of `rk4`, computed with numbers."""
+    n, lengths = q.shape[-1], (edges[2::2] - edges[:-2:2]).tolist()
+    given = [np.broadcast_to(0.0 if table is None else table, (edges.size, *q.shape))]
+    if clock is not None:
+        times = (clock + edges.reshape(-1, *([1] * clock.ndim)))[..., None]
+        given.append(np.broadcast_to(times, (edges.size, *q.shape[:-1], 1)))
+    out = np.full((len(lengths) // substeps + 1, *q.shape[:-1], 2 * n), np.nan)
+    out[0] = np.concatenate([q, v], axis=-1)
+    for place in np.ndindex(q.shape[:-1]):
+        own = (slice(None), *place)
+        stages = [x[own][k : edges.size - 2 + k : 2] for x in given for k in range(3)]
+        state: list[float] = out[(0, *place)].tolist()
+        for k, pushes in enumerate(np.hstack(stages).tolist()):
+            try:
+                state = step(lengths[k], *state, *pushes)
+                if (k + 1) % substeps == 0:
+                    out[((k + 1) // substeps, *place)] = state
+            except (ArithmeticError, ValueError, TypeError):  # beyond the range of a function, or complex
+                break
+    return out[..., :n], out[..., n:]
 
 
 def _rk4_step(acceleration, q, v, h, at0, at1, at2):

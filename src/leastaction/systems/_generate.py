@@ -19,6 +19,7 @@ from scipy.interpolate import BPoly
 
 from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
+from leastaction.simulation.integrate import rk4
 from leastaction.systems._registry import is_default, resolve
 from leastaction.systems._system import Forces, MechanicalSystem
 
@@ -113,38 +114,16 @@ _remembered = lru_cache(maxsize=8)(_simulate_truth)
 
 def _first_accepted(system, t, starts, drives) -> tuple[np.ndarray, np.ndarray, Forces | None]:
     """Draw motions from the two streams until one is acceptable; its q, q̇ at `t`, and its drive."""
+    substeps = math.ceil((t[1] - t[0]) / _STEP - 1e-9)
     for _ in range(_DRAWS):
         q, qdot = system.initial(starts)
         drive = None if system.forcing is None else system.forcing(drives)
-        motion = _integrated(system, q, qdot, t, drive)
-        if system.accept(motion[0]):
-            return *motion, drive
+        q, qdot = rk4(system.acceleration, q, qdot, t, substeps, drive, step=system.step)
+        if system.accept(q):
+            return q, qdot, drive
     raise InputError(
         f"no acceptable motion of {system.name} of {t[-1]:g} s in {_DRAWS} draws; take a shorter duration"
     )
-
-
-def _integrated(system, q0, qdot0, t, drive: Forces | None) -> tuple[np.ndarray, np.ndarray]:
-    """Integrate one motion by the classical Runge–Kutta method; NaN from where it diverges.
-
-    It computes with numbers: NumPy takes some ten times as long for arrays of a few.
-    """
-    substeps = math.ceil((t[1] - t[0]) / _STEP - 1e-9)
-    h, n = float(t[1] - t[0]) / substeps, system.n_dof
-    edges = h / 2.0 * np.arange(2 * substeps * (t.size - 1) + 1)
-    forces = np.zeros((edges.size, n)) if drive is None else np.asarray(drive(edges))
-    pushes = np.hstack([forces[:-2:2], forces[1:-1:2], forces[2::2]]).tolist()
-    state = [*map(float, q0), *map(float, qdot0)]
-    out = np.full((t.size, 2 * n), np.nan)
-    out[0] = state
-    for step, push in enumerate(pushes, 1):
-        try:
-            state = system.step(h, *state, *push)
-            if step % substeps == 0:
-                out[step // substeps] = state
-        except (ArithmeticError, ValueError, TypeError):  # beyond the range of a function, or complex
-            break
-    return out[:, :n], out[:, n:]
 
 
 def _sampled(system, t, motion, kept, rng, irregular) -> TrueMotion:
