@@ -745,7 +745,9 @@ def rest_in_between():
     "data",
     [
         one(rest_in_between()),
-        one(3.0 + 1e-9 * np.random.default_rng(2).standard_normal(T.size)),
+        pytest.param(
+            one(3.0 + 1e-9 * np.random.default_rng(2).standard_normal(T.size)), marks=pytest.mark.thorough
+        ),
         pytest.param(one(1e9 + np.cos(2.0 * T)), marks=pytest.mark.thorough),
         pytest.param(one(np.random.default_rng(3).standard_normal(T.size)), marks=pytest.mark.thorough),
     ],
@@ -758,7 +760,7 @@ def test_data_that_do_not_follow_the_candidates_are_doubtful(data):
 
 
 @pytest.mark.parametrize("library", [APART, [*APART, "x*y"], ["x_dot**2", "x**2"]])
-@pytest.mark.parametrize("scales", [(1.0, 1.0), (1e9, 1e-12)])
+@pytest.mark.parametrize("scales", [pytest.param((1.0, 1.0), marks=pytest.mark.thorough), (1e9, 1e-12)])
 def test_a_coordinate_that_nothing_known_reaches(library, scales):
     """No term that is found couples y to x, or y has no term at all."""
     rng = np.random.default_rng(4)

@@ -470,7 +470,12 @@ def test_exponentials_take_the_place_of_the_powers_that_imitate_them():
     ("term", "noise", "law"),
     [
         ("exp(-((x-{p})/{w})**2)", 0.05, {"exp(-((x-{p})/{w})**2)"}),
-        ("log((x-{p})**2+{h}**2)", 0.02, {"log((x-{p})**2+{h}**2)", "x**2"}),  # near enough at this noise
+        pytest.param(  # near enough at this noise
+            "log((x-{p})**2+{h}**2)",
+            0.02,
+            {"log((x-{p})**2+{h}**2)", "x**2"},
+            marks=pytest.mark.thorough,
+        ),
     ],
 )
 def test_a_well_is_placed_beside_powers_that_resemble_it(term, noise, law):

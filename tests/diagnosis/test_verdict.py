@@ -190,7 +190,9 @@ def in_water(q, v, f):
     return f - 9.81 * np.sin(q) - 0.3 * v * np.abs(v)
 
 
-@pytest.mark.parametrize("offered", [(), ("theta_dot**2/2", "abs(theta_dot)")])
+@pytest.mark.parametrize(
+    "offered", [(), pytest.param(("theta_dot**2/2", "abs(theta_dot)"), marks=pytest.mark.thorough)]
+)
 def test_drag_is_named(offered):
     doubts = Doubts(measured(in_water, ["theta"], 0.03, 2.0), PENDULUM_LIBRARY, dissipation=offered)
     assert doubts.one("unmodelled-friction").subject == ("abs(theta_dot)**3/3",)
@@ -289,7 +291,7 @@ def test_nothing_lacks_where_no_common_term_is_needed():
     assert model.fit.status == "ok", model.fit.warnings
 
 
-@pytest.mark.parametrize("wrong", [0.55, 0.6, 1.0])
+@pytest.mark.parametrize("wrong", [0.55, *(pytest.param(x, marks=pytest.mark.thorough) for x in (0.6, 1.0))])
 def test_wrong_known_coefficient_is_given_its_value(wrong):
     doubts = Doubts(pendulum(driven=True, viscous=0.0), PENDULUM_LIBRARY, known={"theta_dot**2": wrong})
     found = doubts.one("wrong-known-coefficient")
@@ -508,9 +510,10 @@ def push(k, t):
     [
         (2, None, {"x_dot": 0.5}, 1),  # a known coefficient fixes one of the two
         (2, None, {"x_dot": 0.5, "y_dot": 0.5}, 0),
-        (3, None, {"x_dot": 0.5}, 2),
-        (3, [1.0, 0.0, 0.0], {}, 0),  # a force on one mass drives all modes
-        (3, [0.0, 1.0, 0.0], {}, 1),  # in the middle of the chain it drives two of them
+        pytest.param(3, None, {"x_dot": 0.5}, 2, marks=pytest.mark.thorough),
+        # a force on one mass drives all modes, in the middle of the chain two of them
+        pytest.param(3, [1.0, 0.0, 0.0], {}, 0, marks=pytest.mark.thorough),
+        pytest.param(3, [0.0, 1.0, 0.0], {}, 1, marks=pytest.mark.thorough),
         (2, [1.0, 1.0], {}, 1),  # forces on both, in the direction of one mode
     ],
 )

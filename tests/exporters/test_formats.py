@@ -447,7 +447,9 @@ def test_a_chain_of_links_moves_as_the_model(name):
             np.testing.assert_allclose(found, model.acceleration(q, v, f), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["single", "double", "upright", "three"])
+@pytest.mark.parametrize(
+    "name", ["single", "double", "upright", pytest.param("three", marks=pytest.mark.thorough)]
+)
 def test_masses_of_a_chain_have_the_coefficients_of_the_law(name):
     model = chain_models()[name]
     chain = chain_of(model)

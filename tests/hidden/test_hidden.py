@@ -129,7 +129,11 @@ def test_misuse_is_refused(hidden, terms, message) -> None:
 
 @pytest.mark.parametrize(
     ("name", "gone"),
-    [("double_pendulum", "theta2"), ("double_pendulum", "theta1"), ("cart_spring_pendulum", "x")],
+    [
+        pytest.param("double_pendulum", "theta2", marks=pytest.mark.thorough),
+        pytest.param("double_pendulum", "theta1", marks=pytest.mark.thorough),
+        ("cart_spring_pendulum", "x"),
+    ],
 )
 def test_trials_without_a_coordinate_are_forecast(name: str, gone: str) -> None:
     """The motion of the others determines it: forecasts are as good as noise and law allow."""
