@@ -36,7 +36,15 @@ from leastaction.refit import refit
 
 
 # ------------------------------------------------------------------------------ round trips
-@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.01, 0.05])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        0.0,
+        pytest.param(1e-3, marks=pytest.mark.thorough),
+        pytest.param(0.01, marks=pytest.mark.thorough),
+        0.05,
+    ],
+)
 def test_duffing_oscillator(noise):
     model = la.discover(duffing(noise), DUFFING_LIBRARY, KINETIC)
     if noise:
@@ -696,7 +704,15 @@ def one(*columns, names=("x",)):
     return [la.Trajectory(T, np.column_stack(columns), None, list(names))]
 
 
-@pytest.mark.parametrize("scale", [1e-25, 1e-12, 1e9, 1e25])
+@pytest.mark.parametrize(
+    "scale",
+    [
+        1e-25,
+        pytest.param(1e-12, marks=pytest.mark.thorough),
+        pytest.param(1e9, marks=pytest.mark.thorough),
+        1e25,
+    ],
+)
 @pytest.mark.parametrize("time", [1e-9, 1.0, 1e9])
 def test_units_do_not_matter(scale, time):
     model = la.discover(spring(scale, time=time), LIBRARY, known=KNOWN)

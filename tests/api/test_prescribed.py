@@ -475,7 +475,7 @@ def held(seed: int, rate: float = 100.0, duration: float = 20.0) -> list[la.Traj
     return runs
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_forces_that_jump(seed):
     library = la.Library([*TRUTH, "theta_dot**4", "sin(theta)", "cos(2*theta)", "theta"], ["theta"])
     model = la.discover(held(seed), library)

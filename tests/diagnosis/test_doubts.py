@@ -310,7 +310,7 @@ def test_a_dead_sensor_is_named(two_arms):
 
 
 @pytest.mark.parametrize("name", ["spherical_spring_pendulum", "spherical_pendulum", "magnetic_pendulum"])
-@pytest.mark.parametrize("noise", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("noise", [0.0, pytest.param(0.1, marks=pytest.mark.thorough), 0.5])
 def test_violent_motions_and_noise_are_no_reason_for_doubt(name, noise):
     """A smoothed curve would be too flat where these turn."""
     system = systems.get(name)
@@ -559,6 +559,7 @@ def test_a_right_law_passes(noise):
     assert model.fit.status == "ok", model.fit.warnings
 
 
+@pytest.mark.thorough
 def test_an_imitation_is_not_ok():
     """√|x| cannot be written by powers: they imitate it."""
     runs = free_motions(lambda x: -4.5 * np.sign(x) * np.sqrt(abs(x)), noise=0.03)

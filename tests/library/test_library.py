@@ -353,7 +353,7 @@ def unexplained(expr, coordinates, rates, library) -> float:
 
 @pytest.mark.parametrize("gravity", [True, False])
 @pytest.mark.parametrize("relative", [True, False])
-@pytest.mark.parametrize("n", [2, 3, 4])
+@pytest.mark.parametrize("n", [2, 3, pytest.param(4, marks=pytest.mark.thorough)])
 def test_planar_chains_are_in_standard_and_chain(n, relative, gravity):
     names = NAMES[:n]
     for size, offset in (("standard", 0.4), ("chain", 0.0)):

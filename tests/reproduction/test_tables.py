@@ -160,7 +160,9 @@ class TestHorizon:
         horizon = scoring._horizon(lambda q, v, f: 0 * q, motion, tolerance)
         assert horizon == pytest.approx(motion.t[off - 1])
 
-    @pytest.mark.parametrize("name", ["blow-up", "stiff", "nan", "raises"])
+    @pytest.mark.parametrize(
+        "name", ["blow-up", pytest.param("stiff", marks=pytest.mark.thorough), "nan", "raises"]
+    )
     def test_bad_models_do_not_hang(self, name):
         wrong = {
             "blow-up": lambda q, v, f: 1e3 * v**3,
@@ -642,7 +644,9 @@ def test_best_supports_match_an_exhaustive_search():
         assert normal.misfit(normal.solve(found)) == pytest.approx(misfit(list(best)))
 
 
-@pytest.mark.parametrize("name", ["double_pendulum", "cart_spring_pendulum"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("double_pendulum", marks=pytest.mark.thorough), "cart_spring_pendulum"]
+)
 def test_energy_finds_exact_motions_exactly(name):
     problem = posed("energy", name)
     answer = load("energy").solve(problem)

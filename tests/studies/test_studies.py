@@ -547,8 +547,8 @@ def test_half_of_the_laws_are_kept_aside_and_half_are_driven():
     assert {law.n_dof for law in LAWS.values()} == {1, 2, 3}
 
 
-# Every third in `make test`.
-_LAWS = [pytest.param(n, marks=[pytest.mark.thorough] if k % 3 else []) for k, n in enumerate(LAWS)]
+# Every sixth in `make test`.
+_LAWS = [pytest.param(n, marks=[pytest.mark.thorough] if k % 6 else []) for k, n in enumerate(LAWS)]
 
 
 @pytest.mark.parametrize("name", _LAWS)
