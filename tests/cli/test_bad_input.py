@@ -617,7 +617,8 @@ def test_fmu_without_a_compiler(monkeypatch):
     [
         ("--noise", "loud"), ("--noise", "-1"), ("--noise-convention", "odd"), ("--trials", "0"),
         ("--trials", "1e3"), ("--duration", "0"), ("--duration", "1e12"), ("--rate", "-5"),
-        ("--missing", "1"), ("--missing", "nan"), ("--seed", "-1"),
+        ("--missing", "1"), ("--missing", "nan"), ("--seed", "-1"), ("--noise", "%"), ("--rate", "5%"),
+        ("--missing", "100%"), ("--noise", "1%", "--noise-convention", "absolute"),
     ],
 )  # fmt: skip
 def test_options_of_generate(options):

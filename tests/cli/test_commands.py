@@ -468,7 +468,7 @@ def test_generate_and_the_command_that_it_proposes(tmp_path, monkeypatch):
 
 
 def test_generate_passes_its_options_on(tmp_path):
-    options = ("--noise", 0.01, "--noise-convention", "absolute", "--missing", 0.1, "--irregular")
+    options = ("--noise", 0.01, "--noise-convention", "absolute", "--missing", "10%", "--irregular")
     result = run(
         "generate",
         "cart_spring_pendulum",

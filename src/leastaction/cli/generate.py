@@ -58,7 +58,7 @@ Example:
         n for n in (*SYSTEMS, *FURTHER) if n.startswith(incomplete)
     ],
 )
-@click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Noise level.")
+@click.option("--noise", default="0.1", show_default=True, metavar="LEVEL", help="Noise, e.g. 0.1 or 10%.")
 @click.option(
     "--noise-convention",
     type=click.Choice(["relative", "absolute"]),
@@ -106,7 +106,9 @@ def generate(
     texts = {"noise": noise, "duration": duration, "rate": rate, "missing": missing}
     for option, text in texts.items():
         with blame(f"--{option}"):
-            values[option] = number(text)
+            values[option] = _share(text) if option in ("noise", "missing") else number(text)
+    if noise.rstrip().endswith("%") and values["noise_convention"] == "absolute":
+        raise InputError(f"--noise {noise}: a percentage is relative; give the noise in the unit of the data")
     if abs(values["trials"] * values["duration"] * values["rate"]) > _MAX_SAMPLES:
         raise InputError(
             f"--trials times --duration times --rate is more than {_MAX_SAMPLES} samples; choose less"
@@ -120,6 +122,12 @@ def generate(
     made = counted(len(data), "trial")
     say(f"{made} of the {source.title.lower()}, {data.n_samples} samples: {shown(output)}")
     say(f"next: {_next_command(source, output)}")
+
+
+def _share(text: str) -> float:
+    """A number, which may be written as a percentage."""
+    percent = text.rstrip().removesuffix("%")
+    return number(text) if percent == text.rstrip() else number(percent) / 100.0
 
 
 def _next_command(system: MechanicalSystem, path: str) -> str:
