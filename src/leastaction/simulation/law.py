@@ -347,7 +347,7 @@ def _solution(
 
     rows = [[named(value) for value in values[n * i : n * (i + 1)]] for i in range(n)]
     sides = [named(value + force) for value, force in zip(values[n * n :], forces, strict=True)]
-    if n <= 3:
+    if n <= 3:  # by Cramer's rule, which takes masses of any sign
         matrix = sp.Matrix(rows)
         below = named(matrix.det())
         tops = [named(top) for top in matrix.adjugate() * sp.Matrix(sides)]
