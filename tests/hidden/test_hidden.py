@@ -237,6 +237,22 @@ def test_a_chain_follows_one_branch(shooting) -> None:
     assert np.median(np.concatenate(chained.jumps)) < 0.05
 
 
+def test_a_chain_passes_by_motions_that_diverge(shooting) -> None:
+    """No warning of NumPy escapes, and they are on no path."""
+    problem, few, _, true = shooting
+    windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.03, None)
+    shooter, scales = few.on(windows), scales_of(problem, windows, 1.5)
+    begins = draw_begins(scales, problem.hidden, np.random.default_rng(0))[None]
+    found = shooter.screen(true[None], begins, 4, 6)
+    kept, times = found.deviation.shape[1] // len(windows), [t.t for t in problem.trajectories]
+    for size in (1e200, np.inf):
+        states = found.states.copy()
+        states[0, kept - 1 :: kept] = size
+        chained = chain(shooter, replace(found, states=states), scales, times)
+        assert np.isfinite(chained.chosen.states).all()
+        assert np.median(np.concatenate(chained.jumps)) < 0.05
+
+
 def test_a_motion_is_continued_into_a_window_that_missed_it(shooting) -> None:
     problem, few, _, true = shooting
     windows = cut_windows(problem, smooth_of(problem), few.windows.seconds, 0.03, None)

@@ -38,6 +38,7 @@ class Chained:
     chosen: Solutions
 
 
+@np.errstate(all="ignore")  # motions may diverge; paths avoid their states, which are not finite or huge
 def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.ndarray]) -> Chained:
     """Choose a solution of every window and return the hidden coordinates.
 
@@ -75,6 +76,7 @@ def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.nda
     return Chained(values, jumps, chosen)
 
 
+@np.errstate(all="ignore")
 def continued(shooter: Shooter, found: Solutions) -> tuple[np.ndarray, np.ndarray]:
     """States at the starts of windows to which the solutions of the window before lead, and their windows.
 
