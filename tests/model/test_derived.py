@@ -773,6 +773,17 @@ def test_equal_modes_have_no_shape_of_their_own():
     assert np.isnan([m.natural_frequency.standard_error for m in critical.linearise([0.0]).modes]).all()
 
 
+def test_a_mode_at_rest_is_listed_once():
+    """Its pole at zero is double where nothing damps it."""
+    terms = {"x_dot**2": 0.3, "y_dot**2": 0.2, "x_dot*z_dot*cos(z)": 0.1, "z_dot**2": 0.2, "z**2": -1.0}
+    for friction, free in (({"z_dot**2/2": 0.02}, 2), ({"x_dot**2/2": 0.02, "z_dot**2/2": 0.02}, 2)):
+        system = law_of(["x", "y", "z"], terms, friction).linearise([0.0, 0.0, 0.0])
+        paces = [mode.pace for mode in system.modes]
+        assert paces.count("moves freely") == free
+        assert len(system.poles) == 6
+        assert sum(pace.endswith("1/s") for pace in paces) == len(friction) - 1
+
+
 def test_without_errors_there_are_none():
     terms = [ModelTerm("x_dot**2", 0.5, known=True), ModelTerm("x**2", -2.0, float("nan"))]
     (mode,) = LagrangianModel("x", terms).linearise([0.0]).modes

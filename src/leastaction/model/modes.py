@@ -22,6 +22,7 @@ ZERO = 1e-7
 
 _IN_STEP = 1e-3  # imaginary part of a shape: less is a phase below a tenth of a degree
 _ROUNDING = 1e-12  # of the largest eigenvalue: smaller changes within a standard error are rounding
+_ALIKE = 1e-3  # shapes that differ by less are one; those of a double pole do by a root of the rounding
 _SAME = 1e-6  # relative: smaller differences of sizes are rounding
 
 
@@ -164,7 +165,8 @@ def find_modes(here: Matrices, changes: list[list[np.ndarray]] | None) -> tuple[
         slopes = [_state_slope(here, change) for change in changes or ()]
         moves = [(m, v[:n]) for m, v in _perturbed(upper, right, left, slopes)]
         right, poles = right[:n], upper
-        sides = [(i, 1.0) for i in np.flatnonzero(np.imag(upper) >= 0.0).tolist()]
+        repeated = _repeated(right, upper == 0.0)
+        sides = [(i, 1.0) for i in np.flatnonzero((np.imag(upper) >= 0.0) & ~repeated).tolist()]
     sides.sort(key=lambda side: (abs(upper[side[0]]), side[1] * np.real(upper[side[0]])))
     known = changes is not None
     modes = [
@@ -180,6 +182,17 @@ def find_modes(here: Matrices, changes: list[list[np.ndarray]] | None) -> tuple[
     return tuple(modes), np.array(
         sorted(poles, key=lambda p: (abs(p), np.real(p), np.imag(p))), dtype=complex
     )
+
+
+def _repeated(shapes: np.ndarray, resting: np.ndarray) -> np.ndarray:
+    """Which poles at zero have the shapes of others: where nothing damps a mode, its pole is double."""
+    kept = np.zeros((len(shapes), 0))
+    repeated = np.zeros(resting.size, dtype=bool)
+    for i in np.flatnonzero(resting):
+        wider = np.column_stack([kept, shapes[:, i] / np.linalg.norm(shapes[:, i])])
+        repeated[i] = np.linalg.svd(wider, compute_uv=False)[-1] < _ALIKE
+        kept = kept if repeated[i] else wider
+    return repeated
 
 
 def _conservative(mass: np.ndarray, stiffness: np.ndarray) -> bool:
