@@ -150,7 +150,7 @@ class MechanicalSystem:
 
     @cached_property
     def step(self) -> Callable[..., list[float]]:
-        """The `leastaction.simulation.law.compiled_step` for numbers, tens of times as fast as arrays."""
+        """A Runge–Kutta step of one motion, compiled: see `leastaction.simulation.law.compiled_step`."""
         n, entries = self.n_dof, iter(self._equations)
         mass = sp.zeros(n, n)
         for i, j in combinations_with_replacement(range(n), 2):
