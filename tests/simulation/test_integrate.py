@@ -194,18 +194,19 @@ LAWS = {
 }
 
 
+@pytest.mark.parametrize("shape", [(), (4,), (2, 4)])
 @pytest.mark.parametrize("forced", [False, True])
 @pytest.mark.parametrize("name", LAWS)
-def test_a_compiled_step_computes_what_arrays_do(name, forced):
+def test_a_compiled_step_computes_what_arrays_do(name, forced, shape):
     coordinates, terms, friction, prescribed = LAWS[name]
     library = Library(terms, coordinates, dissipation=friction)
     values = [sp.Rational(7 + k, 10) for k in range(len(library.terms))]
     law = Law.of(Mechanics.of_terms(library.terms, values, coordinates, prescribed=prescribed))
-    rng = np.random.default_rng(1)
-    q, v = rng.uniform(0.6, 1.4, (2, 4, len(coordinates)))
-    given = {"substeps": 3, "clock": np.arange(4.0) if law.timed else None}
+    q, v = np.random.default_rng(1).uniform(0.6, 1.4, (2, *shape, len(coordinates)))
+    each = np.arange(1.0, 5.0) if shape else np.ones(())  # of the last axis of motions
+    given = {"substeps": 3, "clock": each if law.timed else None}
     if forced:
-        given["forces"] = lambda t: np.sin(t)[:, None, None] * np.arange(1.0, 5.0)[:, None] * np.ones(q.shape)
+        given["forces"] = lambda t: np.multiply.outer(np.sin(t), np.multiply.outer(each, [1.0] * q.shape[-1]))
     t = np.array([0.0, 0.1, 0.15, 0.3])
     slow, fast = (rk4(law.acceleration, q, v, t, step=step, **given) for step in (None, law.step))
     assert np.allclose(slow, fast, rtol=1e-12, atol=1e-13, equal_nan=True)

@@ -118,10 +118,10 @@ def _one_by_one(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The result of `rk4`, computed with numbers."""
     n, lengths = q.shape[-1], (edges[2::2] - edges[:-2:2]).tolist()
-    given = [np.broadcast_to(0.0 if table is None else table, (edges.size, *q.shape))]
+    given = [_for_each(np.zeros((edges.size, 1)) if table is None else table, q.shape)]
     if clock is not None:
-        times = (clock + edges.reshape(-1, *([1] * clock.ndim)))[..., None]
-        given.append(np.broadcast_to(times, (edges.size, *q.shape[:-1], 1)))
+        times = edges.reshape(-1, *([1] * clock.ndim)) + clock
+        given.append(_for_each(times[..., None], (*q.shape[:-1], 1)))
     out = np.full((len(lengths) // substeps + 1, *q.shape[:-1], 2 * n), np.nan)
     out[0] = np.concatenate([q, v], axis=-1)
     for place in np.ndindex(q.shape[:-1]):
@@ -136,6 +136,12 @@ def _one_by_one(
             except (ArithmeticError, ValueError, TypeError):  # beyond the range of a function, or complex
                 break
     return out[..., :n], out[..., n:]
+
+
+def _for_each(rows: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Rows that can be broadcast to a shape, so broadcast."""
+    missing = [1] * (len(shape) + 1 - rows.ndim)
+    return np.broadcast_to(rows.reshape(len(rows), *missing, *rows.shape[1:]), (len(rows), *shape))
 
 
 def _rk4_step(acceleration, q, v, h, at0, at1, at2):
