@@ -577,7 +577,7 @@ def pendulum(noise, seed=0):
     return la.systems.generate("single_pendulum", noise=noise, trials=2, duration=10.0, seed=seed)
 
 
-@pytest.mark.parametrize("delay", [0.0, 0.02, pytest.param(0.05, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("delay", [0.0, *(pytest.param(x, marks=pytest.mark.thorough) for x in (0.02, 0.05))])
 @pytest.mark.parametrize(
     ("noise", "width"), [(0.01, 0.001), pytest.param(0.1, 0.008, marks=pytest.mark.thorough)]
 )

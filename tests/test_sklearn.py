@@ -311,6 +311,7 @@ def test_horizon_is_used(runs, fitted):
 
 
 # --------------------------------------------------------------------------- model selection
+@pytest.mark.thorough
 def test_grid_search_over_trajectories(runs):
     """A term that matters must not be thrown out, and cross-validation sees that."""
     search = GridSearchCV(la.SparseLagrangian(LIBRARY), {"relevance": [0.05], "degree": [4, 5]}, cv=KFold(2))

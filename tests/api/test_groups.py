@@ -120,7 +120,10 @@ def test_a_table_of_two_machines_is_noticed_and_the_advice_works(payload, model)
 
 @pytest.mark.parametrize(
     "amplitudes",
-    [(0.4, 0.7, 1.0, 1.3), pytest.param((0.4, 0.4, 1.3, 1.3), marks=pytest.mark.thorough), None],
+    [
+        *(pytest.param(x, marks=pytest.mark.thorough) for x in ((0.4, 0.7, 1.0, 1.3), (0.4, 0.4, 1.3, 1.3))),
+        None,
+    ],
 )
 def test_another_fault_is_not_a_difference_between_trials(amplitudes):
     """An imitated law needs other coefficients for every amplitude, and missing friction the same for all."""

@@ -490,7 +490,8 @@ def test_a_well_is_placed_beside_powers_that_resemble_it(term, noise, law):
     assert abs(numbers["p"].value) <= 4.0 * numbers["p"].standard_error
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [1, 3])
 def test_powers_that_make_up_for_one_another_are_dropped(seed):
     """Beside a wall, x**2 is the weakest of four: without it, x and x**3 would take its place for good."""
     options = {"duration": 10.0, "rate": 100.0, "noise": 0.02, "seed": seed}

@@ -656,6 +656,7 @@ def test_a_filmed_pendulum_gives_its_law_and_the_camera(tmp_path) -> None:
     assert len(model.calibration.covariance) == 1 + 4
 
 
+@pytest.mark.thorough
 def test_a_film_that_was_held_out_is_forecast_in_pixels(tmp_path) -> None:
     """Within its noise, and 95 % inside the bands; with one column too, although a sine has two angles."""
     model = la.discover(filmed(1.0), LIBRARY, GIVEN, measure=CAMERA)
