@@ -1037,7 +1037,7 @@ def test_other_roles_bring_other_candidates_only_if_they_must(session, tmp_path)
     assert session.choice == Choice(known="theta_dot**2 = 1", held_out=1)
 
 
-def test_cancel_leaves_the_session_usable(session):
+def test_cancel_leaves_the_session_usable(session, tmp_path):
     session.open_example("double")
     job = session.discover()
     while job.stage == "":
@@ -1046,7 +1046,8 @@ def test_cancel_leaves_the_session_usable(session):
     assert job.state == "cancelled"
     assert not session.collect()
     assert session.found == {}
-    session.open_example("single")
+    upload(session, "run.csv", page_helpers.driven_pendulum(tmp_path / "run.csv").read_bytes())
+    session.choice.size = "compact"
     assert wait(session.discover()).state == "done"
     assert session.collect()
 

@@ -701,6 +701,7 @@ def test_numbers_that_only_their_product_shows_are_open() -> None:
     assert model.fit.status == "doubtful"
 
 
+@pytest.mark.thorough
 def test_a_wrong_function_is_not_ok() -> None:
     measure = ["u = {u0} + {a}*theta", "v = {v0} + {b}*theta**2"]  # for small angles only
     model = la.discover(filmed(1.0, seconds=4.0), LIBRARY, GIVEN, measure=measure)
