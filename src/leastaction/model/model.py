@@ -275,8 +275,7 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         Raises
         ------
         InputError
-            If shapes, times or numbers are invalid, or `start_std` is given and the model has no standard
-            errors.
+            If shapes, times or numbers are invalid, or the model has no standard errors for `start_std`.
 
         Examples
         --------
@@ -346,9 +345,8 @@ class LagrangianModel(model_text.Written, ShownModel, Resting, Grouped):
         """
         data, noise, sight = checks.held_out(self, trajectories)
         if groups is not None:
-            run = self.forecast_groups(
-                Trajectories.coerce(trajectories), groups, (horizon, window, tolerance)
-            )
+            trials = Trajectories.coerce(trajectories)
+            run = self.forecast_groups(trials, groups, (horizon, window, tolerance))
         else:
             run = forecast(self._open_law, data, noise, horizon, window, tolerance, sight)
         return replace(run, angles=self.angles)
