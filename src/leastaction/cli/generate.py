@@ -126,8 +126,8 @@ def generate(
 
 def _share(text: str) -> float:
     """A number, which may be written as a percentage."""
-    percent = text.rstrip().removesuffix("%")
-    return number(text) if percent == text.rstrip() else number(percent) / 100.0
+    plain = text.rstrip().removesuffix("%")
+    return number(plain) / (1.0 if plain == text.rstrip() else 100.0)
 
 
 def _next_command(system: MechanicalSystem, path: str) -> str:

@@ -38,7 +38,7 @@ class Chained:
     chosen: Solutions
 
 
-@np.errstate(all="ignore")  # motions may diverge; paths avoid their states, which are not finite or huge
+@np.errstate(all="ignore")  # motions may diverge: their states are huge or not finite, and on no path
 def chain(shooter: Shooter, found: Solutions, scales: Scales, times: list[np.ndarray]) -> Chained:
     """Choose a solution of every window and return the hidden coordinates.
 

@@ -19,7 +19,7 @@ _MAX_HALVINGS = 4
 _FAR = 1e6
 # Larger numbers are cut off before they are squared.
 _HUGE = 1e100
-# So few motions are faster with a compiled step than in arrays, if there are steps enough to compile it for.
+# A compiled step is faster than arrays for at most so many motions, and pays from so many steps on.
 _FEW, _LONG = 10, 200
 # Bounds the memory of the drawn motions.
 _MOST_DRAWN = 2**21
