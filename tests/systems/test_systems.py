@@ -241,7 +241,7 @@ def test_a_step_of_numbers_is_a_step_of_arrays(name):
 
 @pytest.mark.parametrize("term", ["exp(x)", "log(x)", "x**2.5"])
 def test_a_motion_that_leaves_the_range_of_the_law_is_drawn_again(term):
-    """It runs to infinity, or to x < 0, where Python raises an error or makes a complex number."""
+    """It runs to infinity, or to x < 0, where Python raises an error."""
     initial = Uniform(((-1.0, 1.0),), ((-3.0, 3.0),))
     law = {"x_dot**2/2": 1.0, term: -30.0 if term == "x**2.5" else 30.0}
     system = systems.MechanicalSystem("fall", "Fall", ("x",), law, tuple(law), initial)

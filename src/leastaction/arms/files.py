@@ -24,12 +24,13 @@ from leastaction.arms.signals import Recording
 from leastaction.casadi import arm_functions
 from leastaction.data.formats.atomic import check_path, read_bytes, write_bytes
 from leastaction.errors import InputError
-from leastaction.exporters.shared import CPrinter, PythonPrinter
+from leastaction.exporters.shared import CPrinter
 from leastaction.identifiers import quoted
 from leastaction.library.tree import Joint, KinematicTree
 from leastaction.mechanics.arm_columns import Acting, ArmParts, entries
 from leastaction.mechanics.arm_terms import EXTRA, ArmTerm
 from leastaction.mechanics.equations import Mechanics
+from leastaction.simulation.law import PythonPrinter
 
 __all__ = ["casadi_functions", "from_dict", "load", "save", "to_dict", "write_c", "write_python"]
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sympy as sp
 
-from leastaction.exporters.shared import PythonPrinter, about, assignments, clock, equations
+from leastaction.exporters.shared import about, assignments, clock, equations
 from leastaction.model.model import LagrangianModel
+from leastaction.simulation.law import PythonPrinter
 
 __all__ = ["CasadiPrinter", "write"]
 

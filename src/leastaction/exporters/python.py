@@ -5,9 +5,10 @@ from __future__ import annotations
 import sympy as sp
 from sympy.printing.pycode import SymPyPrinter
 
-from leastaction.exporters.shared import PythonPrinter, about, assignments, clock, equations, unused
+from leastaction.exporters.shared import about, assignments, clock, equations, unused
 from leastaction.identifiers import TIME, names_in_terms
 from leastaction.model.model import LagrangianModel
+from leastaction.simulation.law import PythonPrinter
 
 __all__ = ["write", "write_jax", "write_sympy"]
 

@@ -6,13 +6,13 @@ from collections.abc import Callable, Sequence
 
 import sympy as sp
 from sympy.printing.c import C99CodePrinter
-from sympy.printing.pycode import PythonCodePrinter
 
 from leastaction.library import format_expression
 from leastaction.mechanics.equations import Mechanics
 from leastaction.model.model import LagrangianModel
+from leastaction.simulation.law import CodeMixin
 
-__all__ = ["CPrinter", "MathPrinter", "PythonPrinter", "about", "assignments", "clock", "equations", "unused"]
+__all__ = ["CPrinter", "MathPrinter", "about", "assignments", "clock", "equations", "unused"]
 
 
 def unused(name: str, taken: Sequence[str]) -> str:
@@ -79,37 +79,7 @@ def assignments(
     return lines, [write(expr) for expr in reduced]
 
 
-class _CodeMixin:
-    """Common part of the printers of Python and C."""
-
-    def _print_Float(self, expr):
-        return repr(float(expr))
-
-    def _print_NumberSymbol(self, expr):
-        return repr(float(expr))
-
-    _print_Pi = _print_Exp1 = _print_NumberSymbol
-
-    def _print_RealSign(self, expr):
-        argument = self._print(expr.args[0])  # type: ignore[attr-defined]
-        return f"(({argument} > 0) - ({argument} < 0))"
-
-
-class PythonPrinter(_CodeMixin, PythonCodePrinter):
-    def __init__(self) -> None:
-        super().__init__({"fully_qualified_modules": True})  # type: ignore[call-arg]
-
-    def _print_RealAbs(self, expr):
-        return f"abs({self._print(expr.args[0])})"
-
-    def _print_Pow(self, expr, rational=False):
-        if expr.exp.is_Integer or abs(expr.exp) == sp.S.Half:
-            return super()._print_Pow(expr, rational)
-        # A negative number to such a power must not give a complex number.
-        return f"math.pow({self._print(expr.base)}, {self._print(expr.exp)})"
-
-
-class CPrinter(_CodeMixin, C99CodePrinter):
+class CPrinter(CodeMixin, C99CodePrinter):
     def __init__(self) -> None:
         # The macros such as M_SQRT2 are not in the standard.
         super().__init__({"math_macros": {}})  # type: ignore[call-arg]

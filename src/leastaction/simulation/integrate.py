@@ -133,7 +133,7 @@ def _one_by_one(
                 state = step(lengths[k], *state, *pushes)
                 if (k + 1) % substeps == 0:
                     out[((k + 1) // substeps, *place)] = state
-            except (ArithmeticError, ValueError, TypeError):  # beyond the range of a function, or complex
+            except (ArithmeticError, ValueError):  # beyond the range of numbers, or of a function
                 break
     return out[..., :n], out[..., n:]
 

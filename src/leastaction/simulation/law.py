@@ -1,4 +1,4 @@
-"""A law for simulation, its uncertainty, and motions drawn from it.
+"""A law for simulation, its uncertainty, motions drawn from it, and its compiled step.
 
 A motion obeys M q̈ = r(q, q̇; c) + f + e.  The coefficients c have a covariance, and the equation errors e a
 spectral density.  Drawn motions give the error of q even if it is large, where linear error propagation would
@@ -7,6 +7,7 @@ grow without bound.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,9 +28,11 @@ from leastaction.simulation.results import SimulationResult
 __all__ = [
     "MEMBERS",
     "Acceleration",
+    "CodeMixin",
     "Drawn",
     "Law",
     "Openness",
+    "PythonPrinter",
     "Spectrum",
     "compiled_step",
     "follow",
@@ -166,12 +169,12 @@ class Law:
 
     @classmethod
     def of(cls, mechanics: Mechanics, openness: Openness | None = None) -> Law:
-        """The law of some mechanics."""
+        """The law of these mechanics."""
         return cls(mechanics.acceleration, mechanics.prescribed, mechanics.timed, openness, mechanics)
 
     @cached_property
     def step(self) -> Step | None:
-        """The `compiled_step` of the mechanics; None above three coordinates, whose masses need pivots."""
+        """The `compiled_step` of the mechanics; None above three coordinates, which may need pivoting."""
         law = self.mechanics
         if law is None or law.n_dof > 3:
             return None
@@ -276,18 +279,36 @@ def follow(
     return q0, qdot0, moved
 
 
-class _Printer(PythonCodePrinter):
-    """Python code with all digits of the numbers."""
+class CodeMixin:
+    """Common part of the printers of Python and C: all digits of the numbers."""
 
-    def _print_Float(self, expr: sp.Float) -> str:
+    def _print_Float(self, expr):
         return repr(float(expr))
 
-    def _print_RealAbs(self, expr: sp.Expr) -> str:
+    def _print_NumberSymbol(self, expr):
+        return repr(float(expr))
+
+    _print_Pi = _print_Exp1 = _print_NumberSymbol
+
+    def _print_RealSign(self, expr):
+        argument = self._print(expr.args[0])  # type: ignore[attr-defined]
+        return f"(({argument} > 0) - ({argument} < 0))"
+
+
+class PythonPrinter(CodeMixin, PythonCodePrinter):
+    """Code of Python for numbers, over `math`."""
+
+    def __init__(self) -> None:
+        super().__init__({"fully_qualified_modules": True})  # type: ignore[call-arg]
+
+    def _print_RealAbs(self, expr):
         return f"abs({self._print(expr.args[0])})"
 
-    def _print_RealSign(self, expr: sp.Expr) -> str:
-        text = self._print(expr.args[0])
-        return f"(({text} > 0) - ({text} < 0))"
+    def _print_Pow(self, expr, rational=False):
+        if expr.exp.is_Integer or abs(expr.exp) == sp.S.Half:
+            return super()._print_Pow(expr, rational)
+        # A negative number to such a power must not give a complex number.
+        return f"math.pow({self._print(expr.base)}, {self._print(expr.exp)})"
 
 
 def compiled_step(
@@ -296,8 +317,8 @@ def compiled_step(
     """A step of the classical Runge–Kutta method for M q̈ = r + f, as one function of numbers.
 
     ``step(h, q..., q̇..., f..., t...)`` returns q..., q̇... after h seconds.  The forces f, and the times t if
-    the ``state`` holds one, are those at the begin, in the middle and at the end.  A step takes some 10 μs;
-    with arrays, NumPy takes 200 μs, however few motions they hold.
+    the ``state`` holds one, are those at the beginning, middle and end of the step.  A step takes some
+    10 μs; NumPy takes 200 μs for arrays, however few motions they hold.
     """
     n = len(right)
     program, forces, solved = _solution(mass, right)
@@ -324,8 +345,9 @@ def compiled_step(
         slopes.append(rates(reached, pushes[k], times[k]))
     ends = [y + h / 6 * (a + 2 * (b + c) + d) for y, a, b, c, d in zip(start, *slopes, strict=True)]
     arguments = [h, *start, *(x for some in (*pushes, *times) for x in some)]
-    printer = _Printer({"fully_qualified_modules": False, "inline": True, "allow_unknown_functions": True})
-    return sp.lambdify(arguments, ends, "math", printer=printer, cse=lambda _: (lines, ends))
+    return sp.lambdify(
+        arguments, ends, [{"math": math}], printer=PythonPrinter(), cse=lambda _: (lines, ends)
+    )
 
 
 def _solution(
