@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from leastaction.data.trajectories import Trajectory
 from leastaction.diagnosis.verdict import Verdict
 from leastaction.errors import InputError
 from leastaction.estimation.build import Setup
@@ -29,7 +30,7 @@ from leastaction.selection.search_state import Search
 __all__ = ["assemble_model"]
 
 _NEAR = 0.05  # of the spread: within it, a forecast is said to be near the motion
-_PERIODS = 10.0  # that forecasts last, at most; trials, samples a period, and coordinates bound their cost
+_PERIODS = (1.0, 10.0)  # that forecasts last; trials, samples a period, and coordinates bound their cost
 _MOST_TRIALS, _SAMPLES_A_PERIOD, _MOST_COORDINATES = 6, 30, 4
 _NO_RATES = {"velocities": None, "accelerations": None}
 
@@ -137,33 +138,47 @@ def _reach(model: LagrangianModel, period: float) -> list[Finding]:
 
     Forecasts run along the fitted curve, as if it was the motion.  Their bands hold the standard errors of
     the coefficients, the equation errors, and the error of a start that is found in a period of samples.
+    Long forecasts are made only where short ones stay near to their end.
     """
     found = model.diagnostics
     if found is None or model.n_dof > _MOST_COORDINATES or found.hidden_motion or model.calibration:
         return []
     data = [t.changed(q=q, **_NO_RATES) for t, q in zip(found.trajectories, found.curve(), strict=True)]
     own = model.own_trials(len(data))
-    data = [data[k] for k in own[:: -(-len(own) // _MOST_TRIALS)]]
     step = max(1, int(period / found.trajectories.sampling_interval / _SAMPLES_A_PERIOD))
+    data = [data[k].rows(slice(0, None, step)) for k in own[:: -(-len(own) // _MOST_TRIALS)]]
     shortest = min(t.duration for t in data)
     window = min(period, 0.25 * shortest)
-    horizon = min(_PERIODS * period, 0.5 * (shortest - window))
-    data = [t.rows(slice(0, np.searchsorted(t.t, t.t[0] + window + 2.05 * horizon), step)) for t in data]
-    try:
-        runs = model.validate(data, horizon=horizon, window=window)
-    except InputError:  # too few samples for a start
-        return []
+    horizons = sorted({min(n * period, 0.5 * (shortest - window)) for n in _PERIODS})
+    seconds, to_the_end = 0.0, False
+    for horizon in horizons:
+        try:
+            seconds, to_the_end = _stays_near(model, data, window, horizon)
+        except InputError:  # too few samples for a start
+            return []
+        if not to_the_end:
+            break
+    values = {"seconds": seconds, "share": _NEAR, "to_the_end": to_the_end, "window": window}
+    return [find("forecast-reach", **values)] if seconds else []
+
+
+def _stays_near(
+    model: LagrangianModel, data: list[Trajectory], window: float, horizon: float
+) -> tuple[float, bool]:
+    """For how many seconds forecasts of a length stay near, and whether to their end; 0 without a band."""
+    pieces = [t.rows(slice(0, np.searchsorted(t.t, t.t[0] + window + 2.05 * horizon))) for t in data]
+    runs = model.validate(pieces, horizon=horizon, window=window)
     count = min(trace.t.size for trace in runs.traces)
     if not count or any(trace.std is None for trace in runs.traces):
-        return []
+        return 0.0, False
     after = runs.traces[0].t[:count] - runs.traces[0].origin
     bands = np.array([trace.std[:count] ** 2 for trace in runs.traces if trace.std is not None])
     away = np.array([trace.forecast[:count] - trace.measured[:count] for trace in runs.traces])
-    squares = np.maximum(bands.mean(axis=0) - runs.noise_std**2, (away**2).mean(axis=0)) / runs.std**2
+    spread = np.nanstd(np.concatenate([t.q for t in data]), axis=0)
+    squares = np.maximum(bands.mean(axis=0) - runs.noise_std**2, (away**2).mean(axis=0)) / spread**2
     free = [i for i, name in enumerate(model.coordinates) if name not in model.prescribed]
     beyond = np.flatnonzero(~(squares[:, free] <= _NEAR**2).all(axis=1))
-    seconds = after[max(beyond[0] - 1, 0)] if beyond.size else after[-1]
-    return [find("forecast-reach", seconds=seconds, share=_NEAR, to_the_end=not beyond.size, window=window)]
+    return float(after[max(beyond[0] - 1, 0)] if beyond.size else after[-1]), not beyond.size
 
 
 def _hidden_motion(fit: Fit) -> dict[str, tuple[HiddenMotion, ...]]:

@@ -216,14 +216,14 @@ class SplineGrid:
         return breakpoints[:-1, None] + 0.5 * np.diff(breakpoints)[:, None] * (self._rule[0] + 1.0)
 
     @cached_property
-    def _quadrature_tables(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Basis values at the quadrature points: equal intervals share one pattern.
+    def _quadrature_tables(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pattern of each interval, and (n_patterns, 3, n_quadrature, degree + 1) basis values of q, q̇, q̈.
 
         Away from the clamped ends all intervals of a uniform space look alike, so 2p + 1 patterns
         a trajectory are enough and memory does not grow with its length.
         """
         patterns: list[np.ndarray] = []
-        tables: list[list[np.ndarray]] = [[], [], []]
+        tables: list[np.ndarray] = []
         total = 0
         for k, space in enumerate(self.spaces):
             m, p = space.n_intervals, self.degree
@@ -236,15 +236,14 @@ class SplineGrid:
             index = np.arange(m) if keep.size == m else np.r_[0:p, np.full(m - 2 * p, p), p + 1 : 2 * p + 1]
             patterns.append(total + index)
             total += keep.size
-            for nu in range(3):
-                _, values = space.local_basis(points[keep].ravel(), nu)
-                tables[nu].append(values.reshape(keep.size, -1, p + 1))
-        return np.concatenate(patterns), [np.concatenate(t) for t in tables]
+            values = [space.local_basis(points[keep].ravel(), nu)[1] for nu in range(3)]
+            tables.append(np.stack([v.reshape(keep.size, -1, p + 1) for v in values], axis=1))
+        return np.concatenate(patterns), np.concatenate(tables)
 
     def quadrature_basis(self, chunk: slice, nu: int) -> np.ndarray:
         """(n_intervals in chunk, n_quadrature, degree + 1) basis values at the quadrature points."""
         patterns, tables = self._quadrature_tables
-        return tables[nu][patterns[chunk]]
+        return tables[:, nu][patterns[chunk]]
 
     def local_control_points(self, control_points: np.ndarray, chunk: slice) -> np.ndarray:
         """(n_intervals in chunk, degree + 1, n_dof) control points that matter in each interval."""
@@ -254,8 +253,11 @@ class SplineGrid:
         self, control_points: np.ndarray, chunk: slice = slice(None), most: int = 2
     ) -> list[np.ndarray]:
         """q, q̇, q̈ at the quadrature points, each (n_intervals, n_quadrature, n_dof), up to one derivative."""
-        local = self.local_control_points(control_points, chunk)
-        return [self.quadrature_basis(chunk, nu) @ local for nu in range(most + 1)]
+        patterns, tables = self._quadrature_tables
+        wanted = tables[:, : most + 1].reshape(len(tables), -1, self.degree + 1)
+        # one product an interval: three would take three times as long
+        values = wanted[patterns[chunk]] @ self.local_control_points(control_points, chunk)
+        return np.split(values, most + 1, axis=1)
 
     def chunks(self, size: int) -> list[slice]:
         """Runs of at most ``size`` knot intervals; one may hold several short trajectories."""
