@@ -167,6 +167,7 @@ def test_trajectories_of_different_lengths_and_forces():
     assert estimator.model_.fit.status == "ok"
 
 
+@pytest.mark.thorough
 def test_library_by_default():
     data = passive()
     estimator = la.SparseLagrangian(known={"cos(theta)": 9.81}, angles=["theta"]).fit(data)

@@ -130,6 +130,7 @@ def test_friction_is_not_invented():
     assert_finds(model, {"theta_dot**2": 0.5, "cos(theta)": 9.81})
 
 
+@pytest.mark.thorough
 def test_force_on_one_coordinate_only():
     model = la.discover(cart(), CART_LIBRARY)
     assert_finds(model, CART_TRUTH, relative=0.01)

@@ -124,6 +124,7 @@ def test_forces_on_a_prescribed_coordinate_are_left_out(data, model):
         la.discover(pushed, library, prescribed=["x"])
 
 
+@pytest.mark.thorough
 def test_a_force_on_the_other_coordinate_sets_the_scale():
     """An arm with one torque sensor: the first joint moves as it likes."""
     names = ("a", "b")
@@ -330,6 +331,7 @@ def test_the_papers_method_leaves_the_equation_out_too(data):
     assert lagrangian["cos(theta)"].coefficient == pytest.approx(9.81, rel=0.1)
 
 
+@pytest.mark.thorough
 def test_command_line(tmp_path, data):
     la.io.write_csv(tmp_path / "crane.csv", la.Trajectories(data))
     library = tmp_path / "library.txt"
@@ -489,7 +491,8 @@ def stamped_late(seed: int) -> la.Trajectories:
     return la.Trajectories([run.rows(slice(1, None)).changed(forces=run.forces[:-1]) for run in data])
 
 
-@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [4, 5])
 def test_a_delay_that_friction_could_hide_is_named(seed):
     library, friction = systems.compact_library("single_pendulum"), ["theta_dot**2/2"]
     model = la.discover(stamped_late(seed), library, dissipation=friction)

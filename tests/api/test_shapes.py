@@ -137,7 +137,8 @@ def test_it_simulates(model):
     np.testing.assert_allclose(np.hstack([motion.q, motion.qdot]), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("names", ["ab", pytest.param("ba", marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("names", ["ab", "ba"])
 def test_terms_that_can_be_exchanged_have_rising_numbers(data, names):
     """Both exponentials of the law have a rate of their own; which is called a is no accident."""
     texts = [f"exp(-{{{name}}}*x)" for name in names]
@@ -385,6 +386,7 @@ def test_frequencies_that_would_take_too_long_are_refused():
         la.discover(forced([(1.0, 1.7e5)], 0.01, duration=4.0), [*CANDIDATES, "x*cos({w}*t)"], KNOWN)
 
 
+@pytest.mark.thorough
 def test_a_phase_is_found_with_its_frequency():
     data = forced([(1.0, 0.0)], 0.01)
     moved = la.Trajectory(data[0].t - 0.2, data[0].q, coordinates=["x"])

@@ -1316,6 +1316,7 @@ def test_slopes_of_distances_are_finite_differences(folded, rng):
         np.testing.assert_allclose(slopes[:, j][near], (ends[0] - ends[1])[near] / (2.0 * step), atol=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_planned_motion_keeps_links_apart(folded):
     tree, collisions = folded
     limits = Limits(angle=[[-1.0, 0.0, 0.0], [1.0, 3.0, 3.0]], speed=6.0, acceleration=50.0)

@@ -496,6 +496,7 @@ def test_generate_names_all_systems():
     assert all(name in text for name in (*systems.names(), *systems.further_names()))
 
 
+@pytest.mark.thorough
 def test_demo(tmp_path):
     result = run("demo", "--system", "single", "--output", tmp_path / "demo")
     rows = {line.split("  ")[0]: line for line in result.stdout.splitlines()}
@@ -812,6 +813,7 @@ def test_a_column_is_calibrated(tmp_path):
     assert "has no column" in wrong.output
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("morse")
 def test_a_number_is_found_and_shown():
     result = discover(*MORSE, "--shape", "a=0.1..10")

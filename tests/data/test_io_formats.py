@@ -531,6 +531,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path, monkeypatch):
     assert peaks[1] < 1.5 * peaks[0]
 
 
+@pytest.mark.thorough
 def test_a_law_is_found_on_a_stream(tmp_path, monkeypatch):
     data = la.systems.generate("single_pendulum", noise=0.05, trials=4, duration=10.0, seed=0)
     path = io.write_csv(tmp_path / "pendulum.csv", data)

@@ -320,6 +320,7 @@ def test_violent_motions_and_noise_are_no_reason_for_doubt(name, noise):
     )
 
 
+@pytest.mark.thorough
 def test_a_wrong_unit_makes_the_model_doubtful_and_no_worse(two_arms):
     library = systems.get("double_pendulum").library
     wrong = Trajectories(x.changed(velocities=np.degrees(x.velocities), accelerations=None) for x in two_arms)
@@ -649,10 +650,8 @@ def test_a_part_without_a_sensor_is_noticed_by_its_resonance(kind):
     assert found.values["terms"] == ("h_dot**2", f"({machine.names[-1]}-h)**2")
 
 
-@pytest.mark.parametrize(
-    "kind",
-    ["late", *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("stop", "dry", "clock", "drag"))],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["late", "stop", "dry", "clock", "drag"])
 def test_what_is_no_part_is_not_taken_for_one(kind):
     assert unmeasured_part(searched(kind, 0)[0]) == []
 

@@ -816,6 +816,7 @@ def test_harmonics_beside_even_powers_all_stay():
     assert reduced(texts, ["x"])[1] == {}
 
 
+@pytest.mark.thorough
 def test_true_dependencies_are_found_among_nearly_collinear_terms():
     texts = [f"cos({n}*x)" for n in range(1, 12)] + [f"x**{n}" for n in range(1, 11)]
     texts += [f"exp({n}*x)" for n in range(1, 8)] + [f"cos(x)**{n}" for n in range(2, 12)]

@@ -400,6 +400,7 @@ def test_no_errors_no_offers():
     assert vague.simple_constants.offers == ()
 
 
+@pytest.mark.thorough
 def test_a_found_law():
     system = systems.get("double_pendulum")
     data = systems.generate("double_pendulum", noise=0.01, trials=3, duration=8.0, seed=1)

@@ -411,6 +411,7 @@ def data() -> la.Trajectories:
     return systems.generate(SPHERICAL, noise=0.02, trials=2, duration=6.0, seed=3)
 
 
+@pytest.mark.thorough
 def test_two_terms_that_are_one_are_written_as_one(data):
     model = la.discover(data, library(LONG))
     assert {term.expression for term in model.terms} == LAW
