@@ -244,7 +244,7 @@ def _terms(fit: Fit) -> list[tuple[str, ModelTerm]]:
         is_known = bool(fit.problem.is_known[k])
         if (is_known or k in errors) and not isinstance(term, GroupTerm):
             value = float(fit.coefficients[k])
-            template = "" if term.template is None else term.template.term.text
+            template = "" if term.template is None else term.offered
             out.append((term.kind, ModelTerm(term.text, value, errors.get(k, 0.0), is_known, template)))
     return out
 
@@ -271,7 +271,7 @@ def _points(fit: Fit, alternatives: Sequence[Alternative]) -> list[PathPoint]:
     """The structures about a fit, as the model keeps them."""
     problem = fit.problem
     texts, lengths, numbers = [term.text for term in problem.terms], problem.bits, problem.shape_values
-    templates = ["" if t.template is None else t.template.term.text for t in problem.terms]
+    templates = ["" if t.template is None else t.offered for t in problem.terms]
     return [
         PathPoint(
             tuple(texts[m] for m in a.structure),

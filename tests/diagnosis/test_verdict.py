@@ -299,6 +299,29 @@ def test_wrong_known_coefficient_is_given_its_value(wrong):
     assert found.values["estimate"] == pytest.approx(0.5, rel=0.05)
 
 
+@pytest.mark.parametrize("rest", [0.0, 3.0])
+def test_powers_of_a_coordinate_far_from_its_zero_cancel(rest):
+    powers = ["x", "x**2", "x**3", "x**4"]
+    starts = [([rest + 1.0], [0.5]), ([rest - 0.4], [1.0])]
+    data = record(lambda q, v, f: -(q - rest) - 2.0 * (q - rest) ** 3, starts, ["x"], noise=1e-4)
+    model = la.discover(data, la.Library(["x_dot**2", *powers], ["x"]), {"x_dot**2": 0.5})
+    assert model.fit.status == "ok"
+    cancelling, highest = (findings_of(model, code) for code in ("cancelling-terms", "highest-power"))
+    if not rest:
+        assert not cancelling and not highest
+        return
+    # V = (x − 3)²/2 + (x − 3)⁴/2, in powers of x
+    expected = {"x": 57.0, "x**2": -27.5, "x**3": 6.0, "x**4": -0.5}
+    found = {term.expression: term.coefficient for term in model.terms if not term.known}
+    assert found == pytest.approx(expected, rel=0.05)
+    q = data[0].q[:, 0]
+    swings = [np.std(n * expected[p] * q ** (n - 1)) for n, p in enumerate(powers, start=1)]
+    whole = np.std((q - rest) + 2.0 * (q - rest) ** 3)
+    assert [f.subject for f in cancelling] == [("x**2", "x**3", "x**4")]
+    assert cancelling[0].values["factor"] == pytest.approx(max(swings) / whole, rel=0.3)
+    assert [f.subject for f in highest] == [("x**4",)]
+
+
 def geared(ripple: float):
     """A pendulum behind a gear of twelve teeth."""
     return lambda q, v, f: f - 9.81 * np.sin(q) + ripple * np.sin(12.0 * q + 1.0)

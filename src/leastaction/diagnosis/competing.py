@@ -44,7 +44,7 @@ def rival_warnings(effects: Effects, alternatives: Sequence[Alternative]) -> lis
         larger = [a for a in alternatives if len(a.structure) == len(chosen) + 1]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
         rivals += [a for a in larger if a.cost < min(0.0, extended)]
-    texts = [term.text for term in fit.problem.terms]
+    texts = [term.offered for term in fit.problem.terms]
     out: list[Finding] = []
     for rival in rivals[:_MOST]:
         mine = [texts[m] for m in chosen if m not in rival.structure]

@@ -13,12 +13,15 @@ import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit
+from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
-__all__ = ["Effects", "compared_accelerations", "gain_of_terms", "is_minor"]
+__all__ = ["Effects", "compared_accelerations", "gain_of_terms", "is_minor", "signs_of_imitation"]
 
 _STATES = 2000  # along the motion, at which an effect is computed
 _COMPARED = 400  # along the motion, at which accelerations are compared
+_CANCEL = 5.0  # times their sum: forces of two terms that vary more; 147 true laws reached 1.0
+_SERIES = 3  # powers of a coordinate that make a series
 
 
 def is_minor(fit: Fit, gain: float) -> bool:
@@ -82,3 +85,36 @@ class Effects:
     def slight(self, share: float, gain: float) -> bool:
         """Whether an effect is too small to matter, or explains little of what is unexplained."""
         return share <= DIAGNOSIS.slight or is_minor(self.fit, gain)
+
+
+def signs_of_imitation(fit: Fit) -> list[Finding]:
+    """Potentials that nearly cancel along the motion, and series that end at the highest power offered.
+
+    Where polynomials imitate another law, forces of alternating sign make up for each other.  Only terms of
+    the same coordinates are compared: those of a stiff spring between two bodies, x², x y and y², cancel.
+    """
+    columns, names = fit.problem.candidates, fit.problem.coordinates
+    if columns.grouped:
+        return []
+    terms, known = fit.problem.terms, np.flatnonzero(fit.problem.is_known).tolist()
+    alike: dict[frozenset[str], list[int]] = {}
+    for k in (*fit.structure, *known):
+        variables = frozenset(str(symbol) for symbol in terms[k].expr.free_symbols)
+        if terms[k].kind == "lagrangian" and variables <= {*names}:
+            alike.setdefault(variables, []).append(k)
+    points, out = fit.points(_STATES), list[Finding]()
+    for members in alike.values():
+        forces = fit.coefficients[members, None, None] * columns.subset(members).strong(points)
+        swings, whole = forces.std(axis=2), forces.sum(axis=0).std(axis=1)
+        factors = swings.max(axis=0) / np.maximum(whole, 1e-300)
+        i = int(np.argmax(factors))
+        if factors[i] > _CANCEL:
+            involved = [k for k, swing in zip(members, swings[:, i], strict=True) if swing > whole[i]]
+            out.append(find("cancelling-terms", [terms[k].offered for k in involved], factor=factors[i]))
+    powers = [(k, *term.expr.as_base_exp()) for k, term in enumerate(terms) if term.kind == "lagrangian"]
+    for name in names:
+        offered = {float(n): k for k, base, n in powers if str(base) == name and n.is_number}
+        used = [n for n, k in offered.items() if k in fit.structure]
+        if len(used) >= _SERIES and max(used) == max(offered):
+            out.append(find("highest-power", [terms[offered[max(used)]].offered]))
+    return out

@@ -76,4 +76,4 @@ def _gain_of_sensor(fit: Fit, coordinate: int) -> dict[str, str | float]:
         return {}
     factors = fit.standard_errors / with_it
     most = int(np.argmax(factors))
-    return {"term": fit.problem.terms[fit.structure.members[most]].text, "factor": float(factors[most])}
+    return {"term": fit.problem.terms[fit.structure.members[most]].offered, "factor": float(factors[most])}

@@ -53,5 +53,5 @@ def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
     best = int(np.argmax(together))
     if not together[best] > DIAGNOSIS.one_and_the_same:
         return ""
-    names = [fit.problem.terms[m].text for m in fit.structure] + list(found.names)
+    names = [fit.problem.terms[m].offered for m in fit.structure] + list(found.names)
     return names[best]

@@ -10,7 +10,7 @@ import sympy as sp
 
 from leastaction.diagnosis.competing import rival_warnings
 from leastaction.diagnosis.differing_trials import differences, differing_trials
-from leastaction.diagnosis.effects import Effects
+from leastaction.diagnosis.effects import Effects, signs_of_imitation
 from leastaction.diagnosis.families import lacking_family, named_family, simpler_form
 from leastaction.diagnosis.forces import exchanged_forces, scaled_forces
 from leastaction.diagnosis.friction import feeding_friction, hidden_friction, late_forces, wrong_known
@@ -103,7 +103,7 @@ def verify(
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
     found += _signal(fit) + _identifiability(effects) + doubts_about_shapes(fit)
-    found += rival_warnings(effects, alternatives)
+    found += rival_warnings(effects, alternatives) + signs_of_imitation(fit)
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)
@@ -285,11 +285,11 @@ def _identifiability(effects: Effects) -> list[Finding]:
     size = np.maximum(np.abs(fit.estimates), np.maximum(_NOTHING * fit.standard_errors, 1e-150))
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     relative = fit.standard_errors / size
-    texts = [fit.problem.terms[m].text for m in fit.structure]
+    texts = [fit.problem.terms[m].offered for m in fit.structure]
     members = [m for m, r in zip(fit.structure, relative, strict=True) if r > DIAGNOSIS.indistinct]
     if not members:
         return []
-    loose = [fit.problem.terms[m].text for m in members]
+    loose = [fit.problem.terms[m].offered for m in members]
     if effects.minor(members):
         return [find("slight-terms", loose)]
     # eigenvector of relative changes: the terms that move together

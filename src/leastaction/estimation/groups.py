@@ -138,6 +138,11 @@ class GroupTerm(Term):
     group: int = 0
     whole: Term = field(default=None, compare=False, repr=False)  # type: ignore[assignment]
 
+    @property
+    def offered(self) -> str:
+        """See :attr:`Term.offered`; with the name of the group."""
+        return self.whole.offered + self.text.removeprefix(self.whole.text)
+
     @classmethod
     def of(cls, term: Term, group: int, name: str) -> GroupTerm:
         """A term in a group of that number and name."""

@@ -238,6 +238,14 @@ CODES: dict[str, Message] = {
         "equation error",
         "remove them from the candidates for a simpler law",
     ),
+    "cancelling-terms": Message(
+        "note",
+        "{subject} nearly cancel: the largest of their forces is {factor:.0f} times the sum",
+        "such terms often imitate another law: offer other candidates, or measure from a rest position",
+    ),
+    "highest-power": Message(
+        "note", "{subject} is the highest power offered", "offer higher powers too: a cut-off series misleads"
+    ),
     "scale-open": Message(
         "warning",
         "neither a force nor a known coefficient sets the scale of {subject}: all coefficients of its terms "
@@ -348,9 +356,7 @@ CODES: dict[str, Message] = {
         "let the search run to its end",
     ),
     "knots-not-settled": Message(
-        "note",
-        "the coefficients still changed at the last refinement of the knots",
-        "sample faster",
+        "note", "the coefficients still changed at the last refinement of the knots", "sample faster"
     ),
     "coefficients-of-free-runs": Message(
         "note",
@@ -363,9 +369,7 @@ CODES: dict[str, Message] = {
         "samples, forces are {between}",
     ),
     "forecasts": Message(
-        "note",
-        stated.followed,
-        "compare forecasts of held-out trials with the accuracy that you need",
+        "note", stated.followed, "compare forecasts of held-out trials with the accuracy that you need"
     ),
     "forecasts-fail": Message(
         "warning",
@@ -373,9 +377,7 @@ CODES: dict[str, Message] = {
         "record more or longer trials with more varied motions, or offer fewer candidates",
     ),
     "forecast-reach": Message(
-        "note",
-        stated.reach,
-        "estimated from the intervals: forecast a trial that was held out",
+        "note", stated.reach, "estimated from the intervals: forecast a trial that was held out"
     ),
     "gravity-off": Message(
         "warning",

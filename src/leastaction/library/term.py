@@ -50,8 +50,8 @@ class Term:
     Examples
     --------
     >>> term = make_term("exp(-{a}*x)", ["x", "x_dot"])
-    >>> term.shapes, term.at({"a": 0.5}).text
-    (('a',), 'exp(-0.5*x)')
+    >>> term.shapes, term.at({"a": 0.5}).text, term.at({"a": 0.5}).offered
+    (('a',), 'exp(-0.5*x)', 'exp(-{a}*x)')
     """
 
     text: str = field(compare=False)
@@ -67,6 +67,11 @@ class Term:
         """Names of the shape parameters, with or without values."""
         expr = self.expr if self.template is None else self.template.term.expr
         return tuple(sorted(s.name[1:-1] for s in expr.free_symbols if is_constant(s)))
+
+    @property
+    def offered(self) -> str:
+        """The text as it was offered: with the names of shape parameters instead of their values."""
+        return self.text if self.template is None else self.template.term.text
 
     def renamed(self, names: Mapping[str, str]) -> Term:
         """The term with other names for coordinates and velocities."""
