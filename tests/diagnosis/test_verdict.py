@@ -308,7 +308,7 @@ def test_powers_of_a_coordinate_far_from_its_zero_cancel(rest):
     assert model.fit.status == "ok"
     cancelling, highest = (findings_of(model, code) for code in ("cancelling-terms", "highest-power"))
     if not rest:
-        assert not cancelling and not highest
+        assert not [*cancelling, *highest]
         return
     # V = (x − 3)²/2 + (x − 3)⁴/2, in powers of x
     expected = {"x": 57.0, "x**2": -27.5, "x**3": 6.0, "x**4": -0.5}

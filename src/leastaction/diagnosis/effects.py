@@ -113,7 +113,7 @@ def signs_of_imitation(fit: Fit) -> list[Finding]:
             out.append(find("cancelling-terms", [terms[k].offered for k in involved], factor=factors[i]))
     powers = [(k, *term.expr.as_base_exp()) for k, term in enumerate(terms) if term.kind == "lagrangian"]
     for name in names:
-        offered = {float(n): k for k, base, n in powers if str(base) == name and n.is_number}
+        offered = {float(n): k for k, base, n in powers if str(base) == name and not n.free_symbols}
         used = [n for n, k in offered.items() if k in fit.structure]
         if len(used) >= _SERIES and max(used) == max(offered):
             out.append(find("highest-power", [terms[offered[max(used)]].offered]))
