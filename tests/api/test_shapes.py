@@ -16,9 +16,15 @@ from helpers import findings_of, record
 from leastaction import systems
 from leastaction.cli import program
 from leastaction.errors import InputError
+from leastaction.estimation.build import Request, build_problem
+from leastaction.estimation.grid import Grid
+from leastaction.estimation.shapes import fit_shapes
+from leastaction.estimation.structure import Structure
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.report.captions import profile_title
+from leastaction.selection.search_state import begin_search
+from leastaction.selection.strategies import shape_fit
 
 DEPTH, RATE = 2.0, 0.8
 LIBRARY = ["x_dot**2", "x", "x**2", "x**3", "exp(-{a}*x)", "exp(-2*{a}*x)"]
@@ -490,6 +496,34 @@ def test_a_well_is_placed_beside_powers_that_resemble_it(term, noise, law):
     assert {found.written for found in model.terms if not found.known} == law
     numbers = {shape.name: shape for shape in model.shapes}
     assert abs(numbers["p"].value) <= 4.0 * numbers["p"].standard_error
+
+
+def test_a_wave_is_found_beside_powers_that_imitate_it():
+    """Beside x**2, x**4 and x**6 every wavelength explains the motion; alone, only the true one does."""
+    starts = [([0.7], [0.3]), ([-0.4], [0.6]), ([0.9], [-0.5])]
+    options = {"duration": 8.0, "noise": 0.006, "seed": 4}
+    runs = record(lambda q, v, f: -2.4 * np.sin(2.4 * q), starts, ["x"], **options)
+    model = la.discover(runs, ["x_dot**2", "x**2", "x**4", "x**6", "cos({k}*x)"], known=KNOWN)
+    assert {found.written for found in model.terms if not found.known} == {"cos({k}*x)"}
+    (number,) = model.shapes
+    assert abs(number.value - 2.4) <= 4.0 * number.standard_error
+
+
+def test_an_exponent_that_ran_to_that_of_another_term_comes_back():
+    """Near x**4, abs(x)**{n} and x**4 stand for x**4*log(abs(x)): both are large, and neither is weak."""
+    starts = [([0.7], [0.3]), ([-0.4], [0.6]), ([0.9], [-0.5])]
+    options = {"duration": 8.0, "noise": 0.006}
+    runs = record(lambda q, v, f: -2.5 * np.sign(q) * np.abs(q) ** 1.5, starts, ["x"], **options)
+    library = la.Library(["x_dot**2", "abs(x)**{n}", "x**2", "x**4"], ["x"])
+    search = begin_search(build_problem(runs, Request(library, KNOWN))).at({"n": 3.9998})
+    grid = Grid.lay(search.problem, 2.0 * search.grid.knots_per_second)
+    structure, curve = Structure(search.problem.free.tolist()), grid.smooth()
+    start = grid.start(structure, curve.control_points, np.zeros(4), curve.noise_std)
+    trapped = fit_shapes(grid.fit(structure, start))
+    assert np.abs(trapped.estimates).max() > 100.0
+    found = shape_fit.run(search.now(trapped)).found
+    assert [found.problem.terms[k].offered for k in found.structure] == ["abs(x)**{n}"]
+    assert found.problem.shape_values["n"] == pytest.approx(2.5, abs=0.01)
 
 
 @pytest.mark.thorough

@@ -328,7 +328,7 @@ def test_too_few_steps_are_not_settled():
     [
         (0.01, 0.0, [], None),
         (2.0, 0.5, ["shape-undetermined"], ""),
-        (2.0, 0.999999, ["shape-undetermined"], "exp(-0.8*x)"),
+        (2.0, 0.999999, ["shape-undetermined"], "exp(-{a}*x)"),
         (np.nan, 0.0, ["shape-undetermined"], ""),
     ],
 )

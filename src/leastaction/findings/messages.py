@@ -244,7 +244,7 @@ CODES: dict[str, Message] = {
         "such terms often imitate another law: offer other candidates, or measure from a rest position",
     ),
     "highest-power": Message(
-        "note", "{subject} is the highest power offered", "offer higher powers too: a cut-off series misleads"
+        "note", "{subject} is the highest power offered", "offer higher ones, or terms of another form"
     ),
     "scale-open": Message(
         "warning",

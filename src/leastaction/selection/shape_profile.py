@@ -138,7 +138,7 @@ def _joined(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _levels(terms: Sequence[Term]) -> list[tuple[int, ...]]:
-    """Ever more of the terms, the simplest first.
+    """None of the terms, then ever more, the simplest first.
 
     Beside many terms, numbers that are a little off are as bad as any: the others imitate whatever the right
     ones explain, and only at these does it fit. Beside few, the way there is smooth.
@@ -149,7 +149,7 @@ def _levels(terms: Sequence[Term]) -> list[tuple[int, ...]]:
         inside = tuple(np.flatnonzero(size <= limit).tolist())
         if len(inside) >= _GROWTH * len(levels[-1]) or limit == size.max():
             levels.append(inside)
-    return levels[1:] or levels
+    return levels
 
 
 class Profile:

@@ -25,6 +25,9 @@ __all__ = ["run"]
 
 _ROUNDS = 4  # at most, each with fits
 _WEAKEST = 3  # terms tried in turn
+_MIRRORED = (
+    0.9999  # correlation of two coefficients that nearly cancel, as of x**4 and abs(x)**{n} for n near 4
+)
 
 
 def run(search: Search) -> Search:
@@ -91,10 +94,15 @@ def _reduced(fit: Fit) -> Fit:
 
 
 def _weakest(fit: Fit) -> list[int]:
-    """Members of a structure whose worth is less than their price, the weakest first."""
-    order: list[int] = np.argsort(fit.z**2)[:_WEAKEST].tolist()
-    weak = [fit.structure.members[k] for k in order if fit.z[k] ** 2 <= penalty(fit.grid)]
-    return weak if len(fit.structure) > 1 else []
+    """Members whose worth is less than their price, the weakest first, or that another one cancels."""
+    if len(fit.structure) < 2:
+        return []
+    errors = np.maximum(fit.standard_errors, 1e-150)
+    alike = np.abs(fit.covariance / np.outer(errors, errors)) - np.eye(errors.size)
+    cheap = fit.z**2 <= penalty(fit.grid)
+    order: list[int] = np.argsort(fit.z**2).tolist()
+    tried = [k for k in order if cheap[k] or alike[k].max() > _MIRRORED]
+    return [fit.structure.members[k] for k in tried[:_WEAKEST]]
 
 
 def _without(fit: Fit, member: int) -> Fit:

@@ -180,12 +180,13 @@ def _best(
 ) -> list[ProfilePoint]:
     """Supports after Gauss–Newton steps from the best few starts, beside ever more plain candidates.
 
-    Ends beside as many plain candidates as let noise explain what is left.  All of the starts are compared
-    there: the first that does may be a harmonic of the numbers, which more terms make up for.  Where the
-    starts rise, those of a single number, only those are begun with that are better than their neighbours.
+    Ends beside as many plain candidates as let noise explain what is left, one of them at least: alone, wrong
+    numbers may explain nearly as much.  All of the starts are compared there: the first that does may be a
+    harmonic of the numbers, which more terms make up for.  Where the starts rise, those of a single number,
+    only those are begun with that are better than their neighbours.
     """
     found: list[ProfilePoint] = []
-    for level in begun:
+    for plain, level in enumerate(begun):
         lowest = _lowest(level) if len(group.names) == 1 else level
         refined: list[ProfilePoint] = []
         for start in sorted(lowest, key=lambda p: p.score)[:_TRIED]:  # many may lead to the same numbers
@@ -195,7 +196,7 @@ def _best(
         found += map(profile.searched, refined)
         found.sort(key=lambda p: p.score)
         explained = any(point.ratio < SELECTION.rows_explained for point in refined)
-        if explained and not group.together:
+        if plain and explained and not group.together:
             break
     return found
 
