@@ -195,6 +195,8 @@ def _best(
                 break
         found += map(profile.searched, refined)
         found.sort(key=lambda p: p.score)
+        unused = [p for p in found if max(p.members, default=0) < len(profile.plain)]
+        found = [p for p in found if p not in unused[1:]]  # without the term, its numbers do not matter
         explained = any(point.ratio < SELECTION.rows_explained for point in refined)
         if plain and explained and not group.together:
             break
