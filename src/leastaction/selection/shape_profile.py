@@ -211,7 +211,8 @@ class Profile:
         Returns
         -------
         list of list of ProfilePoint
-            Beside ever more plain candidates, as from `point`; the ratios allow for what a grid misses.
+            Beside ever more plain candidates, as from `point`, but some at least; the ratios allow for what a
+            grid misses.
         """
         beside = [k for k in bearers if not any(k in kind.alike for kind in kinds)]
         rows = self._rows.beside(self._columns(beside, values, [], [], 0)) if beside else self._rows
@@ -231,7 +232,7 @@ class Profile:
         free = range(len(self.plain), len(self.plain) + len(self._free(bearers)))
         counts = [(columns, len(kind.alike)) for kind, columns in defined]
         out: list[list[ProfilePoint]] = []
-        for level in self._levels:
+        for level in self._levels[1:] or self._levels:
             out.append([])
             for support in choose(scaled, (*level, *own), counts):
                 called: dict[str, float] = {}
