@@ -25,9 +25,7 @@ __all__ = ["run"]
 
 _ROUNDS = 4  # at most, each with fits
 _WEAKEST = 3  # terms tried in turn
-_MIRRORED = (
-    0.9999  # correlation of two coefficients that nearly cancel, as of x**4 and abs(x)**{n} for n near 4
-)
+_MIRRORED = 0.9999  # correlation of coefficients that nearly cancel, as of x**4 and abs(x)**{n}, n near 4
 
 
 def run(search: Search) -> Search:
