@@ -28,6 +28,7 @@ from leastaction.selection.weak_search import (
     ScaledGram,
     beam_search,
     choose,
+    grow_bases,
     solve_support,
     support_score,
 )
@@ -633,3 +634,11 @@ def test_columns_whose_squares_overflow_count_as_undefined():
     large = rows * [1.0, 1e200, 1.0]
     assert _Rows(rows, large, [rows]).defined().tolist() == [True, False, True]
     assert _Rows(rows, rows, [rows, large]).defined().tolist() == [True, False, True]
+
+
+def test_a_base_of_all_candidates_is_a_support(rng):
+    rows = rng.normal(size=(40, 3))
+    gram = WeakGram(rows.T @ rows, np.zeros((3, 3)), np.eye(3), len(rows))
+    ((support,),) = grow_bases(gram, 1.0, 1.0, 40.0, [(0, 1)])
+    assert support.members == (0, 1)
+    assert support.ratio == pytest.approx(ScaledGram(gram, 1.0).ratio((0, 1)))

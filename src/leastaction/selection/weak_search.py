@@ -227,12 +227,13 @@ def grow_bases(
 ) -> list[list[Support]]:
     """Supports grown from each of several bases, which stay in them; all sizes, best first in each.
 
-    Ends when no base has been improved by four more terms.
+    Ends when no base has been improved by four more terms. A base of all candidates is a support itself.
     """
     scaled = ScaledGram(gram, error)
     kept = [{base} for base in bases]
     best, since = np.full(len(bases), np.inf), 0
-    levels: list[list[Support]] = []
+    whole = [Support(base, scaled.ratio(base)) for base in bases if len(base) >= scaled.known]
+    levels: list[list[Support]] = [whole] if whole else []
     while since < _PATIENCE:
         level: list[Support] = []
         values = np.full(len(bases), np.inf)
