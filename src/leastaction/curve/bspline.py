@@ -243,7 +243,7 @@ class SplineGrid:
     def quadrature_basis(self, chunk: slice, nu: int) -> np.ndarray:
         """(n_intervals in chunk, n_quadrature, degree + 1) basis values at the quadrature points."""
         patterns, tables = self._quadrature_tables
-        return tables[:, nu][patterns[chunk]]
+        return tables[patterns[chunk], nu]
 
     def local_control_points(self, control_points: np.ndarray, chunk: slice) -> np.ndarray:
         """(n_intervals in chunk, degree + 1, n_dof) control points that matter in each interval."""
@@ -254,10 +254,10 @@ class SplineGrid:
     ) -> list[np.ndarray]:
         """q, q̇, q̈ at the quadrature points, each (n_intervals, n_quadrature, n_dof), up to one derivative."""
         patterns, tables = self._quadrature_tables
-        wanted = tables[:, : most + 1].reshape(len(tables), -1, self.degree + 1)
+        basis = tables[patterns[chunk], : most + 1]
         # one product an interval: three would take three times as long
-        values = wanted[patterns[chunk]] @ self.local_control_points(control_points, chunk)
-        return np.split(values, most + 1, axis=1)
+        basis = basis.reshape(len(basis), -1, self.degree + 1)
+        return np.split(basis @ self.local_control_points(control_points, chunk), most + 1, axis=1)
 
     def chunks(self, size: int) -> list[slice]:
         """Runs of at most ``size`` knot intervals; one may hold several short trajectories."""
