@@ -1,12 +1,13 @@
 """How much an effect matters: its share of the forces, and of what the equations leave unexplained.
 
 On a machine that obeys its law to some tenths of a per cent, long recordings show effects far below that:
-significant, and of no consequence.  They are worth a note, not a doubt.
+significant, and of no consequence.  They are worth a note, not a doubt.  Of terms whose forces cancel, the
+opposite holds: each is large, and together they do little.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,33 +89,39 @@ class Effects:
 
 
 def signs_of_imitation(fit: Fit) -> list[Finding]:
-    """Potentials that nearly cancel along the motion, and series that end at the highest power offered.
+    """What imitations by polynomials often have: terms that cancel, and powers up to the highest offered."""
+    return [*_cancelling(fit), *_highest_powers(fit)] if not fit.problem.candidates.grouped else []
 
-    Where polynomials imitate another law, forces of alternating sign make up for each other.  Only terms of
-    the same coordinates are compared: those of a stiff spring between two bodies, x², x y and y², cancel.
+
+def _cancelling(fit: Fit) -> Iterator[Finding]:
+    """Potentials whose forces nearly cancel along the motion, so that hardly any of them is left.
+
+    Only terms of the same coordinates are compared: those of a stiff spring between two bodies, x², x y and
+    y², cancel in a true law.
     """
-    columns, names = fit.problem.candidates, fit.problem.coordinates
-    if columns.grouped:
-        return []
-    terms, known = fit.problem.terms, np.flatnonzero(fit.problem.is_known).tolist()
+    problem, points = fit.problem, fit.points(_STATES)
     alike: dict[frozenset[str], list[int]] = {}
-    for k in (*fit.structure, *known):
-        variables = frozenset(str(symbol) for symbol in terms[k].expr.free_symbols)
-        if terms[k].kind == "lagrangian" and variables <= {*names}:
+    for k in (*fit.structure, *np.flatnonzero(problem.is_known).tolist()):
+        variables = frozenset(str(symbol) for symbol in problem.terms[k].expr.free_symbols)
+        if problem.terms[k].kind == "lagrangian" and variables <= {*problem.coordinates}:
             alike.setdefault(variables, []).append(k)
-    points, out = fit.points(_STATES), list[Finding]()
     for members in alike.values():
-        forces = fit.coefficients[members, None, None] * columns.subset(members).strong(points)
+        columns = problem.candidates.subset(members)
+        forces = fit.coefficients[members, None, None] * columns.strong(points)
         swings, whole = forces.std(axis=2), forces.sum(axis=0).std(axis=1)
         factors = swings.max(axis=0) / np.maximum(whole, 1e-300)
         i = int(np.argmax(factors))
         if factors[i] > _CANCEL:
-            involved = [k for k, swing in zip(members, swings[:, i], strict=True) if swing > whole[i]]
-            out.append(find("cancelling-terms", [terms[k].offered for k in involved], factor=factors[i]))
+            large = [k for k, swing in zip(members, swings[:, i], strict=True) if swing > whole[i]]
+            yield find("cancelling-terms", [problem.terms[k].offered for k in large], factor=factors[i])
+
+
+def _highest_powers(fit: Fit) -> Iterator[Finding]:
+    """Powers that end a series of a coordinate because no higher one was offered."""
+    terms = fit.problem.terms
     powers = [(k, *term.expr.as_base_exp()) for k, term in enumerate(terms) if term.kind == "lagrangian"]
-    for name in names:
+    for name in fit.problem.coordinates:
         offered = {float(n): k for k, base, n in powers if str(base) == name and not n.free_symbols}
         used = [n for n, k in offered.items() if k in fit.structure]
         if len(used) >= _SERIES and max(used) == max(offered):
-            out.append(find("highest-power", [terms[offered[max(used)]].offered]))
-    return out
+            yield find("highest-power", [terms[offered[max(used)]].offered])
