@@ -211,8 +211,8 @@ class Profile:
         Returns
         -------
         list of list of ProfilePoint
-            Beside ever more plain candidates, as from `point`, but some at least; the ratios allow for what a
-            grid misses.
+            Beside ever more plain candidates, as from `point`, but not beside none where there are some; the
+            ratios allow for what a grid misses.
         """
         beside = [k for k in bearers if not any(k in kind.alike for kind in kinds)]
         rows = self._rows.beside(self._columns(beside, values, [], [], 0)) if beside else self._rows

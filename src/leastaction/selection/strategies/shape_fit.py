@@ -92,7 +92,7 @@ def _reduced(fit: Fit) -> Fit:
 
 
 def _weakest(fit: Fit) -> list[int]:
-    """Members whose worth is less than their price, the weakest first, or that another one cancels."""
+    """Members that are worth less than their price, or that another nearly cancels; the weakest first."""
     if len(fit.structure) < 2:
         return []
     errors = np.maximum(fit.standard_errors, 1e-150)

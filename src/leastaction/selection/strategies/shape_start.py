@@ -180,13 +180,13 @@ def _best(
 ) -> list[ProfilePoint]:
     """Supports after Gauss–Newton steps from the best few starts, beside ever more plain candidates.
 
-    Ends beside as many plain candidates as let noise explain what is left, one of them at least: alone, wrong
-    numbers may explain nearly as much.  All of the starts are compared there: the first that does may be a
-    harmonic of the numbers, which more terms make up for.  Where the starts rise, those of a single number,
-    only those are begun with that are better than their neighbours.
+    Ends beside as many plain candidates as let noise explain what is left, but not at the first level:
+    without plain candidates, wrong numbers may explain nearly as much.  All of the starts are compared there:
+    the first that does may be a harmonic of the numbers, which more terms make up for.  Where the starts
+    rise, those of a single number, only those are begun with that are better than their neighbours.
     """
     found: list[ProfilePoint] = []
-    for plain, level in enumerate(begun):
+    for count, level in enumerate(begun):
         lowest = _lowest(level) if len(group.names) == 1 else level
         refined: list[ProfilePoint] = []
         for start in sorted(lowest, key=lambda p: p.score)[:_TRIED]:  # many may lead to the same numbers
@@ -198,7 +198,7 @@ def _best(
         unused = [p for p in found if max(p.members, default=0) < len(profile.plain)]
         found = [p for p in found if p not in unused[1:]]  # without the term, its numbers do not matter
         explained = any(point.ratio < SELECTION.rows_explained for point in refined)
-        if plain and explained and not group.together:
+        if count and explained and not group.together:
             break
     return found
 
