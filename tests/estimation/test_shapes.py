@@ -63,6 +63,7 @@ from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.streamed import StreamedObservations
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.weights import evidence
+from leastaction.library import make_term
 from leastaction.mechanics.euler_lagrange import EulerLagrange, Points
 
 # ------------------------ where they are looked for: the part that each plays, and what the user says
@@ -165,6 +166,15 @@ def test_what_is_no_range_is_refused(given, message):
         range_of("exp(-{a}*x)", given=given)
 
 
+def test_exponents_beyond_what_an_expression_may_have_are_refused():
+    with pytest.raises(
+        InputError, match="range of the exponent 'n' is -40 to 3; expected exponents of at most ±32"
+    ):
+        range_of("x**{n}", given={"n": (-40, 3)})
+    far = range_of("abs(x)**{n}")
+    assert [far.stepped(30.0, 10.0), far.stepped(-30.0, -10.0)] == [32.0, -32.0]
+
+
 def test_a_library_without_shapes_says_how_to_write_one():
     with pytest.raises(InputError, match=r"it has none; write one as exp\(-\{a\}\*x\)"):
         shape_ranges(terms(["x**2"], COORDINATES), states(), {"a": (0, 1)})
@@ -195,6 +205,8 @@ def test_starts_shares_and_steps(where, share, step):
         assert where.low <= moved <= where.high
     if where.spacing == "log":
         assert moved > 0.0  # a positive number stays positive
+    if where.spacing == "exponent":
+        make_term(f"abs(x)**({moved!r})", ["x"])  # a model can be written and read
     assert abs(moved - value) <= max(abs(value), 0.25 * (where.high - where.low)) + 1e-9
     assert where.stepped(value, 1e-9) == pytest.approx(value, abs=1e-8)
 

@@ -22,6 +22,7 @@ from leastaction.errors import InputError
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.identifiers import quoted
 from leastaction.library import Term, is_constant, shape_names, shape_symbol, time_symbol
+from leastaction.library.parser import MAX_EXPONENT
 
 __all__ = ["ShapeRange", "frequency_range", "shape_ranges", "shape_starts"]
 
@@ -84,11 +85,13 @@ class ShapeRange:
         """The value after a step, which is limited to half of the value (or of a quarter of a linear range).
 
         A step of a frequency is limited to the spacing of its start values. A bounded parameter stays within
-        its bounds.
+        its bounds, and an exponent among those that an expression may have.
         """
         size = abs(value) if self.spacing == "log" else max(abs(value), 0.25 * (self.high - self.low))
         most = self.apart if self.spacing == "frequency" else ESTIMATION.shape_step * size
         moved = value + float(np.clip(step, -most, most))
+        if self.spacing == "exponent":
+            moved = float(np.clip(moved, -MAX_EXPONENT, MAX_EXPONENT))
         return float(np.clip(moved, self.low, self.high)) if self.bounded else moved
 
 
@@ -160,6 +163,11 @@ def shape_ranges(
             log = low > 0.0 and found.spacing != "exponent" and high > ESTIMATION.shape_scales * low
             spacing = "log" if log else "exponent" if found.spacing == "exponent" else "linear"
             found = ShapeRange(low, high, spacing, bounded=True)
+            if spacing == "exponent" and max(-low, high) > MAX_EXPONENT:
+                raise InputError(
+                    f"the range of the exponent {quoted(name)} is {low:g} to {high:g}; expected exponents of "
+                    f"at most ±{MAX_EXPONENT}"
+                )
         out[name] = _checked(name, found)
     return out
 
