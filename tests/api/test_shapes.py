@@ -541,6 +541,21 @@ def test_powers_that_make_up_for_one_another_are_dropped(seed):
     assert abs(rate.value - 3.0) <= 4.0 * rate.standard_error
 
 
+def test_a_law_with_other_numbers_that_explains_as_much_is_named():
+    """Two exponentials and a polynomial of as many numbers differ by less than the noise."""
+    starts = [([0.6], [0.2]), ([-0.3], [0.6])]
+    options = {"duration": 8.0, "rate": 50.0, "noise": 0.02, "seed": 2}
+    runs = record(lambda q, v, f: -4.0 * (np.exp(-q) - np.exp(-2.0 * q)), starts, ["x"], **options)
+    texts = ["x_dot**2", "x**2", "x**3", "x**4", "exp(-{a}*x)", "exp(-2*{a}*x)"]
+    model = la.discover(runs, texts, known=KNOWN)
+    assert model.fit.status == "doubtful"
+    (rival,) = findings_of(model, "competing-structures")
+    laws = ({*rival.subject}, {*rival.values["others"]})
+    assert {"x**2", "x**3", "x**4"} in laws
+    number = next(text for law in laws for text in law if text.startswith("exp(-") and "2*" not in text)
+    assert float(number.removeprefix("exp(-").removesuffix("*x)")) == pytest.approx(1.0, abs=0.3)
+
+
 def test_what_is_undefined_along_the_data_is_left_out_and_said():
     data = systems.generate("double_well", noise=0.01, trials=2, duration=8.0, seed=2)
     assert min(run.q.min() for run in data) < 0.0

@@ -22,12 +22,14 @@ from leastaction.curve.knots import lay_knots
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.forces import curve_between, fast_forces_act
 from leastaction.estimation.grid import Grid
+from leastaction.estimation.shapes import fit_shapes
 from leastaction.estimation.simulation_error import LinearRuns
 from leastaction.estimation.structure import Structure
 from leastaction.library import Library
 from leastaction.selection.free_run_terms import _Choice
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.likelihood_search import QuadraticModel, search_subsets, term_penalty
+from leastaction.selection.other_numbers import laws_elsewhere
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
 from leastaction.selection.strategies import finer_knots, shape_start, shortest_form
@@ -327,7 +329,6 @@ def test_every_problem_of_the_search_has_the_numbers(search, started):
     found = started.problem.shape_values
     assert started.searched.shape_values == found
     assert started.grid.problem.shape_values == found
-    assert started.fit is None  # nothing was fitted yet
     texts = [term.text for term in started.problem.terms]
     assert texts.index(DISTANCE.format(p=found["p"], r=found["r"]).replace("--", "+")) == len(texts) - 1
     assert search.problem.shape_values != found  # values are not changed in place
@@ -391,6 +392,40 @@ def test_candidates_of_two_kinds_are_found_together(size):
     found = shape_start.places(begin_search(build_problem(data, Request(texts, {"x_dot**2": 0.5}))))[0].values
     assert found["p"] == pytest.approx(0.9, abs=0.03)
     assert abs(found["w"]) == pytest.approx(4.0, abs=0.1)
+
+
+# --------------------------------- other numbers: laws that a fit, scored on the likelihood, leaves in play
+def fitted(data, texts, members):
+    """The fit of some of the candidates, with the numbers in the middle of their ranges."""
+    search = begin_search(build_problem(data, Request(texts, {"x_dot**2": 0.5})))
+    grid, curve = search.grid, search.grid.smooth()
+    structure = Structure([texts.index(text) for text in members])
+    begin = np.zeros(len(texts))
+    return search, grid.fit(structure, grid.start(structure, curve.control_points, begin, curve.noise_std))
+
+
+@pytest.mark.parametrize("exponent", [2.7, 3.3])
+def test_a_power_is_found_about_a_polynomial_that_imitates_it(exponent):
+    """The numbers tried are whole and half; the tangent leads from 2.5 or 3 to what lies between."""
+    starts = [([0.7], [0.3]), ([-0.4], [0.6]), ([0.9], [-0.5])]
+    data = record(
+        lambda q, v, f: -exponent * np.sign(q) * np.abs(q) ** (exponent - 1.0), starts, ["x"], noise=0.02
+    )
+    texts = ["x_dot**2", "x**2", "x**4", "x**6", "abs(x)**{n}"]
+    _, fit = fitted(data, texts, ["x**2", "x**4"])
+    first = laws_elsewhere(fit, [("n",)])[0]
+    assert [texts[k] for k in first.structure] == ["abs(x)**{n}"]
+    assert first.problem.shape_values["n"] == pytest.approx(exponent, abs=0.2)
+    assert value(first) > value(fit)
+
+
+def test_nothing_else_promises_as_much_as_a_law_that_stands_out():
+    data = record(lambda q, v, f: -np.sin(3.0 * q), [([0.9], [0.3]), ([0.2], [1.0])], ["x"], noise=0.002)
+    texts = ["x_dot**2", "x**2", "x**4", "cos({k}*x)"]
+    search, fit = fitted(data, texts, ["cos({k}*x)"])
+    fit = fit_shapes(fit.grid.posed(fit.problem.at({"k": 3.0})).fit(fit.structure, fit.start))
+    assert laws_elsewhere(fit, [("k",)]) == []
+    assert shape_start.against_others(search.now(fit)).others == ()
 
 
 # ------------------------------------------------- shortest_form: the fewest terms, then the shortest

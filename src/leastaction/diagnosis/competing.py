@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import comb
 
 import numpy as np
 
 from leastaction.diagnosis.effects import Effects
+from leastaction.diagnosis.shapes import laws_in_play
 from leastaction.estimation.fit import Fit
+from leastaction.estimation.problem import Problem
 from leastaction.estimation.settings import ESTIMATION
 from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
@@ -24,7 +26,9 @@ _STATES = 400  # along the motion, at which they are compared
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
 
-def rival_warnings(effects: Effects, alternatives: Sequence[Alternative]) -> list[Finding]:
+def rival_warnings(
+    effects: Effects, alternatives: Sequence[Alternative], others: Sequence[Fit]
+) -> list[Finding]:
     """One finding for each rival, the most likely first; a note where terms that hardly matter compete.
 
     A rival R is a structure that the data do not exclude as the law.  Were it the law, the chosen structure S
@@ -34,6 +38,8 @@ def rival_warnings(effects: Effects, alternatives: Sequence[Alternative]) -> lis
     Rivals have as many terms as S, or one more: where the motion shows little, the law itself may lose by the
     price of a term.  It is then likelier than S with any further term, which follows the noise only.  Not
     where the library is inexact: there a further term always helps.
+
+    The others are laws that the search found with other shape parameters, see `laws_in_play`.
     """
     fit = effects.fit
     chosen = fit.structure
@@ -49,13 +55,28 @@ def rival_warnings(effects: Effects, alternatives: Sequence[Alternative]) -> lis
     for rival in rivals[:_MOST]:
         mine = [texts[m] for m in chosen if m not in rival.structure]
         theirs = [texts[m] for m in rival.structure if m not in chosen]
-        state = _where_they_differ(fit, rival.coefficients)
-        figures = {"others": theirs, "at_names": list(state), "at_values": list(state.values())}
-        minor = effects.minor(list(chosen.without(rival.structure)))
-        out.append(
-            find("slight-rival", mine, **figures) if minor else find("competing-structures", mine, **figures)
-        )
+        state = _where_they_differ(fit, fit.problem, rival.coefficients)
+        out.append(_rival(effects, list(chosen.without(rival.structure)), mine, theirs, state))
+    for other, apart, theirs in laws_in_play(fit, others):
+        state = _where_they_differ(fit, other.problem, other.coefficients)
+        texts = (_texts(fit, apart), _texts(other, theirs))
+        out.append(_rival(effects, apart, *texts, state))
     return out
+
+
+def _rival(
+    effects: Effects, apart: list[int], mine: list[str], theirs: list[str], state: Mapping[str, float]
+) -> Finding:
+    """A structure that the data do not exclude."""
+    figures = {"others": theirs, "at_names": list(state), "at_values": list(state.values())}
+    minor = effects.minor(apart)
+    return find("slight-rival", mine, **figures) if minor else find("competing-structures", mine, **figures)
+
+
+def _texts(fit: Fit, members: list[int]) -> list[str]:
+    """Terms with their shape parameters, to three digits."""
+    numbers = {name: float(f"{x:.3g}") for name, x in fit.problem.shape_values.items()}
+    return [fit.problem.terms[m].at(numbers).text for m in members]
 
 
 def _excluded(chosen: Structure, rival: Structure, outside: int) -> float:
@@ -64,8 +85,8 @@ def _excluded(chosen: Structure, rival: Structure, outside: int) -> float:
     return chi_square_cutoff(more, comb(outside, more))
 
 
-def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
-    """The state, up to three times as far out as recorded, at which the accelerations differ most.
+def _where_they_differ(fit: Fit, problem: Problem, coefficients: np.ndarray) -> dict[str, float]:
+    """The state, up to three times as far out as recorded, at which other accelerations differ most.
 
     Empty if they differ nowhere, or are laws of groups of trials.
     """
@@ -79,7 +100,8 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
     times = np.tile(spline.points[some, 0], len(_REACH))
     points = Points(states[0], states[1], np.zeros_like(states[0]), times)
     with np.errstate(all="ignore"):
-        apart = _acceleration(fit, points, fit.coefficients) - _acceleration(fit, points, second)
+        apart = _acceleration(fit.problem, points, fit.coefficients)
+        apart -= _acceleration(problem, points, coefficients)
     size = np.sqrt((qddot**2).mean(axis=0))
     apart = np.linalg.norm(apart / np.maximum(size, 1e-300), axis=1)
     if not np.isfinite(apart).any():
@@ -89,10 +111,10 @@ def _where_they_differ(fit: Fit, second: np.ndarray) -> dict[str, float]:
     return dict(zip([*names, *(f"{n}_dot" for n in names)], states[:, worst].ravel().tolist(), strict=True))
 
 
-def _acceleration(fit: Fit, at_rest: Points, coefficients: np.ndarray) -> np.ndarray:
+def _acceleration(problem: Problem, at_rest: Points, coefficients: np.ndarray) -> np.ndarray:
     """(n_points, n_dof) free accelerations at (q, q̇); NaN where the mass matrix is not positive definite."""
-    bias = np.tensordot(coefficients, fit.problem.candidates.strong(at_rest), 1).T
-    mass = fit.problem.candidates.mass_matrix(at_rest, coefficients)
+    bias = np.tensordot(coefficients, problem.candidates.strong(at_rest), 1).T
+    mass = problem.candidates.mass_matrix(at_rest, coefficients)
     usable = positive_definite(mass) & np.isfinite(bias).all(axis=1)
     out = np.full(bias.shape, np.nan)
     out[usable] = -np.linalg.solve(mass[usable], bias[usable][:, :, None])[:, :, 0]

@@ -1,14 +1,19 @@
-"""Whether the data determine the shape parameters of a fit."""
+"""Whether the data determine the shape parameters of a fit, and which laws with other numbers they allow."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import comb
 
 import numpy as np
 
 from leastaction.diagnosis.settings import DIAGNOSIS
 from leastaction.estimation.fit import Fit, ShapeEstimate
 from leastaction.findings import Finding, find
+from leastaction.selection.other_numbers import differing_terms
+from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["doubts_about_shapes"]
+__all__ = ["doubts_about_shapes", "laws_in_play"]
 
 _AT_END = 1e-6  # of the range
 # ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
@@ -55,3 +60,21 @@ def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
         return ""
     names = [fit.problem.terms[m].offered for m in fit.structure] + list(found.names)
     return names[best]
+
+
+def laws_in_play(fit: Fit, others: Sequence[Fit]) -> Iterator[tuple[Fit, list[int], list[int]]]:
+    """The laws with other shape parameters that the data do not exclude; what only a fit has, what they have.
+
+    A shape parameter counts as a coefficient does, and a term with another number is another term. A law
+    loses by chance no more than the parameters of the fit's own terms explain, see `rival_warnings`. Beside
+    a law of fewer parameters, a larger one is only a longer way to say the same.
+    """
+    for other in others:
+        mine, theirs = differing_terms(fit, other), differing_terms(other, fit)
+        sizes = [len(f.structure) + len(f.problem.shapes_of(f.structure)) for f in (fit, other)]
+        if not (mine and theirs and other.converged) or sizes[1] > sizes[0]:
+            continue
+        numbers = {name for m in mine for name in fit.problem.terms[m].shapes}
+        looks = comb(max(fit.problem.free.size - len(fit.structure), len(mine)), len(mine))
+        if 2.0 * (fit.evidence - other.evidence) < chi_square_cutoff(len(mine) + len(numbers), looks):
+            yield other, mine, theirs

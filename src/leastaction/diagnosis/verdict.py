@@ -103,7 +103,7 @@ def verify(
     if samples_per_period < needed:
         found.append(find("slow-sampling", samples_per_period=samples_per_period, needed=needed))
     found += _signal(fit) + _identifiability(effects) + doubts_about_shapes(fit)
-    found += rival_warnings(effects, alternatives) + signs_of_imitation(fit)
+    found += rival_warnings(effects, alternatives, search.others) + signs_of_imitation(fit)
     found += _open_scales(fit) + _mass_matrix(fit)
     found += feeding_friction(effects, search.feeding)
     found += _whiteness(fit) + _zero_offsets(fit) + _between_groups(fit) + _perhaps_angles(fit)

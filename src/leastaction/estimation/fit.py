@@ -55,6 +55,12 @@ class ShapeEstimate:
         n = len(self.names)
         return np.sqrt(np.clip(np.diag(self.covariance)[-n:], 0.0, None))
 
+    def differs(self, other: ShapeEstimate, name: str, errors: float) -> bool:
+        """Whether a parameter of both differs by more than so many standard errors."""
+        k, m = self.names.index(name), other.names.index(name)
+        apart = abs(self.values[k] - other.values[m])
+        return bool(apart > errors * np.hypot(self.standard_errors[k], other.standard_errors[m]))
+
 
 _RUN = 2**16  # knot intervals that are evaluated together
 

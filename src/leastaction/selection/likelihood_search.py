@@ -29,6 +29,7 @@ candidates compete at once, by automatic relevance determination (Tipping 2001, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -136,6 +137,11 @@ class QuadraticModel:
         self.here: np.ndarray = coefficients / scale
         self.n: int = len(scale)
         self.surcharges: np.ndarray = np.zeros(self.n) if surcharges is None else surcharges
+
+    def among(self, columns: Sequence[int]) -> QuadraticModel:
+        """The model of some columns, in scaled coefficients; those of the others are held."""
+        matrix = self.matrix[np.ix_(columns, columns)]
+        return QuadraticModel(matrix, self.gradient[columns], self.here[columns], self.surcharges[columns])
 
     def costs(self, supports: np.ndarray) -> np.ndarray:
         """Costs of many supports of one size, (n_supports, size)."""

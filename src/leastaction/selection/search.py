@@ -94,7 +94,8 @@ def run_search(search: Search) -> Search:
     search = _attempt(calibration_start.run, search)
     found = force_bias.run(search, find_on_data)
     found = _attempt(partial(force_sampling.run, again=find_on_data), found)
-    return _attempt(simulation_error.run, found)
+    found = _attempt(simulation_error.run, found)
+    return _attempt(shape_start.against_others, found)
 
 
 def find_on_data(search: Search) -> Search:

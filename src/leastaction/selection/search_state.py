@@ -49,6 +49,8 @@ class Search:
         Whether finer knots changed nothing any more, or made a large equation error larger.
     feeding : tuple of int
         Candidates of dissipation that were left out because they would have fed energy in.
+    others : tuple of Fit
+        Laws found from other starts of the shape parameters, on the grid of ``fit`` at the end.
     stopped : bool
         Whether the user ended the search before its last strategy.
     findings : tuple of Finding
@@ -71,6 +73,7 @@ class Search:
     knots_settled: bool = False
     vibrates: bool = False
     feeding: tuple[int, ...] = ()
+    others: tuple[Fit, ...] = ()
     stopped: bool = False
     findings: tuple[Finding, ...] = ()
     report: Progress = silent

@@ -14,20 +14,24 @@ shape parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.shape_ranges import ShapeRange, shape_starts
+from leastaction.estimation.structure import Structure
+from leastaction.estimation.weights import Start
 from leastaction.library import alike
 from leastaction.selection.likelihood_refinement import value
-from leastaction.selection.search_state import Search
+from leastaction.selection.other_numbers import differing_terms, laws_elsewhere
+from leastaction.selection.search_state import Search, equations_hold
 from leastaction.selection.settings import SELECTION
 from leastaction.selection.shape_profile import Kind, Profile, ProfilePoint
 from leastaction.selection.strategies import shape_fit, weak_start
 
-__all__ = ["places", "run"]
+__all__ = ["against_others", "places", "run"]
 
 _STARTS = {1: 33, 2: 256}  # by the number of parameters of a candidate
 _MOST_STARTS = 512  # of a candidate with more
@@ -37,6 +41,7 @@ _SHARED_STARTS = 8  # of numbers that candidates share, beside those that are th
 _CHOSEN = 16  # of sets of places, beside all of these together
 _TRIED = 8  # of the starts, beside each number of plain candidates
 _REFINED = 4  # of the numbers that these lead to
+_NEAR = 50.0  # of log likelihood: what loses more on the first grid does not win on a finer one
 _MOST_SHARED = 2  # numbers of several kinds that are placed together
 
 
@@ -47,9 +52,47 @@ def run(search: Search) -> Search:
         return search
     search.report("shapes", {})
     begun = [search.at(point.values) for point in places(search)[: SELECTION.shape_compared]]
-    if len(begun) < 2:
-        return begun[0] if begun else search
-    return max(begun, key=lambda at: value(shape_fit.run(weak_start.run(at)).found))
+    if not begun:
+        return search
+    tried = [shape_fit.run(weak_start.run(at)) for at in begun]
+    best = max(tried, key=lambda at: value(at.found))
+    tried += [shape_fit.run(best.now(fit)) for fit in laws_elsewhere(best.found, _scanned(problem))]
+    tried.sort(key=lambda at: -value(at.found))
+    return replace(tried[0], others=_others([at.found for at in tried]))
+
+
+def _others(fits: Sequence[Fit]) -> tuple[Fit, ...]:
+    """Laws that come near the first, each once."""
+    out: list[Fit] = []
+    for fit in fits:
+        near = value(fit) > value(fits[0]) - _NEAR
+        if near and all(differing_terms(fit, one) or differing_terms(one, fit) for one in out):
+            out.append(fit)
+    return tuple(out[1:])
+
+
+def against_others(search: Search) -> Search:
+    """The best of the law and of those found from other starts, each fitted on the final grid.
+
+    On a first grid, laws with other numbers may come close to each other, or lie the wrong way round.
+    """
+    fit = search.found
+    if not search.others or not fit.converged or not equations_hold(fit):
+        return replace(search, others=())
+    found = [fit, *(_again(search, other) for other in search.others)]
+    best = max((f for f in found if f.converged), key=value)
+    return search.now(best, others=_others([best, *(f for f in found if f is not best)]))
+
+
+def _again(search: Search, other: Fit) -> Fit:
+    """A law of an earlier grid, fitted and improved on that of the search."""
+    fit = search.found
+    problem = fit.problem.at(other.problem.shape_values)
+    members = [k for k in other.structure if k not in problem.excluded]
+    coefficients = np.zeros(len(problem.candidates))
+    coefficients[: other.coefficients.size] = other.coefficients
+    start = Start(fit.control_points, coefficients, fit.weights)
+    return shape_fit.run(search.now(fit.grid.posed(problem).fit(Structure(members), start))).found
 
 
 def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
@@ -71,6 +114,12 @@ def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
         if new and not (complete and found[0].score <= new[0].score):
             found, values = new, dict(new[0].values)
     return found
+
+
+def _scanned(problem: Problem) -> list[tuple[str, ...]]:
+    """Names of the groups of which each start can be tried: single candidates, without frequencies."""
+    groups = [group for group in _groups(problem) if not group.together]
+    return [g.names for g in groups if all(problem.ranges[n].spacing != "frequency" for n in g.names)]
 
 
 @dataclass(frozen=True)
