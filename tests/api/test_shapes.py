@@ -15,6 +15,8 @@ import leastaction as la
 from helpers import findings_of, record
 from leastaction import systems
 from leastaction.cli import program
+from leastaction.diagnosis.competing import rival_warnings
+from leastaction.diagnosis.effects import Effects
 from leastaction.errors import InputError
 from leastaction.estimation.build import Request, build_problem
 from leastaction.estimation.grid import Grid
@@ -541,19 +543,45 @@ def test_powers_that_make_up_for_one_another_are_dropped(seed):
     assert abs(rate.value - 3.0) <= 4.0 * rate.standard_error
 
 
-def test_a_law_with_other_numbers_that_explains_as_much_is_named():
-    """Two exponentials and a polynomial of as many numbers differ by less than the noise."""
+@pytest.fixture(scope="module")
+def small_motions():
+    """Of a molecule that two exponentials and a polynomial of as many numbers describe equally well."""
     starts = [([0.6], [0.2]), ([-0.3], [0.6])]
-    options = {"duration": 8.0, "rate": 50.0, "noise": 0.02, "seed": 2}
-    runs = record(lambda q, v, f: -4.0 * (np.exp(-q) - np.exp(-2.0 * q)), starts, ["x"], **options)
-    texts = ["x_dot**2", "x**2", "x**3", "x**4", "exp(-{a}*x)", "exp(-2*{a}*x)"]
-    model = la.discover(runs, texts, known=KNOWN)
+    options = {"duration": 8.0, "rate": 50.0, "noise": 0.02, "seed": 1}
+    return record(lambda q, v, f: -4.0 * (np.exp(-q) - np.exp(-2.0 * q)), starts, ["x"], **options)
+
+
+SMALL = ["x_dot**2", "x**2", "x**3", "x**4", "exp(-{a}*x)", "exp(-2*{a}*x)"]
+
+
+def test_laws_with_and_without_numbers_that_explain_as_much_compete(small_motions):
+    model = la.discover(small_motions, SMALL, known=KNOWN)
     assert model.fit.status == "doubtful"
-    (rival,) = findings_of(model, "competing-structures")
-    laws = ({*rival.subject}, {*rival.values["others"]})
-    assert {"x**2", "x**3", "x**4"} in laws
-    number = next(text for law in laws for text in law if text.startswith("exp(-") and "2*" not in text)
-    assert float(number.removeprefix("exp(-").removesuffix("*x)")) == pytest.approx(1.0, abs=0.3)
+    rivals = findings_of(model, "competing-structures")
+    assert {"x**2", "x**3", "x**4"} in [{*law} for f in rivals for law in (f.subject, f.values["others"])]
+
+
+def test_a_law_in_play_is_named_with_its_numbers(small_motions):
+    """A larger one is not in play, and neither is one whose numbers explain less."""
+    search = begin_search(build_problem(small_motions, Request(la.Library(SMALL, ["x"]), KNOWN)))
+    grid, curve = search.grid, search.grid.smooth()
+
+    def fitted(members, a=1.0):
+        posed, structure = grid.posed(grid.problem.at({"a": a})), Structure(members)
+        return posed.fit(
+            structure, posed.start(structure, curve.control_points, np.zeros(6), curve.noise_std)
+        )
+
+    plain, law = fitted([1, 2, 3]), fit_shapes(fitted([4, 5]))
+    assert abs(plain.evidence - law.evidence) < 5.0
+    (rival,) = rival_warnings(
+        Effects(plain, np.ones(1), np.zeros(1)), [], [law, fitted([1, 4, 5]), fitted([4, 5], 3.0)]
+    )
+    assert rival.subject == ("x**2", "x**3", "x**4")
+    number = law.problem.shape_values["a"]
+    assert rival.values["others"] == (f"exp(-{number:.3g}*x)", f"exp(-2*{number:.3g}*x)")
+    assert number == pytest.approx(1.0, abs=0.1)
+    assert {*rival.values["at_names"]} == {"x", "x_dot"}
 
 
 def test_what_is_undefined_along_the_data_is_left_out_and_said():

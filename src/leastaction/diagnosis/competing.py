@@ -35,19 +35,20 @@ def rival_warnings(
     would be the likelier by chance only: by no more than S ∪ R is, whose further |S ∖ R| terms were taken
     from the candidates outside of R.  So R stays in play as long as it loses less than that test allows.
 
-    Rivals have as many terms as S, or one more: where the motion shows little, the law itself may lose by the
-    price of a term.  It is then likelier than S with any further term, which follows the noise only.  Not
-    where the library is inexact: there a further term always helps.
+    Rivals have as many terms as S or, with shape parameters, as many numbers, or one more: where the motion
+    shows little, the law itself may lose by the price of a term.  It is then likelier than S with any further
+    term, which follows the noise only.  Not where the library is inexact: there a further term always helps.
 
     The others are laws that the search found with other shape parameters, see `laws_in_play`.
     """
     fit = effects.fit
     chosen = fit.structure
-    same = [a for a in alternatives if len(a.structure) == len(chosen) and a.structure != chosen]
-    outside = fit.problem.free.size - len(chosen)
-    rivals = [a for a in same if a.cost < _excluded(chosen, a.structure, outside)]
+    sizes = [fit.problem.parameters_of(a.structure) - fit.problem.parameters_of(chosen) for a in alternatives]
+    pairs = [*zip(alternatives, sizes, strict=True)]
+    same = [a for a, more in pairs if not more or len(a.structure) == len(chosen)]
+    rivals = [a for a in same if a.structure != chosen and a.cost < _excluded(fit, a.structure)]
     if np.all(fit.weights.slack < ESTIMATION.slack_left):
-        larger = [a for a in alternatives if len(a.structure) == len(chosen) + 1]
+        larger = [a for a, more in pairs if more == 1 and a not in same]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
         rivals += [a for a in larger if a.cost < min(0.0, extended)]
     texts = [term.offered for term in fit.problem.terms]
@@ -57,7 +58,8 @@ def rival_warnings(
         theirs = [texts[m] for m in rival.structure if m not in chosen]
         state = _where_they_differ(fit, fit.problem, rival.coefficients)
         out.append(_rival(effects, list(chosen.without(rival.structure)), mine, theirs, state))
-    for other, apart, theirs in laws_in_play(fit, others):
+    named = [rival.structure for rival in rivals[:_MOST]]
+    for other, apart, theirs in laws_in_play(fit, [o for o in others if o.structure not in named]):
         state = _where_they_differ(fit, other.problem, other.coefficients)
         texts = (_texts(fit, apart), _texts(other, theirs))
         out.append(_rival(effects, apart, *texts, state))
@@ -79,10 +81,12 @@ def _texts(fit: Fit, members: list[int]) -> list[str]:
     return [fit.problem.terms[m].at(numbers).text for m in members]
 
 
-def _excluded(chosen: Structure, rival: Structure, outside: int) -> float:
+def _excluded(fit: Fit, rival: Structure) -> float:
     """−2 log likelihood by which a rival has to lose to be excluded."""
-    more = len(chosen.without(rival))
-    return chi_square_cutoff(more, comb(outside, more))
+    members, outside = fit.structure.without(rival), fit.problem.free.size - len(fit.structure)
+    numbers = {name for m in members for name in fit.problem.terms[m].shapes}
+    looks = comb(max(outside, len(members)), len(members))
+    return chi_square_cutoff(len(members) + len(numbers), looks)
 
 
 def _where_they_differ(fit: Fit, problem: Problem, coefficients: np.ndarray) -> dict[str, float]:

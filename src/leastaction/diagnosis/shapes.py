@@ -71,8 +71,8 @@ def laws_in_play(fit: Fit, others: Sequence[Fit]) -> Iterator[tuple[Fit, list[in
     """
     for other in others:
         mine, theirs = differing_terms(fit, other), differing_terms(other, fit)
-        sizes = [len(f.structure) + len(f.problem.shapes_of(f.structure)) for f in (fit, other)]
-        if not (mine and theirs and other.converged) or sizes[1] > sizes[0]:
+        larger = other.problem.parameters_of(other.structure) > fit.problem.parameters_of(fit.structure)
+        if larger or not (mine and theirs and other.converged):
             continue
         numbers = {name for m in mine for name in fit.problem.terms[m].shapes}
         looks = comb(max(fit.problem.free.size - len(fit.structure), len(mine)), len(mine))

@@ -22,6 +22,7 @@ from leastaction.estimation.crew import Crew
 from leastaction.estimation.forces import Between
 from leastaction.estimation.sensors import Sensors
 from leastaction.estimation.shape_ranges import ShapeRange
+from leastaction.estimation.structure import Structure
 from leastaction.library import Dropped, Term, shape_names
 from leastaction.mechanics.euler_lagrange import EulerLagrange
 
@@ -143,6 +144,10 @@ class Problem:
         """Names of the shape parameters in a structure and in known terms, sorted."""
         held = [self.terms[k] for k in (*structure, *np.flatnonzero(self.is_known).tolist())]
         return shape_names(held)
+
+    def parameters_of(self, structure: Structure) -> int:
+        """The number of free numbers in a structure: coefficients and shape parameters."""
+        return len(structure) + len(self.shapes_of(structure))
 
     def unreached(self, structure: Iterable[int], pushed: Iterable[int]) -> tuple[str, ...]:
         """Coordinates for which the scale of L is not identifiable in a structure.

@@ -50,7 +50,7 @@ def value(fit: Fit) -> float:
     # candidates that imitate the known term leave the scale of L undetermined
     if np.all(np.abs(fit.estimates) < SELECTION.scale_lost * fit.standard_errors):
         return -np.inf
-    n_parameters = len(fit.structure) + len(fit.problem.shapes_of(fit.structure))
+    n_parameters = fit.problem.parameters_of(fit.structure)
     surcharge = float(fit.problem.surcharges[list(fit.structure)].sum())
     return fit.evidence - 0.5 * penalty(fit.grid) * n_parameters - 0.5 * surcharge
 
