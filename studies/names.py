@@ -16,7 +16,7 @@ import leastaction as la
 from leastaction import systems
 from studies._tables import Records, Table, cells, codes_in, median, number, percent, results, share, title_of
 from studies.case import Case, attempt
-from studies.laws import error_of_acceleration
+from studies.law import error_of_acceleration
 
 __all__ = ["COULOMB", "OFF", "friction_candidates", "is_exact", "pose", "solve", "tables"]
 

@@ -26,7 +26,8 @@ from studies._tables import (
     title_of,
 )
 from studies.case import Case, attempt
-from studies.laws import LAWS, motions
+from studies.law import motions
+from studies.laws import LAWS
 
 __all__ = ["SHAPED", "Shaped", "pose", "solve", "tables"]
 

@@ -27,7 +27,8 @@ from studies._tables import (
     title_of,
 )
 from studies.case import Case, attempt
-from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, motions
+from studies.law import error_of_acceleration, motions
+from studies.laws import KEPT_ASIDE, LAWS
 
 __all__ = ["OFF", "is_wrong", "pose", "solve", "tables"]
 

@@ -28,7 +28,8 @@ from studies._tables import causes_in, codes_in, findings_in, sentences_in
 from studies.case import Case
 from studies.collate import tables
 from studies.faults import CAUSES, FAULTS, SETUPS, causes_named
-from studies.laws import KEPT_ASIDE, LAWS, error_of_acceleration, left_by, motions
+from studies.law import error_of_acceleration, left_by, motions
+from studies.laws import KEPT_ASIDE, LAWS
 from studies.names import is_exact
 from studies.run import PLANS, cases
 from studies.shapes import SHAPED
