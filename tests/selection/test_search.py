@@ -32,7 +32,7 @@ from leastaction.selection.likelihood_search import QuadraticModel, search_subse
 from leastaction.selection.other_numbers import laws_elsewhere
 from leastaction.selection.search import run_search
 from leastaction.selection.search_state import Search, begin_search
-from leastaction.selection.strategies import finer_knots, shape_start, shortest_form
+from leastaction.selection.strategies import finer_knots, irrelevant_terms, shape_start, shortest_form
 from leastaction.selection.weak_backward import backward_search
 from leastaction.selection.weak_form import WeakGram, weak_grams
 from leastaction.selection.weak_search import cheapest_combinations, noise_ratio, support_score
@@ -392,6 +392,34 @@ def test_candidates_of_two_kinds_are_found_together(size):
     found = shape_start.places(begin_search(build_problem(data, Request(texts, {"x_dot**2": 0.5}))))[0].values
     assert found["p"] == pytest.approx(0.9, abs=0.03)
     assert abs(found["w"]) == pytest.approx(4.0, abs=0.1)
+
+
+# ------------------------------------- irrelevant_terms: which terms stay at a price
+def test_the_terms_that_stay_are_nearly_always_the_best_of_all_subsets():
+    """One by one, terms that imitate others together outlast them in nearly half of these designs."""
+    rng, worse, by_steps = np.random.default_rng(5), 0, 0
+    for _ in range(60):
+        own = rng.standard_normal((200, 3))
+        columns = np.hstack([own, own @ rng.standard_normal((3, 5)) + 0.1 * rng.standard_normal((200, 5))])
+        target = own @ np.ones(3) + 0.5 * rng.standard_normal(200)
+        matrix = columns.T @ columns / 0.25
+        here = np.linalg.solve(matrix, columns.T @ target / 0.25)
+        model, price = QuadraticModel(matrix, np.zeros(8), here), 15.0
+
+        def priced(members, model=model, price=price):
+            return model.best({members}, 1)[0].criterion(price)
+
+        every = [m for size in range(1, 9) for m in combinations(range(8), size)]
+        lowest, kept = min(map(priced, every)), tuple(range(8))
+        worse += priced(irrelevant_terms.best_part(model, price)) > lowest + 1e-6
+        while len(kept) > 1:
+            smaller = min((tuple(m for m in kept if m != out) for out in kept), key=priced)
+            if priced(smaller) > priced(kept):
+                break
+            kept = smaller
+        by_steps += priced(kept) > lowest + 1e-6
+    assert worse <= 2
+    assert by_steps >= 20
 
 
 # --------------------------------- other numbers: laws that a fit, scored on the likelihood, leaves in play

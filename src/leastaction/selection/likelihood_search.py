@@ -140,8 +140,9 @@ class QuadraticModel:
 
     def among(self, columns: Sequence[int]) -> QuadraticModel:
         """The model of some columns, in scaled coefficients; those of the others are held."""
-        matrix = self.matrix[np.ix_(columns, columns)]
-        return QuadraticModel(matrix, self.gradient[columns], self.here[columns], self.surcharges[columns])
+        kept = list(columns)
+        matrix = self.matrix[np.ix_(kept, kept)]
+        return QuadraticModel(matrix, self.gradient[kept], self.here[kept], self.surcharges[kept])
 
     def costs(self, supports: np.ndarray) -> np.ndarray:
         """Costs of many supports of one size, (n_supports, size)."""

@@ -18,7 +18,6 @@ from dataclasses import replace
 from leastaction.estimation.grid import Grid
 from leastaction.estimation.weights import Start
 from leastaction.hidden.start import completed
-from leastaction.selection.likelihood_refinement import refine
 from leastaction.selection.search_state import Search
 from leastaction.selection.strategies import feeding_friction, irrelevant_terms
 
@@ -34,8 +33,8 @@ def run(search: Search) -> Search:
         return search
     search.report("confirm", {})
     grid = Grid.lay(search.problem, found.grid.knots_per_second)
-    fit = refine(grid.fit(found.structure, _start(search, grid)), search.report, _ROUNDS)
-    on_all = replace(search, feeding=()).now(fit)
+    fit = grid.fit(found.structure, _start(search, grid))
+    on_all = irrelevant_terms.refined(replace(search, feeding=()).now(fit), _ROUNDS)
     return feeding_friction.run(irrelevant_terms.run(on_all))
 
 

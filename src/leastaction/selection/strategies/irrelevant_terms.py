@@ -12,11 +12,15 @@ exact.
 
 from __future__ import annotations
 
+import numpy as np
+
 from leastaction.estimation.fit import Fit
-from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, tell
+from leastaction.estimation.settings import ESTIMATION
+from leastaction.selection.likelihood_refinement import Neighbourhood, penalty, refine, tell
+from leastaction.selection.likelihood_search import QuadraticModel, search_subsets
 from leastaction.selection.search_state import Search
 
-__all__ = ["price_of_terms", "run"]
+__all__ = ["best_part", "price_of_terms", "refined", "run"]
 
 
 def price_of_terms(fit: Fit, relevance: float) -> float:
@@ -24,20 +28,43 @@ def price_of_terms(fit: Fit, relevance: float) -> float:
     return penalty(fit.grid) + fit.relevant_gain(relevance)
 
 
+def refined(search: Search, rounds: int) -> Search:
+    """The better structures of `refine`, if they are better without their irrelevant terms, too.
+
+    Where the equations do not hold exactly, nearly every candidate is significant. Among many of them,
+    dropping one after the other may find no way back to the law.
+    """
+    fit = search.found
+    again = refine(fit, search.report, rounds)
+    exact = np.all(fit.weights.slack < ESTIMATION.slack_left)
+    if again.structure == fit.structure or exact or not fit.converged:
+        return search.now(again)
+    before, after = (run(search.now(one)).found for one in (fit, again))
+    more = len(after.structure) - len(before.structure)
+    dearer = 0.5 * price_of_terms(before, search.relevance) * more
+    better = after.converged and after.evidence - dearer > before.evidence
+    return search.now(again if better else before)
+
+
+def best_part(model: QuadraticModel, price: float) -> tuple[int, ...]:
+    """The support of the lowest cost that a local search finds, with a price for each member; not empty."""
+    levels = search_subsets(model, tuple(range(model.n)), price)
+    choices = [choice for level in levels.values() for choice in level if choice.members]
+    return min(choices, key=lambda choice: choice.criterion(price)).members
+
+
 def run(search: Search) -> Search:
-    """Drop terms one by one on the quadratic model, refit, and repeat."""
+    """The best structure among the terms of the fit on the quadratic model, its fit, and so on.
+
+    Dropped one by one, terms that imitate a law together may outlast its own.
+    """
     fit = search.found
     while fit.converged and len(fit.structure) > 1:
-        threshold = price_of_terms(fit, search.relevance)
         near = Neighbourhood.of(fit)
-        members = near.here
-        cost = near.model.best({members}, 1)[0].cost
-        while len(members) > 1:
-            smaller = near.model.best({tuple(m for m in members if m != out) for out in members}, 1)[0]
-            if smaller.cost - cost > threshold:
-                break
-            members, cost = smaller.members, smaller.cost
-        if members == near.here:
+        here = near.here
+        kept = best_part(near.model.among(here), price_of_terms(fit, search.relevance))
+        members = tuple(here[n] for n in kept)
+        if members == here:
             break
         fit = fit.grid.fit(near.structure(members), near.start(members))
         tell(fit, search.report)
