@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import comb
+from collections.abc import Sequence
 
 import numpy as np
 
 from leastaction.diagnosis.effects import Effects
-from leastaction.diagnosis.shapes import laws_in_play
+from leastaction.diagnosis.shapes import chance, laws_in_play
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
 from leastaction.estimation.settings import ESTIMATION
-from leastaction.estimation.structure import Structure
 from leastaction.estimation.volume import positive_definite
 from leastaction.findings import Finding, find
 from leastaction.mechanics.euler_lagrange import Points
 from leastaction.selection.alternatives import Alternative
-from leastaction.selection.significance import chi_square_cutoff
 
 __all__ = ["rival_warnings"]
 
@@ -43,12 +40,12 @@ def rival_warnings(
     """
     fit = effects.fit
     chosen = fit.structure
-    sizes = [fit.problem.parameters_of(a.structure) - fit.problem.parameters_of(chosen) for a in alternatives]
-    pairs = [*zip(alternatives, sizes, strict=True)]
-    same = [a for a, more in pairs if not more or len(a.structure) == len(chosen)]
-    rivals = [a for a in same if a.structure != chosen and a.cost < _excluded(fit, a.structure)]
+    size, parameters_of = len(chosen), fit.problem.parameters_of
+    numbers = parameters_of(chosen)
+    same = [a for a in alternatives if len(a.structure) == size or parameters_of(a.structure) == numbers]
+    rivals = [a for a in same if a.structure != chosen and a.cost < chance(fit, chosen.without(a.structure))]
     if np.all(fit.weights.slack < ESTIMATION.slack_left):
-        larger = [a for a, more in pairs if more == 1 and a not in same]
+        larger = [a for a in alternatives if a not in same and parameters_of(a.structure) == numbers + 1]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
         rivals += [a for a in larger if a.cost < min(0.0, extended)]
     texts = [term.offered for term in fit.problem.terms]
@@ -56,20 +53,25 @@ def rival_warnings(
     for rival in rivals[:_MOST]:
         mine = [texts[m] for m in chosen if m not in rival.structure]
         theirs = [texts[m] for m in rival.structure if m not in chosen]
-        state = _where_they_differ(fit, fit.problem, rival.coefficients)
-        out.append(_rival(effects, list(chosen.without(rival.structure)), mine, theirs, state))
+        law = fit.problem, rival.coefficients
+        out.append(_rival(effects, list(chosen.without(rival.structure)), mine, theirs, *law))
     named = [rival.structure for rival in rivals[:_MOST]]
     for other, apart, theirs in laws_in_play(fit, [o for o in others if o.structure not in named]):
-        state = _where_they_differ(fit, other.problem, other.coefficients)
-        texts = (_texts(fit, apart), _texts(other, theirs))
-        out.append(_rival(effects, apart, *texts, state))
+        texts = _texts(fit, apart), _texts(other, theirs)
+        out.append(_rival(effects, apart, *texts, other.problem, other.coefficients))
     return out
 
 
 def _rival(
-    effects: Effects, apart: list[int], mine: list[str], theirs: list[str], state: Mapping[str, float]
+    effects: Effects,
+    apart: list[int],
+    mine: list[str],
+    theirs: list[str],
+    problem: Problem,
+    coefficients: np.ndarray,
 ) -> Finding:
-    """A structure that the data do not exclude."""
+    """A law that the data do not exclude, and where it differs from the fit."""
+    state = _where_they_differ(effects.fit, problem, coefficients)
     figures = {"others": theirs, "at_names": list(state), "at_values": list(state.values())}
     minor = effects.minor(apart)
     return find("slight-rival", mine, **figures) if minor else find("competing-structures", mine, **figures)
@@ -79,14 +81,6 @@ def _texts(fit: Fit, members: list[int]) -> list[str]:
     """Terms with their shape parameters, to three digits."""
     numbers = {name: float(f"{x:.3g}") for name, x in fit.problem.shape_values.items()}
     return [fit.problem.terms[m].at(numbers).text for m in members]
-
-
-def _excluded(fit: Fit, rival: Structure) -> float:
-    """−2 log likelihood by which a rival has to lose to be excluded."""
-    members, outside = fit.structure.without(rival), fit.problem.free.size - len(fit.structure)
-    numbers = {name for m in members for name in fit.problem.terms[m].shapes}
-    looks = comb(max(outside, len(members)), len(members))
-    return chi_square_cutoff(len(members) + len(numbers), looks)
 
 
 def _where_they_differ(fit: Fit, problem: Problem, coefficients: np.ndarray) -> dict[str, float]:

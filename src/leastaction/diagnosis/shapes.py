@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from math import comb
 
 import numpy as np
@@ -13,7 +13,7 @@ from leastaction.findings import Finding, find
 from leastaction.selection.other_numbers import differing_terms
 from leastaction.selection.significance import chi_square_cutoff
 
-__all__ = ["doubts_about_shapes", "laws_in_play"]
+__all__ = ["chance", "doubts_about_shapes", "laws_in_play"]
 
 _AT_END = 1e-6  # of the range
 # ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
@@ -63,18 +63,23 @@ def _partner(fit: Fit, found: ShapeEstimate, k: int) -> str:
 
 
 def laws_in_play(fit: Fit, others: Sequence[Fit]) -> Iterator[tuple[Fit, list[int], list[int]]]:
-    """The laws with other shape parameters that the data do not exclude; what only a fit has, what they have.
+    """Laws with other shape parameters that the data do not exclude.
 
-    A shape parameter counts as a coefficient does, and a term with another number is another term. A law
-    loses by chance no more than the parameters of the fit's own terms explain, see `rival_warnings`. Beside
-    a law of fewer parameters, a larger one is only a longer way to say the same.
+    Yields each with the terms that only the fit has and those that only the law has; a term with another
+    number is another term. By chance, a law loses no more than the fit's own terms gain, see
+    `rival_warnings`. A law with more parameters than the fit is left out.
     """
     for other in others:
         mine, theirs = differing_terms(fit, other), differing_terms(other, fit)
         larger = other.problem.parameters_of(other.structure) > fit.problem.parameters_of(fit.structure)
         if larger or not (mine and theirs and other.converged):
             continue
-        numbers = {name for m in mine for name in fit.problem.terms[m].shapes}
-        looks = comb(max(fit.problem.free.size - len(fit.structure), len(mine)), len(mine))
-        if 2.0 * (fit.evidence - other.evidence) < chi_square_cutoff(len(mine) + len(numbers), looks):
+        if 2.0 * (fit.evidence - other.evidence) < chance(fit, mine):
             yield other, mine, theirs
+
+
+def chance(fit: Fit, members: Collection[int]) -> float:
+    """−2 log likelihood that terms of a fit, with their shape parameters, gain by chance."""
+    count, outside = len(members), fit.problem.free.size - len(fit.structure)
+    numbers = {name for m in members for name in fit.problem.terms[m].shapes}
+    return chi_square_cutoff(count + len(numbers), comb(max(outside, count), count))

@@ -31,8 +31,8 @@ def price_of_terms(fit: Fit, relevance: float) -> float:
 def refined(search: Search, rounds: int) -> Search:
     """The better structures of `refine`, if they are better without their irrelevant terms, too.
 
-    Where the equations do not hold exactly, nearly every candidate is significant. Among many of them,
-    dropping one after the other may find no way back to the law.
+    Where the equations do not hold exactly, nearly every candidate is significant. About a fit with many of
+    them, the quadratic model may not lead back to the law.
     """
     fit = search.found
     again = refine(fit, search.report, rounds)

@@ -5,15 +5,16 @@ with the cheapest support, refined by Gauss–Newton steps. Candidates are place
 where it does best without the others. Then each is looked for once more with the others in place. Where the
 places are too many for that, those of frequencies, candidates are placed one after the other, twice. Numbers
 that do nearly as well are compared by fits: a steep exponential, say, follows the noise of a few samples.
+So are laws with numbers elsewhere that promise as much (`leastaction.selection.other_numbers`).
 
 Cost: some tens of numbers for each candidate, a thousand where several are placed together, each a search for
-a support on the weak form; a search for a structure with each of the few best. Skipped where no candidate has
-shape parameters.
+a support on the weak form; a search for a structure with each of the few best, up to three more fits, and at
+the end one for each law that came near. Skipped where no candidate has shape parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,7 +120,12 @@ def places(search: Search, most: int = _MOST_STARTS) -> list[ProfilePoint]:
 def _scanned(problem: Problem) -> list[tuple[str, ...]]:
     """Names of the groups of which each start can be tried: single candidates, without frequencies."""
     groups = [group for group in _groups(problem) if not group.together]
-    return [g.names for g in groups if all(problem.ranges[n].spacing != "frequency" for n in g.names)]
+    return [group.names for group in groups if not _waves(problem, group.names)]
+
+
+def _waves(problem: Problem, names: Iterable[str]) -> bool:
+    """Whether there is a frequency among some shape parameters, which has too many starts to try all."""
+    return any(problem.ranges[name].spacing == "frequency" for name in names)
 
 
 @dataclass(frozen=True)
@@ -151,8 +157,11 @@ def _rounds(problem: Problem) -> list[_Group]:
     kinds = tuple(kind for group in groups for kind in group.kinds)
     names = tuple(name for group in groups for name in group.names)
     whole = _Group(names, kinds)
-    waves = any(problem.ranges[name].spacing == "frequency" for name in names)  # too many to try
-    return [*groups, *groups] if waves or len(_shared(whole)) > _MOST_SHARED else [whole, *groups]
+    return (
+        [*groups, *groups]
+        if _waves(problem, names) or len(_shared(whole)) > _MOST_SHARED
+        else [whole, *groups]
+    )
 
 
 def _shared(group: _Group) -> list[str]:
@@ -176,8 +185,7 @@ def _groups(problem: Problem) -> list[_Group]:
         others = {name for j, t in enumerate(problem.terms) if j not in kind for name in t.shapes}
         pairs = [pair for names in kind.values() for pair in names.items()]
         apart = any(problem.ranges[a] != problem.ranges[b] for a, b in pairs)
-        waves = any(problem.ranges[name].spacing == "frequency" for name in own)  # too many to try
-        if own & (seen | others) or apart or waves:
+        if own & (seen | others) or apart or _waves(problem, own):
             kind = {}
         shapes = dict.fromkeys(name for j in kind or (k,) for name in problem.terms[j].shapes)
         names = tuple(name for name in shapes if name not in seen)
