@@ -239,8 +239,10 @@ def _best(
 
     Ends beside as many plain candidates as let noise explain what is left, but not at the first level:
     without plain candidates, wrong numbers may explain nearly as much.  All of the starts are compared there:
-    the first that does may be a harmonic of the numbers, which more terms make up for.  Where the starts
-    rise, those of a single number, only those are begun with that are better than their neighbours.
+    the first that does may be a harmonic of the numbers, which more terms make up for.  Nor at points worse
+    than no law at all (their score is not negative): a steep power is left with noise because it has so much
+    of its own.  Where the starts rise, those of a single number, only those are begun with that are better
+    than their neighbours.
     """
     found: list[ProfilePoint] = []
     for count, level in enumerate(begun):
@@ -254,7 +256,7 @@ def _best(
         found.sort(key=lambda p: p.score)
         unused = [p for p in found if max(p.members, default=0) < len(profile.plain)]
         found = [p for p in found if p not in unused[1:]]  # without the term, its numbers do not matter
-        explained = any(point.ratio < SELECTION.rows_explained for point in refined)
+        explained = any(p.ratio < SELECTION.rows_explained and p.score < 0.0 for p in refined)
         if count and explained and not group.together:
             break
     return found
