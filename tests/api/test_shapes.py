@@ -25,6 +25,7 @@ from leastaction.estimation.structure import Structure
 from leastaction.model.model import LagrangianModel
 from leastaction.model.term import ModelTerm, ShapeParameter
 from leastaction.report.captions import profile_title
+from leastaction.selection.alternatives import Alternative
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.strategies import shape_fit
 
@@ -582,6 +583,26 @@ def test_a_law_in_play_is_named_with_its_numbers(small_motions):
     assert rival.values["others"] == (f"exp(-{number:.3g}*x)", f"exp(-2*{number:.3g}*x)")
     assert number == pytest.approx(1.0, abs=0.1)
     assert {*rival.values["at_names"]} == {"x", "x_dot"}
+
+
+@pytest.mark.parametrize(
+    ("reason", "named"),
+    [("fit-is-better", True), ("not-fitted", True), ("fit-is-worse", False), ("no-fit", False)],
+)
+def test_a_larger_rival_is_named_unless_its_own_fit_refutes_it(small_motions, reason, named):
+    """Far from the fit the quadratic model may promise any gain."""
+    search = begin_search(build_problem(small_motions, Request(la.Library(SMALL, ["x"]), KNOWN)))
+    grid, curve, structure = (
+        search.grid.posed(search.grid.problem.at({"a": 1.0})),
+        search.grid.smooth(),
+        Structure([4, 5]),
+    )
+    fit = grid.fit(structure, grid.start(structure, curve.control_points, np.zeros(6), curve.noise_std))
+    larger = Alternative(Structure([1, 2, 4]), -50.0, -20.0, fit.coefficients, np.ones(3), reason)
+    found = rival_warnings(Effects(fit, np.ones(1), np.zeros(1)), [larger], [])
+    assert [(f.subject, f.values["others"]) for f in found] == named * [
+        (("exp(-2*{a}*x)",), ("x**2", "x**3"))
+    ]
 
 
 def test_what_is_undefined_along_the_data_is_left_out_and_said():

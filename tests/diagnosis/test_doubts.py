@@ -479,6 +479,24 @@ def test_nothing_is_named_where_no_family_helps(condition, answer, helped, monke
     assert (families._helpful(*asked) is None) == (condition is not None)
 
 
+@pytest.mark.parametrize(("sure", "named"), [(0.0, True), (np.inf, False)])
+def test_a_likelier_law_counts_even_if_its_form_is_doubtful(sure, named, helped, monkeypatch):
+    """It is not the law, but it is likelier than what was found, if that is no chance."""
+    asked, tried = helped
+    for name, kept in tried.items():
+        again, real = iter(kept), getattr(families, name)
+        monkeypatch.setattr(families, name, lambda *args, _a=again, _r=real: next(_a, None) or _r(*args))
+    monkeypatch.setattr(
+        families, "doubts_about_the_form", lambda *_: [find("form-open", kind="potential", open=0.2)]
+    )
+    monkeypatch.setattr(families, "looks_imitated", lambda _: True)
+    monkeypatch.setattr(families, "_difference", lambda *_: 0.1)
+    monkeypatch.setattr(families, "chance", lambda *_: sure)
+    found = families.simpler_form(asked[0])
+    assert [f.values["imitated"] for f in found] == named * ["a law like it"]
+    assert all("found seem to imitate a law like it" in f.message for f in found)
+
+
 # -------------------------------------- several coordinates: a short law instead of its long imitation
 def orbits(potential_slope, starts, noise: float = 1e-3) -> la.Trajectories:
     """Motions of a point of mass one in the plane under a central force."""

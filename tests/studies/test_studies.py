@@ -614,6 +614,16 @@ def entry(system, status, error=0.0, **config):
     return {"config": where, "result": {**said, "terms": {"x**2": {"coefficient": 1.5}}, "dissipation": {}}}
 
 
+@pytest.mark.thorough
+def test_a_central_force_that_polynomials_imitate_is_named():
+    """The force r**0.4 in noise of 5 %: the only law of the study that was ok and off by more than 5 %."""
+    result = solve(Case("unlisted", "central_power", 0.05, library="auto", trajectories=1, trial=2))
+    (finding,) = (f for f in result["findings"] if f["code"] == "simpler-form")
+    assert finding["values"]["family"] == ["(x**2+y**2)**{n}"]
+    (number,) = finding["values"]["numbers"]
+    assert float(number.removeprefix("n = ")) == pytest.approx(0.7, abs=0.02)
+
+
 def test_the_tables_count_what_is_ok_and_wrong():
     aside, seen = sorted(KEPT_ASIDE)[0], next(n for n in LAWS if n not in KEPT_ASIDE)
     records = [

@@ -19,6 +19,7 @@ from leastaction.selection.alternatives import Alternative
 __all__ = ["rival_warnings"]
 
 _MOST = 3  # rivals that are named
+_REFUTED = frozenset({"no-fit", "fit-is-worse"})  # alternatives whose own fit contradicts the quadratic model
 _STATES = 400  # along the motion, at which they are compared
 _REACH = (1.0, 2.0, 3.0)  # times the recorded states
 
@@ -34,7 +35,8 @@ def rival_warnings(
 
     Rivals have as many terms as S or, with shape parameters, as many numbers, or one more: where the motion
     shows little, the law itself may lose by the price of a term.  It is then likelier than S with any further
-    term, which follows the noise only.  Not where the library is inexact: there a further term always helps.
+    term, which follows the noise only.  Its own fit, if one was made, has to agree: the quadratic model fails
+    far from S.  Not where the library is inexact: there a further term always helps.
 
     The others are laws that the search found with other shape parameters, see `laws_in_play`.
     """
@@ -46,6 +48,7 @@ def rival_warnings(
     rivals = [a for a in same if a.structure != chosen and a.cost < chance(fit, chosen.without(a.structure))]
     if np.all(fit.weights.slack < ESTIMATION.slack_left):
         larger = [a for a in alternatives if a not in same and parameters_of(a.structure) == numbers + 1]
+        larger = [a for a in larger if a.reason not in _REFUTED]
         extended = min((a.cost for a in larger if chosen <= a.structure), default=0.0)
         rivals += [a for a in larger if a.cost < min(0.0, extended)]
     texts = [term.offered for term in fit.problem.terms]

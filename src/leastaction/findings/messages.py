@@ -116,7 +116,7 @@ CODES: dict[str, Message] = {
         "warning",
         "a law with {family} explains the motion with higher evidence (log evidence {gain:.0f} higher), in "
         "{free_terms} terms instead of {instead_of}, and its accelerations differ by {shift:.1f%}; the terms "
-        "found seem to imitate it",
+        "found seem to imitate {imitated}",
         templates.imitated_remedy,
         on_command_line=partial(templates.imitated_remedy, audience="command line"),
     ),
