@@ -293,7 +293,10 @@ _OF_DATA = {
     **dict.fromkeys(("simulated", "horizon", "clearly", "window"), _machines_judged),
     **dict.fromkeys(("small_error", "no_error"), _prescribed_judged),
     **dict.fromkeys(("bias_settled", "bias_stalled", "no_bias"), _bias_judged),
-    **dict.fromkeys(("not_followed", "shape_compared", "shape_apart"), _shapes_judged),
+    **dict.fromkeys(
+        ("not_followed", "shape_compared", "shape_apart", "shape_lost", "shape_same", "mirrored"),
+        _shapes_judged,
+    ),
     **dict.fromkeys((f.name for f in fields(ESTIMATION) if f.name.startswith("shape_")), _shapes_judged),
 }
 

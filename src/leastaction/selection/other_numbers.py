@@ -21,6 +21,7 @@ from leastaction.library import tangent
 from leastaction.library.grammar import size_of
 from leastaction.selection.likelihood_refinement import beside, penalty
 from leastaction.selection.likelihood_search import Choice, QuadraticModel
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["differing_terms", "laws_elsewhere"]
 
@@ -28,7 +29,6 @@ _STARTS = {1: 33}  # of a group with so many shape parameters
 _MOST_STARTS = 64  # of a group with more
 _BESIDE = 24  # plain candidates, the shortest, beside those of the fit
 _FITTED = 3  # laws, at most
-_SAME = 3.0  # standard errors by which a number may differ between two fits of one law
 _SPARE = 3  # members whose removal is computed, since rounding may reorder near-ties
 
 
@@ -143,6 +143,6 @@ def differing_terms(one: Fit, other: Fit) -> list[int]:
     moved: set[str] = set()
     if one.shapes is not None and other.shapes is not None:
         both = {*one.shapes.names} & {*other.shapes.names}
-        moved = {name for name in both if one.shapes.differs(other.shapes, name, _SAME)}
+        moved = {name for name in both if one.shapes.differs(other.shapes, name, SELECTION.shape_same)}
     terms = one.problem.terms
     return [m for m in one.structure if m not in other.structure or moved & {*terms[m].shapes}]

@@ -55,6 +55,18 @@ class SelectionSettings:
     """Share of the ranges of shape parameters within which two starts lead to the same fit. Half, twice: no
     effect."""
 
+    shape_lost: float = 50.0
+    """Log evidence that a start loses on the first grid, beyond which finer ones are not tried. Half, twice:
+    no effect."""
+
+    shape_same: float = 3.0
+    """Standard errors within which shape parameters of two fits are those of one law. Half, twice: no
+    effect."""
+
+    mirrored: float = 0.9999
+    """Correlation of coefficients that nearly cancel, as of x⁴ and |x|ⁿ with n near 4: one is left out in
+    turn. Half, or never: no effect."""
+
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
     with 16 to 31 candidates. Half, twice: no effect."""
@@ -108,6 +120,10 @@ class SelectionSettings:
     grown: float = 1.1
     """Ratio of equation errors from one grid to the next, above which finer knots follow vibrations. Half,
     twice: no effect."""
+
+    biased: float = 0.2
+    """Standard errors by which a grid may move the estimates of a fit without equation error. Half, twice: no
+    effect."""
 
     narrowed: float = 0.2
     """Share of a standard error that finer knots must remove before estimates that stand still tell of

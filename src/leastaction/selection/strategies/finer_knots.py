@@ -26,7 +26,6 @@ __all__ = ["run"]
 _DIGITS = 1e-6  # of an estimate: finer knots are not worth a smaller change
 _FASTEST_GROWTH = 10.0  # of a weight from one grid to the next: only where a start begins
 _ROUNDING = 1.5e-8  # relative equation error whose square is lost in the normal equations
-_BIAS = 0.2  # standard errors by which a grid may move the estimates of a fit without equation error
 _MOST_ROUNDS = 6  # grids, at most
 
 
@@ -118,7 +117,7 @@ def _has_all_information(coarser: Fit, finer: Fit) -> bool:
     """
     exact = all(np.all(fit.weights.slack < ESTIMATION.slack_left) for fit in (coarser, finer))
     moved = np.abs(finer.estimates - coarser.estimates)
-    still = moved <= _BIAS * np.maximum(coarser.standard_errors, _least(finer))
+    still = moved <= SELECTION.biased * np.maximum(coarser.standard_errors, _least(finer))
     return bool(coarser.problem.hidden and exact and np.all(still))
 
 

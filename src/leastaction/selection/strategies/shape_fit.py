@@ -20,12 +20,12 @@ from leastaction.estimation.structure import Structure
 from leastaction.library import exchanges, shape_symbol
 from leastaction.selection.likelihood_refinement import beside, gain_of, penalty, refine, value
 from leastaction.selection.search_state import Search
+from leastaction.selection.settings import SELECTION
 
 __all__ = ["run"]
 
 _ROUNDS = 4  # at most, each with fits
 _WEAKEST = 3  # terms tried in turn
-_MIRRORED = 0.9999  # correlation of coefficients that nearly cancel, as of x**4 and abs(x)**{n}, n near 4
 
 
 def run(search: Search) -> Search:
@@ -99,7 +99,7 @@ def _weakest(fit: Fit) -> list[int]:
     alike = np.abs(fit.covariance / np.outer(errors, errors)) - np.eye(errors.size)
     cheap = fit.z**2 <= penalty(fit.grid)
     order: list[int] = np.argsort(fit.z**2).tolist()
-    tried = [k for k in order if cheap[k] or alike[k].max() > _MIRRORED]
+    tried = [k for k in order if cheap[k] or alike[k].max() > SELECTION.mirrored]
     return [fit.structure.members[k] for k in tried[:_WEAKEST]]
 
 

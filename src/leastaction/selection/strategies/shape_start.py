@@ -42,7 +42,6 @@ _SHARED_STARTS = 8  # of numbers that candidates share, beside those that are th
 _CHOSEN = 16  # of sets of places, beside all of these together
 _TRIED = 8  # of the starts, beside each number of plain candidates
 _REFINED = 4  # of the numbers that these lead to
-_NEAR = 50.0  # of log likelihood: what loses more on the first grid does not win on a finer one
 _MOST_SHARED = 2  # numbers of several kinds that are placed together
 
 
@@ -66,7 +65,7 @@ def _others(fits: Sequence[Fit]) -> tuple[Fit, ...]:
     """Laws that come near the first, each once."""
     out: list[Fit] = []
     for fit in fits:
-        near = value(fit) > value(fits[0]) - _NEAR
+        near = value(fit) > value(fits[0]) - SELECTION.shape_lost
         if near and all(differing_terms(fit, one) or differing_terms(one, fit) for one in out):
             out.append(fit)
     return tuple(out[1:])
