@@ -70,12 +70,14 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[tuple[Alternative, ..
     surcharges = near.model.surcharges
     out: list[Alternative] = []
     unfitted = _FITTED
+    parameters_of = fit.problem.parameters_of  # a shape parameter costs as much as a term
     for size, level in sorted(levels.items()):
         solvable = [c for c in level if c.members == near.here or near.regular(c.members)]
         if size == len(near.here) and len(solvable) == 1:
             solvable += _exchanged(near)
         for choice in solvable:
-            cost, more = choice.cost - base, len(choice.members) - len(near.here)
+            structure = near.structure(choice.members)
+            cost, more = choice.cost - base, parameters_of(structure) - parameters_of(fit.structure)
             reason = _reason(near, choice.members, cost, more, price, share)
             if reason == "" and unfitted:
                 reason, unfitted = _outcome(near, choice.members), unfitted - 1
@@ -84,7 +86,7 @@ def find_alternatives(fit: Fit, relevance: float) -> tuple[tuple[Alternative, ..
             inverse = symmetric_inverse(near.quadratic.matrix[np.ix_(index, index)])
             out.append(
                 Alternative(
-                    near.structure(choice.members),
+                    structure,
                     cost - dearer,
                     cost + price * more,
                     near.coefficients(choice.members),
