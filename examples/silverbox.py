@@ -54,8 +54,7 @@ for rest in model.equilibria():
 # Now the simulation of 16 s that the fit has not seen, about 1100 periods. The first 0.4 s of output
 # determine the initial state. After that, only the input is used.
 
-seconds = held_out[0].t[-1] - held_out[0].t[0]
-forecast = model.validate(held_out, horizon=seconds - 0.5, window=0.4)
+forecast = model.validate(held_out, horizon=held_out.duration - 0.5, window=0.4)
 trace = forecast.traces[0]
 print(f"rms error {1e3 * forecast.rms[0]:.2f} mV in {trace.t[-1] - trace.t[0]:.1f} s")
 

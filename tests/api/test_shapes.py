@@ -592,11 +592,8 @@ def test_a_law_in_play_is_named_with_its_numbers(small_motions):
 def test_a_larger_rival_is_named_unless_its_own_fit_refutes_it(small_motions, reason, named):
     """Far from the fit the quadratic model may promise any gain."""
     search = begin_search(build_problem(small_motions, Request(la.Library(SMALL, ["x"]), KNOWN)))
-    grid, curve, structure = (
-        search.grid.posed(search.grid.problem.at({"a": 1.0})),
-        search.grid.smooth(),
-        Structure([4, 5]),
-    )
+    grid, curve = search.grid.posed(search.grid.problem.at({"a": 1.0})), search.grid.smooth()
+    structure = Structure([4, 5])
     fit = grid.fit(structure, grid.start(structure, curve.control_points, np.zeros(6), curve.noise_std))
     larger = Alternative(Structure([1, 2, 4]), -50.0, -20.0, fit.coefficients, np.ones(3), reason)
     found = rival_warnings(Effects(fit, np.ones(1), np.zeros(1)), [larger], [])

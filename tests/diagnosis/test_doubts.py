@@ -458,6 +458,13 @@ def recorded(function, kept: list[Any]):
     return run
 
 
+def replay(tried, monkeypatch) -> None:
+    """Let the functions of `helped` give the same answers again, in the same sequence."""
+    for name, kept in tried.items():
+        again, real = iter(kept), getattr(families, name)
+        monkeypatch.setattr(families, name, lambda *args, _a=again, _r=real: next(_a, None) or _r(*args))
+
+
 @pytest.mark.parametrize(
     ("condition", "answer"),
     [
@@ -471,9 +478,7 @@ def recorded(function, kept: list[Any]):
 def test_nothing_is_named_where_no_family_helps(condition, answer, helped, monkeypatch):
     """Each condition by itself keeps a family from being named that is named otherwise."""
     asked, tried = helped
-    for name, kept in tried.items():  # the same again, in the same sequence
-        again, real = iter(kept), getattr(families, name)
-        monkeypatch.setattr(families, name, lambda *args, _a=again, _r=real: next(_a, None) or _r(*args))
+    replay(tried, monkeypatch)
     if condition is not None:
         monkeypatch.setattr(families, condition, answer)
     assert (families._helpful(*asked) is None) == (condition is not None)
@@ -483,9 +488,7 @@ def test_nothing_is_named_where_no_family_helps(condition, answer, helped, monke
 def test_a_likelier_law_counts_even_if_its_form_is_doubtful(sure, named, helped, monkeypatch):
     """It is not the law, but it is likelier than what was found, if that is no chance."""
     asked, tried = helped
-    for name, kept in tried.items():
-        again, real = iter(kept), getattr(families, name)
-        monkeypatch.setattr(families, name, lambda *args, _a=again, _r=real: next(_a, None) or _r(*args))
+    replay(tried, monkeypatch)
     monkeypatch.setattr(
         families, "doubts_about_the_form", lambda *_: [find("form-open", kind="potential", open=0.2)]
     )

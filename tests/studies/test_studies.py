@@ -616,7 +616,7 @@ def entry(system, status, error=0.0, **config):
 
 @pytest.mark.thorough
 def test_a_central_force_that_polynomials_imitate_is_named():
-    """The force r**0.4 in noise of 5 %: the only law of the study that was ok and off by more than 5 %."""
+    """The force r**0.4 in noise of 5 %: the only run of the study that was ok and off by more than 5 %."""
     result = solve(Case("unlisted", "central_power", 0.05, library="auto", trajectories=1, trial=2))
     (finding,) = (f for f in result["findings"] if f["code"] == "simpler-form")
     assert finding["values"]["family"] == ["(x**2+y**2)**{n}"]
