@@ -7,9 +7,10 @@ Set-ups: the further systems, and wrong ones of the study of faults with seeds t
 and wrong, and which changed: structure, status or the codes of the findings; for settings of measured
 velocities, which of 32 channels are doubted; of outliers, which samples are left out; of simulations, what
 becomes of three machines; of shape parameters and of prescribed coordinates, what becomes of six recordings
-each.  Ratios (a value near one) are taken at half and twice their
-distance from one.  Settings of the diagnosis need no new search and are tried on all set-ups, those of the
-causes on the wrong ones; settings of the search on the quicker set-ups.
+each; of imitations, which of nine laws are doubtful; of parts without a sensor, which of 54 machines are said
+to have one.  Ratios (a value near one) are taken at half and twice their distance from one.  Settings of the
+diagnosis need no new search and are tried on all set-ups, those of the causes on the wrong ones; settings of
+the search on the quicker set-ups.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ import click
 import numpy as np
 
 import leastaction as la
-from benchmarks import ablations, intervals
+from benchmarks import ablations, intervals, unmeasured_parts
 from leastaction import systems
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import lay_knots
@@ -44,20 +45,13 @@ from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
 from leastaction.threads import single_threaded
-from studies import shapes
+from studies import shapes, unlisted
 from studies.case import Case
 from studies.solve import pose, score
 
 _PACKAGES = {"curve": CURVE, "estimation": ESTIMATION, "selection": SELECTION, "diagnosis": DIAGNOSIS}
 _RATIOS = (
-    "mostly_regular",
-    "solvable",
-    "clearly",
-    "finer",
-    "grown",
-    "noise_ratio",
-    "finest",
-    "shape_scales",
+    *("mostly_regular", "solvable", "clearly", "finer", "grown", "noise_ratio", "finest", "shape_scales"),
     "samples_per_knot",
 )
 _SHAPE = {"trial": 500, "trajectories": 3, "duration": 8.0, "rate": 50.0}
@@ -80,6 +74,9 @@ _FAULTS = (
     ("excitation", "single_pendulum", 0.01),
     ("excitation", "chaotic_pendulum", 0.1),
 )
+_UNLISTED = ("barrier_in_bowl", "bead_on_cosine", "isotonic_oscillator", "morse_line")
+_UNLISTED += ("power_well", "soft_coulomb")
+_POLYNOMIALS = ("double_well", "henon_heiles", "elastic_pendulum_cart")
 _SHAPED = ("morse_line", "spring_at_anchor", "lennard_jones_line")  # the quicker laws of the study
 _QUICK = 4  # of them
 # what a cause is looked for with; all others leave the causes of a search as they are
@@ -287,17 +284,33 @@ def _shapes_judged() -> str:
     )
 
 
+def _imitations_judged() -> str:
+    """Laws that the candidates lack, and laws of polynomials that they hold: how many are not doubtful."""
+    wrong = [unlisted.solve(Case("unlisted", name, 0.01, **_SHAPE))["status"] for name in _UNLISTED]
+    right = [outcome(case, _searched(case)).status for case in _further(_POLYNOMIALS, (0.01,))]
+    told = [f"{len(some) - some.count('doubtful')} of {len(some)}" for some in (wrong, right)]
+    return f"not doubtful: {told[0]} laws that are not in the library, {told[1]} that are"
+
+
+def _parts_judged() -> str:
+    """Machines with a part without a sensor, and without: how many are said to have one."""
+    kinds = unmeasured_parts.WITH, unmeasured_parts.WITHOUT
+    found = ([unmeasured_parts.judged(k, s)[2] for k in some for s in (300, 301)] for some in kinds)
+    with_it, without = ([one is not None for one in some] for some in found)
+    return f"{sum(with_it)} of {len(with_it)} parts noticed, {sum(without)} of {len(without)} where none is"
+
+
+_SHAPE_FIELDS = [f.name for f in (*fields(SELECTION), *fields(ESTIMATION)) if f.name.startswith("shape_")]
 _OF_DATA = {
     **dict.fromkeys(("rate_factor", "rate_follows", "rate_clear", "rate_width"), _rates_judged),
     **dict.fromkeys(("outlier", "outlier_alone", "most_outliers"), _outliers_judged),
     **dict.fromkeys(("simulated", "horizon", "clearly", "window"), _machines_judged),
     **dict.fromkeys(("small_error", "no_error"), _prescribed_judged),
     **dict.fromkeys(("bias_settled", "bias_stalled", "no_bias"), _bias_judged),
-    **dict.fromkeys(
-        ("not_followed", "shape_compared", "shape_apart", "shape_lost", "shape_same", "mirrored"),
-        _shapes_judged,
-    ),
-    **dict.fromkeys((f.name for f in fields(ESTIMATION) if f.name.startswith("shape_")), _shapes_judged),
+    **dict.fromkeys(("not_followed", "mirrored", "shape_far", "shape_far_log"), _shapes_judged),
+    **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
+    **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
+    "part_fastest": _parts_judged,
 }
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import leastaction as la
+from leastaction.findings import Finding
 from leastaction.simulation.integrate import rk4
 from leastaction.threads import single_threaded
 
@@ -263,6 +264,14 @@ def _drive(rng: np.random.Generator, machine: Machine, t: np.ndarray) -> np.ndar
     return out * np.array(machine.drive)
 
 
+def judged(kind: str, seed: int) -> tuple[Machine, la.Model, Finding | None]:
+    """A machine, the law of its recordings, and what is said of a part without a sensor."""
+    data, machine = draw(kind, seed)
+    library, known, friction = asked(data)
+    model = la.discover(data, library, known=known, dissipation=friction)
+    return machine, model, next((f for f in model.fit.findings if f.code == "unmeasured-part"), None)
+
+
 @click.command()
 @click.option("--kind", "kinds", multiple=True, default=(*WITH, *WITHOUT), help="May be given several times.")
 @click.option("--first", default=200, show_default=True, help="Seed of the first machine of a kind.")
@@ -273,10 +282,7 @@ def main(kinds: tuple[str, ...], first: int, count: int) -> None:
     for kind in kinds:
         noticed = in_doubt = 0
         for seed in range(first, first + count):
-            data, machine = draw(kind, seed)
-            library, known, friction = asked(data)
-            model = la.discover(data, library, known=known, dissipation=friction)
-            found = next((f for f in model.fit.findings if f.code == "unmeasured-part"), None)
+            machine, model, found = judged(kind, seed)
             noticed += found is not None
             in_doubt += model.fit.status != "ok"
             codes = [f.code for f in model.fit.findings if f.severity == "warning"]

@@ -21,7 +21,6 @@ __all__ = ["Effects", "compared_accelerations", "gain_of_terms", "is_minor", "si
 
 _STATES = 2000  # along the motion, at which an effect is computed
 _COMPARED = 400  # along the motion, at which accelerations are compared
-_CANCEL = 5.0  # times their sum: forces of two terms that vary more; 147 true laws reached 1.0
 _SERIES = 3  # powers of a coordinate that make a series
 
 
@@ -111,7 +110,7 @@ def _cancelling(fit: Fit) -> Iterator[Finding]:
         swings, whole = forces.std(axis=2), forces.sum(axis=0).std(axis=1)
         factors = swings.max(axis=0) / np.maximum(whole, 1e-300)
         i = int(np.argmax(factors))
-        if factors[i] > _CANCEL:
+        if factors[i] > DIAGNOSIS.cancelling:
             large = [k for k, swing in zip(members, swings[:, i], strict=True) if swing > whole[i]]
             yield find("cancelling-terms", [problem.terms[k].offered for k in large], factor=factors[i])
 

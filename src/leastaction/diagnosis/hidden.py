@@ -60,7 +60,7 @@ def about_hidden(search: Search) -> list[Finding]:
         loose = [
             t
             for t, e in zip(fit.problem.trajectories.names, own, strict=True)
-            if not e < DIAGNOSIS.hidden_open * spread[column]
+            if not e < DIAGNOSIS.indistinct * spread[column]
         ]
         if loose:
             out.append(find("hidden-motion-open", names[i], trials=len(loose), of=len(own), error=typical))

@@ -2,8 +2,8 @@
 
 Each value says its unit, its origin, and what happens at half and at twice the value (of a ratio: at half
 and twice its distance from one), as `benchmarks/thresholds.py` measures on 30 right and wrong set-ups that
-no rule was made for; causes on 8 wrong ones, rates on 32 channels. "No effect": no finding changes. The
-status of a result changes nowhere.
+no rule was made for; causes on 8 wrong ones, rates on 32 channels, `cancelling` on 9 and shapes on 6
+recordings, parts on 54 machines. "No effect": no finding and no status changes.
 """
 
 from __future__ import annotations
@@ -18,17 +18,11 @@ __all__ = ["DIAGNOSIS", "DiagnosisSettings"]
 class DiagnosisSettings:
     """Settings of `leastaction.diagnosis`."""
 
-    hidden_open: float = 0.3
-    """Share of the spread of a hidden coordinate by which its motion in a trial may be uncertain. Preference:
-    beyond it the motion is hardly known."""
-
     half_a_sample: float = 0.15
-    """Sampling intervals by which a delay may differ from half of one, to be called forces that are held.
-    Half, twice: no effect."""
+    """Sampling intervals around half of one, in which a delay means held forces. Half, twice: no effect."""
 
     certain: float = 20.0
-    """Standard errors of every term of a search begun anew. Laws had 170 and more, what imitates them terms
-    of 4 to 8. Half, twice: no effect."""
+    """z of every term of a search begun anew. Laws had 170, imitations 4 to 8. Half, twice: no effect."""
 
     force_share: float = 0.3
     """Share of the squared residuals that rescaled forces have to explain. Half, twice: no effect."""
@@ -38,8 +32,7 @@ class DiagnosisSettings:
     8 of 20 wrong ones are named instead of 12."""
 
     rate_follows: float = 0.25
-    """Squared correlation below which a channel has nothing to do with its coordinate. Half, twice: no
-    effect."""
+    """Squared correlation below which a channel does not belong to its coordinate. Half, twice: no effect."""
 
     rate_clear: float = 3.0
     """Motion over noise in a channel, below which nothing is said about it. Half, twice: no effect."""
@@ -69,10 +62,9 @@ class DiagnosisSettings:
     """Residual of a fit over that of the smoothing: more is unexplained motion. Half, twice: no effect."""
 
     indistinct: float = 0.3
-    """Relative standard error above which a coefficient is hardly determined, or a scale is open (3 to 20 for
-    springs, 0.002 where a force fixes it; small motions of seven other systems had eleven above, with
-    accelerations alike within 0.6 % where masses differed by 17 to 46 %). Half: 1 finding more, on a wrong
-    law; twice: no effect."""
+    """Relative standard error above which a coefficient is hardly determined, a scale is open (3 to 20 for
+    springs, 0.002 where a force fixes it; small motions of seven other systems had eleven above), or a hidden
+    motion, relative to its spread. Half: 1 finding more, on a wrong law; twice: no effect."""
 
     form_matters: float = 0.01
     """Change of the accelerations, relative to them, by which a better smooth form of L is worth a doubt.
@@ -84,9 +76,8 @@ class DiagnosisSettings:
     correct results none. Half: 2 of 9 right results are doubtful; twice: one right result more is ok."""
 
     form_bound: float = 1.64
-    """Standard deviations of the accelerations that have to stay within `form_open`, over smooth changes of
-    both energies of one coordinate, where a law looks like an imitation: a bound that an error passes once in
-    twenty. Derived. Half, twice: no effect."""
+    """Standard deviations of the accelerations, over smooth changes of both energies of one coordinate, that
+    stay within `form_open`; of what looks like an imitation, as for a risk of 5 %. Half, twice: no effect."""
 
     bumps_alone: int = 8
     """Bumps along a coordinate in smooth changes of L. Half: no effect; twice: 2 of 9 right results are
@@ -110,9 +101,22 @@ class DiagnosisSettings:
     """Share of what no other term explains that a part without a sensor has to explain. Of 22 machines with
     one 18 pass it, of 85 without none. Half (0.875): 13; twice (0.5): 20, and 6 without one."""
 
+    part_fastest: float = 3.0
+    """Highest frequency of such a part over that of the fastest coordinate: above, noise of the accelerations
+    is too large. Half: no effect; twice: 8 of 24 parts are noticed instead of 11."""
+
+    cancelling: float = 5.0
+    """Standard deviation of the force of a term over that of all terms of the same coordinates, beyond which
+    they cancel. 147 true laws reached 1.0. Half, twice: no effect."""
+
+    shape_far: float = 1.5
+    """Ranges of a shape parameter from their middle, beyond which it is open. Half, twice: no effect."""
+
+    shape_far_log: float = 0.6
+    """The same of a logarithmic range, as of a in exp(−a x). Half, twice: no effect."""
+
     one_and_the_same: float = 0.99
-    """Correlation above which a shape parameter is said to move with another parameter as one. It is
-    named then; whether there is a finding, another setting decides. Half, twice: no effect."""
+    """Correlation above which an open shape parameter is named with another. Half, twice: no effect."""
 
     visible: float = 0.3
     """Motion over noise, below which any equations hold. Half: 1 finding fewer; twice: no effect."""
@@ -121,27 +125,23 @@ class DiagnosisSettings:
     """Noise over spread, above which fast motion may have been taken for noise. Half, twice: no effect."""
 
     part_of_it: float = 0.3
-    """Share of the largest relative change, above which a term belongs to a combination that is open. Half,
-    twice: no effect."""
+    """Share of the largest relative change, for a term of an open combination. Half, twice: no effect."""
 
     few_samples: float = 7.0
     """Samples a period of the fastest motion. Half, twice: no effect."""
 
     band: float = 12.0
-    """Frequencies of the fastest coordinate, up to which the spectral density of an equation error counts.
-    Half, twice: no effect."""
+    """Frequencies of the fastest coordinate up to which an equation error counts. Half, twice: no effect."""
 
     of_forces: float = 4.0
     """Spectral density of an equation error over that of the scatter of the forces. Noise of forces gives 0.2
     to 3, a missing term 30 and more. Half, twice: no effect."""
 
     lag_one: float = 0.1
-    """Correlation of neighbouring residuals that is noted, beyond four standard errors of it. Half: no
-    effect; twice: 1 note fewer."""
+    """Correlation of neighbouring residuals that is noted, beyond 4 σ. Half: no effect; twice: 1 fewer."""
 
     two_turns: float = 4.0 * math.pi
-    """Radians that an angle covers within a recording, above which it may be in degrees. Half, twice: no
-    effect."""
+    """Radians of an angle in a recording, above which it may be in degrees. Half, twice: no effect."""
 
     small_offset: float = 0.05
     """Radians, about: a smaller sine beside a cosine is an offset. Half: no effect; twice: 1 note more."""

@@ -16,8 +16,6 @@ from leastaction.selection.significance import chi_square_cutoff
 __all__ = ["chance", "doubts_about_shapes", "laws_in_play"]
 
 _AT_END = 1e-6  # of the range
-# ranges from the middle: exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
-_FAR = {"log": 0.6, "linear": 1.5, "exponent": 1.5, "frequency": 1.5}
 
 
 def doubts_about_shapes(fit: Fit) -> list[Finding]:
@@ -37,7 +35,9 @@ def doubts_about_shapes(fit: Fit) -> list[Finding]:
         if where.bounded and min(value - where.low, where.high - value) <= _AT_END * (where.high - where.low):
             out.append(find("shape-at-bound", name, value=value, low=where.low, high=where.high))
             continue
-        far = abs(where.share(value) - 0.5) > _FAR[where.spacing]
+        # exp(−a x) of a small a, or 1/|x − p| of a far p, is a sum of few powers
+        most = DIAGNOSIS.shape_far_log if where.spacing == "log" else DIAGNOSIS.shape_far
+        far = abs(where.share(value) - 0.5) > most
         if not found.settled and not far:
             out.append(find("shape-not-settled", name, value=value))
         elif not found.settled or not error < DIAGNOSIS.indistinct * size:

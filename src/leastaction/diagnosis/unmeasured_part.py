@@ -35,7 +35,6 @@ from leastaction.selection.search_state import Search
 
 __all__ = ["unmeasured_part"]
 
-_BAND = 3.0  # frequencies of the fastest coordinate: above, the noise of the accelerations is too large
 _FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators that are tried
 _FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
 _STEPS, _ROWS, _TRIALS = 60, 3, 12  # of the simplex; for each column, at least; the longest ones
@@ -45,7 +44,8 @@ _DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ f
 
 def unmeasured_part(search: Search) -> list[Finding]:
     """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
-    fit, high, names = search.found, _BAND / search.scales.period, search.found.problem.coordinates
+    fit, high = search.found, DIAGNOSIS.part_fastest / search.scales.period
+    names = fit.problem.coordinates
     trials = list(_trials(fit, high))
     used = [i for i in range(len(names)) if i not in fit.problem.prescribed]
     others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]

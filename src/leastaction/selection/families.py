@@ -29,6 +29,7 @@ from leastaction.library.grammar import size_of
 from leastaction.selection.likelihood_refinement import gains_beside, penalty
 from leastaction.selection.progress import silent
 from leastaction.selection.search_state import Search, equations_hold
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.strategies import shape_fit, weak_start
 from leastaction.selection.strategies.shape_start import places
 from leastaction.selection.weak_proposals import explicable
@@ -45,11 +46,9 @@ __all__ = [
 _STARTS = 64  # values tried for a family with several shape parameters
 _PLACES = 512  # the same where several unknown points are placed together
 _PROFILED = 5  # families of one coordinate whose shape parameters are estimated on the weak form
-_LOWEST = 0.5  # initial exponent of a coordinate that changes its sign
 _SEARCHED = 2  # families for which a full search is run
 _CENTRES = 3  # unknown points located together
 _COORDINATES = 3  # of more, a search with a family takes minutes: not where the equations hold
-_PLAIN = 2  # terms above the second degree that a potential may have without a test for imitation
 _SHORT = 2  # size of the candidates beside which the families of several coordinates are profiled
 
 # of one coordinate X, in L and times X_dot**2
@@ -163,7 +162,7 @@ def looks_imitated(fit: Fit) -> bool:
         # r**2*phi_dot**2 is a genuine mass term; x**2*x_dot**2 may only imitate a curved path
         bent = any({name, f"{name}_dot"} <= names for name in positions)
         moving |= bent and bool(expr.is_polynomial(*expr.free_symbols))
-    return long > _PLAIN or moving
+    return long > SELECTION.plain_terms or moving
 
 
 def _quadratic(expr: sp.Expr) -> bool:
@@ -237,7 +236,8 @@ def _families(
             continue
         ranges = shape_ranges(terms, states, {})
         if any("abs(" in text for text in family):  # infinite where the coordinate changes its sign
-            ranges = {n: replace(found, low=_LOWEST, bounded=True) for n, found in ranges.items()}
+            least = SELECTION.lowest_exponent
+            ranges = {n: replace(found, low=least, bounded=True) for n, found in ranges.items()}
         yield terms, ranges
 
 

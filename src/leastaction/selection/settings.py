@@ -3,8 +3,8 @@
 Each value says its unit, where it comes from, and what happens at half and at twice the value (of a
 ratio: at half and twice its distance from one). That is measured by `benchmarks/thresholds.py` on 8
 set-ups that no rule was made for, four right and four wrong ones (on 30 of them where notes are counted);
-simulations on three machines, shape parameters on two recordings each of three laws. "No effect": no
-structure and no finding changes.
+simulations on three machines, shape parameters on two recordings each of three laws, imitations on six laws
+that the library lacks and three that it holds. "No effect": no structure, status or finding changes.
 """
 
 from __future__ import annotations
@@ -66,6 +66,13 @@ class SelectionSettings:
     mirrored: float = 0.9999
     """Correlation of coefficients that nearly cancel, as of x⁴ and |x|ⁿ with n near 4: one is left out in
     turn. Half, or never: no effect."""
+
+    lowest_exponent: float = 0.5
+    """Lowest n of |x|ⁿ where x changes its sign. Half, twice: no effect."""
+
+    plain_terms: int = 2
+    """Terms above the second degree that a potential may have without a test for imitation. Half, twice: no
+    effect."""
 
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
