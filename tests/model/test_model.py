@@ -820,6 +820,8 @@ def test_cards_hold_the_figures():
     fit = FitSummary("doubtful", 1.02, warnings=["bent"])._card()
     assert (fit.title, fit.notes) == ("fit: doubtful", ["warning: bent"])
     assert "chi2 per sample: 1.02, 1 is expected" in fit.lines
+    through = FitSummary("usable", 2.8e-18)._card()
+    assert "chi2 per sample: 2.8e-18, the curve passes through the samples" in through.lines
     library = la.Library(["x_dot**2", "x**2", "2*x**2"], ["x"], angles=["x"]).reduced()
     assert "left out: 1 repeated" in library._repr_html_()
 

@@ -239,7 +239,8 @@ def show_fit(model: LagrangianModel, forecast: ForecastResult | None = None) -> 
     doubts = model.fit.status != "ok"
     status = model.fit.status.upper() if doubts else "ok"
     color = "yellow" if doubts else "green"
-    say(f"fit: {status}, chi2 per sample {model.fit.chi2_per_sample:.3g}", bold=True, fg=color)
+    chi2 = f"chi2 per sample {model.fit.chi2_per_sample:.3g} ({model.fit.chi2_note})"
+    say(f"fit: {status}, {chi2}", bold=True, fg=color)
     for name, text in with_held_out(model.fit.statements, forecast).items():
         say(f"{name}: {one_line(text)}")
     for text in model.fit.sentences("warning", "command line"):

@@ -19,6 +19,7 @@ from leastaction.shown import Card, Shown
 
 __all__ = ["INTERVAL_RISE", "Z95", "FitSummary", "ModelTerm", "ShapeParameter", "as_float", "weighted_sum"]
 
+_THROUGH = 1e-3  # chi2 per sample; with less, hardly a sample is off the curve
 Z95 = 1.959963984540054
 """Half width of a central 95 % interval of a normal distribution, in standard errors."""
 INTERVAL_RISE = Z95**2
@@ -341,10 +342,16 @@ class FitSummary(Shown):
         findings = (found for found in self.findings if found.code not in said)
         return tuple(sentence(found, audience) for found in findings if found.severity == severity)
 
+    @property
+    def chi2_note(self) -> str:
+        """What `chi2_per_sample` compares with; it tells nothing if the curve passes through the samples."""
+        through = self.chi2_per_sample < _THROUGH
+        return "the curve passes through the samples" if through else "1 is expected"
+
     def _card(self) -> Card:
         lines = [f"{name}: {text}" for name, text in self.statements.items()]
         if math.isfinite(self.chi2_per_sample):
-            lines.append(f"chi2 per sample: {self.chi2_per_sample:.3g}, 1 is expected")
+            lines.append(f"chi2 per sample: {self.chi2_per_sample:.3g}, {self.chi2_note}")
         notes = [*(f"warning: {text}" for text in self.warnings), *self.notes]
         return Card(f"fit: {self.status}", lines, notes=notes)
 

@@ -164,7 +164,8 @@ def _forecast_facts(result: ForecastResult | None) -> list[dict[str, Any]]:
 
 
 def _fit_facts(model: LagrangianModel, notation: Notation) -> list[dict[str, Any]]:
-    facts = [{"name": "χ² per sample", "value": plain(model.fit.chi2_per_sample), "note": "expected 1"}]
+    fit = model.fit
+    facts = [{"name": "χ² per sample", "value": plain(fit.chi2_per_sample), "note": fit.chi2_note}]
     free = [
         t
         for t in (*model.terms, *model.dissipation)
