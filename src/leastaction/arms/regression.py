@@ -17,6 +17,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.stats import chi2
 
 from leastaction.arms.base import find_base
@@ -38,6 +39,7 @@ _BLOCKS = 6  # of time, each left out once
 _ROUNDS = 4  # of the weights
 _WIDTH = 0.01  # ε over the rms velocity
 _STRIBECK = 0.1  # v_s over the rms velocity
+_REGULAR = 1e-5  # of pivots: the square root of the share of a column that the others do not explain
 _WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
@@ -103,10 +105,22 @@ def reweighted(local: np.ndarray, squares: np.ndarray, least: np.ndarray | float
     values = np.zeros(local.shape[1] - 1)
     for _ in range(_ROUNDS):
         summed = np.tensordot(1.0 / squares, local, 1)
-        values = symmetric_inverse(summed[:-1, :-1]) @ summed[:-1, -1]
+        values = _least_squares(summed[:-1, :-1], summed[:-1, -1])
         residual = np.append(values, -1.0)
         squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), least)
     return Solution(values, squares)
+
+
+def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution of normal equations: by Cholesky factorisation where it is safe, else by eigenvalues.
+
+    A choice of friction takes hundreds of solutions, and eigenvalues take ten times as long.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    factor, failed = dpotrf(matrix / np.outer(scale, scale))
+    if failed or np.diag(factor).min() < _REGULAR:
+        return symmetric_inverse(matrix) @ right
+    return dpotrs(factor, right / scale)[0] / scale
 
 
 @dataclass(frozen=True, eq=False)
