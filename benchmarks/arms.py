@@ -104,12 +104,12 @@ def waves(
     return q, qdot, qddot
 
 
-def chain(number: int) -> Log:
+def chain(number: int, duration: float = 16.0, interval: float = 0.002) -> Log:
     """A log of a chain of links."""
     rng = np.random.default_rng([22, number])
     links, acting = ellipsoids(rng), joints(rng)
     true = arms.ArmModel.of_tree(CHAIN.with_inertias(links), acting, distance=2e-3)
-    t = np.arange(0.0, 16.0, 0.002)
+    t = np.arange(0.0, duration, interval)
     q, qdot, qddot = waves(t, rng, 7, 0.12)
     torques = true.torques(q, qdot, qddot, successive=True)
     torques += 0.02 * torques.std(axis=0) * rng.normal(size=torques.shape)

@@ -10,6 +10,7 @@ through the same samples in the same process.
     python benchmarks/run.py workers                        # 10⁵ and 10⁶ samples, one and two workers
     python benchmarks/run.py workers --samples 1e7 --workers 1
     python benchmarks/run.py workers --pass                 # one Gauss–Newton pass alone
+    python -m benchmarks.run workers --arm 20 --arm 120     # logs of a seven-joint arm at 1 kHz, in s
 
 ``workers`` compares one worker with more on long recordings: the driven double pendulum at 100 Hz, 20 s a
 trial, with 10 % noise and the compact library, written to a file by a process of its own.  Wall time tells of
@@ -152,10 +153,16 @@ _PASSED = 200  # trials of one pass
 @click.option("--samples", multiple=True, type=float, help="Rows; may be given several times.")
 @click.option("--workers", multiple=True, type=int, help="May be given several times.")
 @click.option("--pass", "one_pass", is_flag=True, help="One Gauss–Newton pass alone.")
+@click.option("--arm", "logs", multiple=True, type=float, help="Seconds of a log of an arm, instead.")
 @click.option("--case", help="Run one case, given as JSON, in this process (used by the program itself).")
 @click.option("--output", type=click.Path(path_type=Path), default=Path("benchmarks/results/long.jsonl"))
 def compare_workers(
-    samples: tuple[float, ...], workers: tuple[int, ...], one_pass: bool, case: str | None, output: Path
+    samples: tuple[float, ...],
+    workers: tuple[int, ...],
+    one_pass: bool,
+    logs: tuple[float, ...],
+    case: str | None,
+    output: Path,
 ) -> None:
     """Print a table; write one line of JSON a case."""
     if case is not None:
@@ -163,6 +170,10 @@ def compare_workers(
         return
     if one_pass:
         compare_passes()
+        return
+    for seconds in logs:
+        compare_on_an_arm(seconds)
+    if logs:
         return
     output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
@@ -179,6 +190,23 @@ def compare_workers(
                     f"processor {record['cpu_s']:>7.1f} s ({record['main_s']:.1f} s in the main thread)  "
                     f"peak {record['peak_mb']:>5} MB  {record['status']}"
                 )
+
+
+def compare_on_an_arm(seconds: float, repeats: int = 3) -> None:
+    """Identify an arm with one and with two workers, in turn."""
+    from benchmarks.arms import chain
+    from leastaction import arms
+    from leastaction.threads import single_threaded
+
+    made, walls = chain(1, seconds, 0.001), {1: [], 2: []}
+    with single_threaded():
+        for _ in range(repeats):
+            for number, times in walls.items():
+                begun = time.perf_counter()
+                arms.identify(made.log, made.true.tree, workers=number)
+                times.append(time.perf_counter() - begun)
+    one, two = (float(np.median(times)) for times in walls.values())
+    click.echo(f"log of {seconds:g} s: one worker {one:.1f} s, two {two:.1f} s, ratio {one / two:.2f}")
 
 
 def in_another_process(config: dict) -> dict:

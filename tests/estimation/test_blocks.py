@@ -25,7 +25,7 @@ from helpers import (
 )
 from leastaction import systems
 from leastaction.curve.bspline import SplineGrid
-from leastaction.estimation import candidates, elimination, joint, recipes, volume
+from leastaction.estimation import candidates, elimination, joint, recipes, stretches, volume
 from leastaction.estimation import joint as problem_module
 from leastaction.estimation.blocks import BlockedObservations, observe
 from leastaction.estimation.candidates import score
@@ -92,6 +92,34 @@ def test_stretches_of_a_motion_give_the_sums_of_the_whole(n_stretches, monkeypat
             close(mine, other)
     more = euler_lagrange(MORE, ["x", "y"])
     close(score_candidates(there, WEIGHTS, more).matrix, score_candidates(here, WEIGHTS, more).matrix)
+
+
+def test_every_worker_has_as_many_stretches_of_a_long_motion(monkeypatch):
+    grid, data, _, _ = problem()
+    monkeypatch.setattr(stretches, "_MOST", grid.n_intervals // 3 + 1)
+    crew = Alone()
+    crew.size = 2
+    assert len(SharedObservations(Observations(grid, *data), crew).stretches) == 4
+
+
+def test_this_process_computes_its_own_tasks_before_it_waits_for_the_others(tmp_path):
+    made = tmp_path / "made"
+
+    def make() -> bool:
+        made.touch()
+        return True
+
+    def see() -> bool:
+        end = time.monotonic() + 10.0
+        while not made.exists() and time.monotonic() < end:
+            time.sleep(0.01)
+        return made.exists()
+
+    with employ(2, joins=True) as crew:
+        crew.task(int)  # the turn of this process
+        tasks = [crew.task(see), crew.task(make)]
+        assert [task.future is None for task in tasks] == [False, True]
+        assert crew.results(tasks) == [True, True]
 
 
 def test_blocks_score_candidates_as_the_whole(crew):

@@ -12,7 +12,7 @@ The tree determines the form of the equations. Only the friction is selected.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -209,9 +209,9 @@ def _calibrated(
 def _lay(data: Trajectories, knots_per_second: float | None, crew: Crew) -> _Laid:
     times, values = [t.t for t in data], [t.q for t in data]
     if knots_per_second is None:
-        smoothed = _resolved(data)
+        smoothed = _resolved(data, crew)
     else:
-        smoothed = smooth(uniform_grid(times, knots_per_second, _DEGREE), times, values)
+        smoothed = _smoothed(data, knots_per_second, crew)
     grid = smoothed.grid
     forces = forces_on(grid, times, [t.forces for t in data])
     assert forces is not None
@@ -219,24 +219,31 @@ def _lay(data: Trajectories, knots_per_second: float | None, crew: Crew) -> _Lai
     return _Laid(grid, smoothed, observations, forces)
 
 
-def _resolved(data: Trajectories) -> Smooth:
+def _resolved(data: Trajectories, crew: Crew) -> Smooth:
     """The smoothed log on knots that resolve reversals.
 
     Dry friction jumps at a reversal, and the acceleration changes within milliseconds. If knots are too
     coarse, the misfit counts as noise. The knots are doubled until the noise stops falling.
     """
-    times, values = [t.t for t in data], [t.q for t in data]
     most = min(_MOST_KNOTS, 0.25 / data.sampling_interval)
     knots = min(lay_knots(data, _DEGREE).per_second, most)
-    smoothed = smooth(uniform_grid(times, knots, _DEGREE), times, values)
+    smoothed = _smoothed(data, knots, crew)
     while knots < most:
         knots = min(2.0 * knots, most)
-        finer = smooth(uniform_grid(times, knots, _DEGREE), times, values)
+        finer = _smoothed(data, knots, crew)
         quieter = smoothed.noise_std / np.maximum(finer.noise_std, 1e-300)
         if quieter.max() < _QUIETER:
             break
         smoothed = finer
     return smoothed
+
+
+def _smoothed(data: Trajectories, knots: float, crew: Crew) -> Smooth:
+    """The smoothed log on some knots a second; workers share the joints."""
+    times = [t.t for t in data]
+    grid, shares = uniform_grid(times, knots, _DEGREE), np.array_split(np.arange(data.n_dof), crew.size)
+    tasks = [crew.task(smooth, grid, times, [t.q[:, own] for t in data]) for own in shares if own.size]
+    return Smooth.beside(crew.results(tasks))
 
 
 def _fitted(
@@ -270,7 +277,7 @@ def _doubts(
 
     A strong contact may spoil the joint fit; least squares along the log then leaves much smaller errors.
     """
-    errors = np.concatenate([mean for _, mean in _scores(laid, columns, fit)])
+    _, errors = laid.observations.scores(fit)
     others = (predicted(choice) - laid.forces.values).mean(axis=1)
     if np.any(errors.std(axis=0) > _SPOILED * others.std(axis=0)):
         errors = others
@@ -301,7 +308,7 @@ def _weighted(laid: _Laid, columns: ArmColumns, fit: JointFit) -> JointFit:
     Low frequencies determine the parameters. If the error of an equation is larger there than on average over
     the frequencies that the knots resolve, its weight falls by that ratio.
     """
-    _, residuals = (np.concatenate(part) for part in zip(*_scores(laid, columns, fit), strict=True))
+    _, residuals = laid.observations.scores(fit)
     ratios = np.maximum([_slow_share(r) for r in residuals.T], 1.0)
     weights = replace(fit.weights, physics=fit.weights.physics / ratios)
     physics = Physics(columns, np.ones(len(columns), bool), laid.forces.values)
@@ -364,7 +371,7 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
 
 def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:
     """The covariance, corrected for the correlation of the residuals in time."""
-    scores, residuals = (np.concatenate(p) for p in zip(*_scores(laid, columns, fit), strict=True))
+    scores, residuals = laid.observations.scores(fit)
     length = _correlated(residuals)
     sums = np.cumsum(
         np.vstack([np.zeros((length, scores.shape[1])), scores, np.zeros((length, scores.shape[1]))]), 0
@@ -374,20 +381,6 @@ def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:
     sandwich = fit.covariance @ variance @ fit.covariance
     ratio = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(fit.covariance), 1.0))
     return ratio[:, None] * fit.covariance * ratio
-
-
-def _scores(laid: _Laid, columns: ArmColumns, fit: JointFit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """The contribution of each knot interval to the gradient in the coefficients, and its mean residual."""
-    for chunk in laid.grid.chunks(_CHUNK):
-        points = points_at(laid.grid, fit.control_points, chunk)
-        strong = columns.strong(points)
-        residual = np.tensordot(fit.coefficients, strong, 1)
-        residual -= laid.forces.values[chunk].transpose(2, 1, 0).reshape(len(residual), -1)
-        shares = laid.grid.weights[chunk].T.ravel()
-        scaled = fit.weights.physics[:, None] * residual * shares
-        each = np.einsum("kip,ip->kp", strong, scaled).reshape(len(columns), laid.grid.n_quadrature, -1)
-        mean = residual.reshape(len(residual), laid.grid.n_quadrature, -1).mean(axis=1)
-        yield each.sum(axis=1).T, mean.T
 
 
 def _correlated(residuals: np.ndarray) -> int:

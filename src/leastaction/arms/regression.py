@@ -11,13 +11,12 @@ one stretch and worsens another is rejected.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.stats import chi2
 
 from leastaction.arms.base import find_base
@@ -26,8 +25,8 @@ from leastaction.data.trajectories import Trajectories
 from leastaction.estimation.crew import Crew, Task
 from leastaction.estimation.files import opened
 from leastaction.estimation.forces import forces_on
-from leastaction.estimation.gauss_newton import symmetric_inverse
-from leastaction.estimation.intervals import by_point, column_products, points_at
+from leastaction.estimation.gauss_newton import normal_solution
+from leastaction.estimation.intervals import column_products, column_sums
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import ArmColumns, dry_history
 from leastaction.mechanics.arm_terms import ArmTerm, JointScales, joint_terms, parameter_terms
@@ -39,7 +38,6 @@ _BLOCKS = 6  # of time, each left out once
 _ROUNDS = 4  # of the weights
 _WIDTH = 0.01  # ε over the rms velocity
 _STRIBECK = 0.1  # v_s over the rms velocity
-_REGULAR = 1e-5  # of pivots: the square root of the share of a column that the others do not explain
 _WORTH = 4.0  # gain in twice the log likelihood that a distance must bring
 _REFINED = 4  # steps towards the best distances and widths
 _LARGEST = 0.7  # change of the logarithm of one of them in one step
@@ -105,22 +103,10 @@ def reweighted(local: np.ndarray, squares: np.ndarray, least: np.ndarray | float
     values = np.zeros(local.shape[1] - 1)
     for _ in range(_ROUNDS):
         summed = np.tensordot(1.0 / squares, local, 1)
-        values = _least_squares(summed[:-1, :-1], summed[:-1, -1])
+        values = normal_solution(summed[:-1, :-1], summed[:-1, -1])
         residual = np.append(values, -1.0)
         squares = np.maximum(np.einsum("a,iab,b->i", residual, local, residual), least)
     return Solution(values, squares)
-
-
-def _least_squares(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solution of normal equations: by Cholesky factorisation where it is safe, else by eigenvalues.
-
-    A choice of friction takes hundreds of solutions, and eigenvalues take ten times as long.
-    """
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    factor, failed = dpotrf(matrix / np.outer(scale, scale))
-    if failed or np.diag(factor).min() < _REGULAR:
-        return symmetric_inverse(matrix) @ right
-    return dpotrs(factor, right / scale)[0] / scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +205,7 @@ class Regression:
         )
         if "dry" in kinds[1]:
             at = [scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES)]
-            made = replace(made, histories=made._turning(at)[:, 0])
+            made = replace(made, histories=made._turning(at, [0]))
         return made._begun()
 
     def _begun(self) -> Regression:
@@ -248,14 +234,23 @@ class Regression:
 
     def summed(self) -> np.ndarray:
         """(n_blocks, n_dof, n, n) products of columns, histories and forces of each joint."""
+        acting = np.concatenate([self.histories, self.forces[None]])
+        return np.array(self._of_blocks(column_products, lambda at: (acting[:, at], self.moved[at])))
+
+    def torques(self, coefficients: np.ndarray) -> np.ndarray:
+        """(n_intervals, n_quadrature, n_dof) sum of the columns."""
+        return np.concatenate(self._of_blocks(column_sums, lambda _: (coefficients,)))
+
+    def _of_blocks(
+        self, function: Callable[..., np.ndarray], more: Callable[[slice], tuple[np.ndarray, ...]]
+    ) -> list[np.ndarray]:
+        """A function of each block of time: its grid, control points, the columns, and what else it takes."""
         grid, edges = self.grid, np.linspace(0, self.grid.n_intervals, _BLOCKS + 1).astype(int)
         tasks: list[Task] = []
         for block in (slice(a, b) for a, b in pairwise(np.unique(edges).tolist())):
-            points = self.control_points[grid.points_within(block)]
-            acting = np.concatenate([self.histories[:, block], self.forces[None, block]])
-            given = grid.part(block), points, self.columns, acting, self.moved[block]
-            tasks.append(self.crew.task(column_products, *given))
-        return np.array(self.crew.results(tasks))
+            given = grid.part(block), self.control_points[grid.points_within(block)], self.columns
+            tasks.append(self.crew.task(function, *given, *more(block)))
+        return self.crew.results(tasks)
 
     def own(self, members: Sequence[int], dry: Acting, joint: int) -> tuple[list[int], list[int]]:
         """Indices of one joint among the unknowns and the torque, and its indices in the sums."""
@@ -290,16 +285,10 @@ class Regression:
 
     def _independent(self, coefficients: np.ndarray, dry: np.ndarray) -> np.ndarray:
         """(n_dof,) n (1 − ρ)/(1 + ρ) of each joint."""
-        means: list[np.ndarray] = []
-        for chunk in self.grid.chunks(_CHUNK):
-            points = points_at(self.grid, self.control_points, chunk)
-            residual = np.tensordot(coefficients, self.columns.strong(points), 1)
-            residual -= by_point(self.forces[None, chunk])[0]
-            if dry.size:
-                residual += dry[:, None] * by_point(self.histories[:1, chunk])[0]
-            means.append(residual.reshape(len(residual), self.grid.n_quadrature, -1).mean(axis=1))
-        r = np.concatenate(means, axis=1) * self.moved.T
-        rho = np.sum(r[:, 1:] * r[:, :-1], axis=1) / np.maximum(np.sum(r * r, axis=1), 1e-300)
+        residual = self.torques(coefficients) - self.forces
+        residual += dry * self.histories[0] if dry.size else 0.0
+        r = residual.mean(axis=1) * self.moved
+        rho = np.sum(r[1:] * r[:-1], axis=0) / np.maximum(np.sum(r * r, axis=0), 1e-300)
         rho = np.clip(rho, 0.0, 0.999)
         return self.moved.sum(axis=0) * (1.0 - rho) / (1.0 + rho)
 
@@ -340,15 +329,19 @@ class Regression:
         width = np.where(turning, scales.width, np.clip(scales.width * steps, low, high))
         return scales._replace(width=width, distance=scales.distance * steps)
 
-    def _turning(self, tried: Sequence[JointScales]) -> np.ndarray:
-        """(n_tried, 2, n_intervals, n_quadrature, n_dof) dry friction at scales, and its derivative."""
+    def _turning(self, tried: Sequence[JointScales], orders: Sequence[int]) -> np.ndarray:
+        """Dry friction (order 0) or its derivative (1) at some scales, for each of them and each order.
+
+        Each is an (n_intervals, n_quadrature, n_dof) array.
+        """
         motion = self.crew.held((self.grid, self.control_points, [t.t for t in self.data]))
-        terms = (joint_terms(self.columns.tree, ["dry"], scales) for scales in tried)
-        return np.array(self.crew.results([self.crew.task(_turning, motion, own) for own in terms]))
+        terms = [joint_terms(self.columns.tree, ["dry"], scales) for scales in tried]
+        tasks = [self.crew.task(_turning, motion, own, order) for own in terms for order in orders]
+        return np.array(self.crew.results(tasks))
 
     def _at(self, scales: JointScales) -> Regression:
         """The regression with the histories at these scales only."""
-        made = replace(self, histories=self._turning([scales])[0])
+        made = replace(self, histories=self._turning([scales], [0, 1]))
         return replace(made, grams=made.summed())
 
     def _gain(self, before: Solution, after: Solution) -> float:
@@ -388,13 +381,14 @@ class Regression:
         return Choice(scales, tuple(friction), values, history, reference, self, members, dry, best)
 
 
-def _turning(motion: Any, terms: Sequence[ArmTerm]) -> np.ndarray:
-    """(2, n_intervals, n_quadrature, n_dof) dry friction along a motion, and its derivative."""
+def _turning(motion: Any, terms: Sequence[ArmTerm], order: int) -> np.ndarray:
+    """(n_intervals, n_quadrature, n_dof) dry friction along a motion, or its derivative."""
     grid, points, times = opened(motion)
     states = [grid.evaluate(points, times, nu) for nu in (0, 1)]
-    ways = [dry_history(terms, q, qdot)[:, :, 0] for q, qdot in zip(*states, strict=True)]
-    found = [forces_on(grid, times, [way[nu] for way in ways]) for nu in (0, 1)]
-    return np.array([part.values for part in found if part is not None])
+    ways = [dry_history(terms, q, qdot)[order, :, 0] for q, qdot in zip(*states, strict=True)]
+    found = forces_on(grid, times, ways)
+    assert found is not None
+    return found.values
 
 
 def _moved(grid: SplineGrid, control_points: np.ndarray, data: Trajectories, least: np.ndarray) -> np.ndarray:

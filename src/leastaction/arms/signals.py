@@ -30,7 +30,6 @@ from leastaction.data.trajectories import Trajectories, Trajectory
 from leastaction.errors import InputError
 from leastaction.estimation.forces import forces_on
 from leastaction.estimation.gauss_newton import symmetric_inverse
-from leastaction.estimation.intervals import points_at
 from leastaction.identifiers import quoted
 from leastaction.library.tree import KinematicTree
 from leastaction.mechanics.arm_columns import remembered
@@ -38,7 +37,6 @@ from leastaction.mechanics.arm_terms import ArmTerm
 
 __all__ = ["Recording", "Signals", "bounded_starts", "idle_notes", "predicted", "starts"]
 
-_CHUNK = 512  # knot intervals handled at once
 _FAR = 0.1  # of a sampling interval, or of a gain: after a larger step the columns are computed again
 _LARGEST = 0.5  # largest relative change of a gain in one step
 _CHANCE = 0.01  # probability that a delay is reported for an arm without any
@@ -301,11 +299,7 @@ def predicted(choice: Choice) -> np.ndarray:
     regression, values = choice.regression, choice.solution.values
     whole = np.zeros(len(regression.columns))
     whole[choice.members] = values[: len(choice.members)]
-    out = np.zeros_like(regression.forces)
-    for chunk in regression.grid.chunks(_CHUNK):
-        points = points_at(regression.grid, regression.control_points, chunk)
-        rigid = np.tensordot(whole, regression.columns.strong(points), 1)
-        out[chunk] = rigid.reshape(len(rigid), regression.grid.n_quadrature, -1).transpose(2, 1, 0)
+    out = regression.torques(whole)
     for (i, d), value in zip(choice.dry, values[len(choice.members) :], strict=True):
         out[:, :, i] += value * regression.histories[d, :, :, i]
     return out

@@ -95,6 +95,17 @@ class Smooth:
         points = np.concatenate([part.control_points for part in parts])
         return cls(grid, points, noise, parts[0].penalty, rates, times, seen)
 
+    @classmethod
+    def beside(cls, parts: Sequence[Smooth]) -> Smooth:
+        """The result for all coordinates from those for some of them each, on one grid."""
+        points = np.concatenate([part.control_points for part in parts], axis=1)
+        noise, penalty, rates = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("noise_std", "penalty", "rate_std")
+        )
+        seen = tuple(channel for part in parts for channel in part._seen)
+        return cls(parts[0].grid, points, noise, penalty, rates, parts[0]._times, seen)
+
     def _freedom(self, coordinate: int) -> int:
         """Number of samples of a coordinate, less the dimension of the null space of the penalty."""
         return max(self._seen[coordinate][0].count - _PENALTY_DERIVATIVE * len(self.grid.spaces), 1)

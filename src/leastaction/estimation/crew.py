@@ -158,6 +158,9 @@ class ProcessCrew:
         return task
 
     def results(self, tasks: Sequence[Task]) -> list[Any]:
+        for task in tasks:  # the own ones first: the children compute theirs meanwhile
+            if task.future is None:
+                task.here()
         return [self._result(task) for task in tasks]
 
     def held(self, value: Any) -> Any:

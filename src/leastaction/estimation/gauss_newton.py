@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from leastaction.estimation import joint
 from leastaction.estimation.candidates import score
@@ -38,11 +39,13 @@ __all__ = [
     "Quadratic",
     "fit_joint",
     "nearer",
+    "normal_solution",
     "score_candidates",
     "shared",
     "symmetric_inverse",
 ]
 
+_REGULAR = 1e-5  # of Cholesky pivots: root of the share of a column that the others do not explain
 _LARGEST_DAMPING = 1e8  # relative to the diagonal: steps vanish
 _LEAST_DAMPING = 1e-10  # relative to the diagonal: holds undetermined unknowns
 _SAMPLES = 1e5  # above this, the tolerance grows in proportion: 0.01 for 10⁷ samples took over 15 steps
@@ -93,6 +96,18 @@ class JointFit:
     def usable(self) -> bool:
         """Whether the result is finite, converged or not."""
         return self.status != "not finite"
+
+
+def normal_solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution of normal equations: by Cholesky factors, or by `symmetric_inverse` where columns depend.
+
+    Eigenvalues take ten times as long.
+    """
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    factor, failed = dpotrf(matrix / np.outer(scale, scale))
+    if failed or np.diag(factor).min(initial=1.0) < _REGULAR:
+        return symmetric_inverse(matrix) @ right
+    return dpotrs(factor, right / scale)[0] / scale
 
 
 def symmetric_inverse(matrix: np.ndarray) -> np.ndarray:

@@ -12,7 +12,15 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.mechanics import Columns
 from leastaction.mechanics.euler_lagrange import Points
 
-__all__ = ["by_interval", "by_point", "column_products", "first_points", "local_jacobian", "points_at"]
+__all__ = [
+    "by_interval",
+    "by_point",
+    "column_products",
+    "column_sums",
+    "first_points",
+    "local_jacobian",
+    "points_at",
+]
 
 _TRANSPOSED, _STRIPE = 128, 256  # knot intervals of a piece
 _CHUNK = 512  # knot intervals whose columns are in memory at once
@@ -62,6 +70,17 @@ def local_jacobian(
 def by_point(values: np.ndarray) -> np.ndarray:
     """(n, n_intervals, n_quadrature, n_dof) → (n, n_dof, n_points), in the sequence of `Points`."""
     return values.transpose(0, 3, 2, 1).reshape(len(values), values.shape[3], -1)
+
+
+def column_sums(
+    grid: SplineGrid, control_points: np.ndarray, columns: Columns, coefficients: np.ndarray
+) -> np.ndarray:
+    """(n_intervals, n_quadrature, n_dof) columns times their coefficients, summed."""
+    parts: list[np.ndarray] = []
+    for chunk in grid.chunks(_CHUNK):
+        sums = np.tensordot(coefficients, columns.strong(points_at(grid, control_points, chunk)), 1)
+        parts.append(sums.reshape(len(sums), grid.n_quadrature, -1).transpose(2, 1, 0))
+    return np.concatenate(parts)
 
 
 def column_products(

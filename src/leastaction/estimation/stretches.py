@@ -18,13 +18,14 @@ from leastaction.curve.bspline import SplineGrid
 from leastaction.estimation.crew import Crew
 from leastaction.estimation.elimination import NormalEquations
 from leastaction.estimation.files import opened
+from leastaction.estimation.intervals import by_point, points_at
 from leastaction.estimation.joint import Linearisation, Physics, Weights, linearise
 from leastaction.estimation.observations import Observations
 from leastaction.estimation.volume import Volume, add_volumes
 
 __all__ = ["SharedObservations"]
 
-_MOST = 4096  # knot intervals in a stretch
+_MOST, _CHUNK = 4096, 1024  # knot intervals in a stretch, and whose columns are in memory at once
 
 
 class SharedObservations:
@@ -34,7 +35,7 @@ class SharedObservations:
     ----------
     whole : Observations
     crew : Crew
-        There is a stretch for each worker, or more for long motions, to bound memory.
+        Each worker has a stretch, or several of a long motion, to bound memory.
     """
 
     calibration: np.ndarray | None = None
@@ -50,7 +51,8 @@ class SharedObservations:
         self.noise_floor: np.ndarray = whole.noise_floor
         self.crew: Crew = crew
         self._physics = _Held(None, [])
-        edges = np.linspace(0, grid.n_intervals, max(self.crew.size, -(-grid.n_intervals // _MOST)) + 1)
+        rounds = -(-grid.n_intervals // (_MOST * self.crew.size))
+        edges = np.linspace(0, grid.n_intervals, rounds * self.crew.size + 1)
         self.stretches: list[slice] = [
             slice(a, b) for a, b in pairwise(np.unique(edges.astype(int)).tolist())
         ]
@@ -90,6 +92,21 @@ class SharedObservations:
             shared=self,
             ahead=(weights, [part.normal for part in found]),
         )
+
+    def scores(self, fit: Any) -> tuple[np.ndarray, np.ndarray]:
+        """What each knot interval adds to the gradient in the coefficients, and its mean equation error.
+
+        Parameters
+        ----------
+        fit : JointFit
+
+        Returns
+        -------
+        (n_intervals, n_columns) array, (n_intervals, n_dof) array
+        """
+        given = [(fit.control_points[p], fit.coefficients, fit.weights.physics) for p in self.points]
+        scores, means = zip(*self.each(_scores, fit.linearisation.physics, given), strict=True)
+        return np.concatenate(scores), np.concatenate(means)
 
     def residuals(self, control_points: np.ndarray) -> list[np.ndarray]:
         """y − N P for each channel, valid samples only."""
@@ -153,6 +170,21 @@ def _evaluate(
     weights = weights and replace(weights, noise_std=weights.position_std)  # it has no other channels
     normal = None if weights is None else found.normal(weights)
     return _Evaluated(found.equation, found.terms, found.at_mass, normal)
+
+
+def _scores(
+    seen: Any, equations: Any, control_points: np.ndarray, at: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    grid, physics = opened(seen).grid, opened(equations)
+    scores, means = list[np.ndarray](), list[np.ndarray]()
+    for chunk in grid.chunks(_CHUNK):
+        strong = physics.columns.strong(points_at(grid, control_points, chunk))
+        residual = np.tensordot(at, strong, 1) - by_point(physics.forces[None, chunk])[0]
+        scaled = weights[:, None] * residual * grid.weights[chunk].T.ravel()
+        each = np.einsum("kip,ip->kp", strong, scaled).reshape(len(strong), grid.n_quadrature, -1)
+        scores.append(each.sum(axis=1).T)
+        means.append(residual.reshape(len(residual), grid.n_quadrature, -1).mean(axis=1).T)
+    return np.concatenate(scores), np.concatenate(means)
 
 
 def _traces(seen: Any, physics: Any, points: np.ndarray, at: np.ndarray, *given: Any) -> np.ndarray:
