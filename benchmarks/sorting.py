@@ -266,7 +266,8 @@ def _lines(part: list[tuple[Case, dict]]) -> Iterable[str]:
     yield f"  sound set-ups: {len(sound)}, friction missed {missed}/{there}, spurious {spurious}/{absent}"
     for name, some in (("ok", ok), ("usable", usable), ("doubtful", doubtful)):
         if some:
-            median = 100.0 * np.median([r["off"] for r in some])
+            # JSON has no infinity: accelerations of a mass that vanishes
+            median = 100.0 * np.median([np.inf if r["off"] is None else r["off"] for r in some])
             yield f"  {name}: accelerations off by {median:.1f} % (median of {len(some)})"
 
 

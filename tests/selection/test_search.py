@@ -15,6 +15,7 @@ import scipy.linalg
 from scipy.interpolate import CubicSpline
 
 import leastaction as la
+from benchmarks import sorting
 from helpers import SET_UPS, _machine, _pendulum, findings_of, fresh, record, searched
 from leastaction import systems
 from leastaction.cli.values import force_offsets
@@ -395,6 +396,15 @@ def test_candidates_of_two_kinds_are_found_together(size):
 
 
 # ------------------------------------- irrelevant_terms: which terms stay at a price
+def test_friction_alone_is_no_law():
+    """A mass that vanishes at a quarter turn was dropped for its price; the discovery ended with an error."""
+    _, asked = sorting.posed(sorting.Case("pendulum", 12029))
+    fitted = asked.data.select(list(asked.data.names)[: sorting.FITTED])
+    model = la.discover(fitted, asked.library, dissipation=asked.offered)
+    assert [term.expression for term in model.terms] == ["q1_dot**2*cos(q1)"]
+    assert model.fit.status == "doubtful"
+
+
 def test_the_terms_that_stay_are_nearly_always_the_best_of_all_subsets():
     """One by one, terms that imitate others together outlast them in nearly half of these designs."""
     rng, worse, by_steps = np.random.default_rng(5), 0, 0

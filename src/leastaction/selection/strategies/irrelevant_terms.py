@@ -56,15 +56,16 @@ def best_part(model: QuadraticModel, price: float) -> tuple[int, ...]:
 def run(search: Search) -> Search:
     """The best structure among the terms of the fit on the quadratic model, its fit, and so on.
 
-    Dropped one by one, terms that imitate a law together may outlast its own.
+    Friction alone is no law.  Dropped one by one, terms that imitate a law together may outlast its own.
     """
-    fit = search.found
+    fit, problem = search.found, search.found.problem
+    of_l = {k for k, term in enumerate(problem.terms) if term.kind == "lagrangian"}
     while fit.converged and len(fit.structure) > 1:
         near = Neighbourhood.of(fit)
         here = near.here
         kept = best_part(near.model.among(here), price_of_terms(fit, search.relevance))
         members = tuple(here[n] for n in kept)
-        if members == here:
+        if members == here or not of_l & {*members, *np.flatnonzero(problem.is_known)}:
             break
         fit = fit.grid.fit(near.structure(members), near.start(members))
         tell(fit, search.report)
