@@ -52,7 +52,7 @@ from studies.solve import pose, score
 _PACKAGES = {"curve": CURVE, "estimation": ESTIMATION, "selection": SELECTION, "diagnosis": DIAGNOSIS}
 _RATIOS = (
     *("mostly_regular", "solvable", "clearly", "finer", "grown", "noise_ratio", "finest", "shape_scales"),
-    "samples_per_knot",
+    *("samples_per_knot", "part_explains"),
 )
 _SHAPE = {"trial": 500, "trajectories": 3, "duration": 8.0, "rate": 50.0}
 _FURTHER = ("rotary_pendulum", "double_well", "henon_heiles", "kepler_orbit", "morse_molecule")
@@ -310,7 +310,7 @@ _OF_DATA = {
     **dict.fromkeys(("not_followed", "mirrored", "shape_far", "shape_far_log"), _shapes_judged),
     **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
     **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
-    "part_fastest": _parts_judged,
+    **dict.fromkeys(("part_explains", "part_likely", "part_agrees", "part_fastest"), _parts_judged),
 }
 
 

@@ -8,7 +8,7 @@ that carries it obeys
 
 g is a coordinate or, for an angle, its sine or cosine.  The equation error along the curve is regressed on
 such forces, with m ≥ 0, beside all common terms, late forces, and free oscillations of each trial.  A part is
-reported if it explains most of what those leave.  One that swings through large angles is often missed.
+reported if it explains most of what those leave, or half and the quarters of the recordings agree on it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from heapq import nlargest
 from itertools import product
 
 import numpy as np
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, orth
 from scipy.ndimage import gaussian_filter1d
 from scipy.optimize import minimize, nnls
 
 from leastaction.diagnosis.friction import rates_of_forces, usual_friction
 from leastaction.diagnosis.missing_terms import common_terms
 from leastaction.diagnosis.settings import DIAGNOSIS
+from leastaction.diagnosis.smooth_changes import doubts_about_the_form
 from leastaction.estimation.fit import Fit
 from leastaction.estimation.problem import Problem
 from leastaction.findings import Finding, find
@@ -38,39 +39,39 @@ __all__ = ["unmeasured_part"]
 _FREQUENCIES, _DAMPING = 40, (0.003, 0.01, 0.03, 0.1, 0.3)  # of the resonators that are tried
 _FEWEST_TURNS, _RATE = 1.5, 8.0  # turns in the longest trial; rows in a period of the highest frequency
 _STEPS, _ROWS, _TRIALS = 60, 3, 12  # of the simplex; for each column, at least; the longest ones
-_MOST, _RINGS = np.array([np.inf, 0.0]), 0.5  # of log ω and log ζ; ζ of a resonance
-_DEPENDENT = 1e-7  # of the largest singular value: columns that hardly differ from others
+_MOST, _RINGS, _RANK = np.array([np.inf, 0.0]), 0.5, 1e-7  # of log ω, log ζ; ζ of a resonance; singular value
 
 
 def unmeasured_part(search: Search) -> list[Finding]:
     """Frequency and damping of a part that explains most of what no other term explains, if there is one."""
     fit, high = search.found, DIAGNOSIS.part_fastest / search.scales.period
-    names = fit.problem.coordinates
-    trials = list(_trials(fit, high))
+    names, trials = fit.problem.coordinates, list(_trials(fit, high))
     used = [i for i in range(len(names)) if i not in fit.problem.prescribed]
     others = [_basis(np.concatenate([t.others[:, i] for t in trials], axis=1).T) for i in used]
-    low = _FEWEST_TURNS / max(float(np.ptp(space.breakpoints)) for space in fit.grid.spline.spaces)
+    low = _FEWEST_TURNS / max(lengths := [float(np.ptp(s.breakpoints)) for s in fit.grid.spline.spaces])
     if low >= high or len(others[0]) < _ROWS * (others[0].shape[1] + 2 * len(trials)):
         return []
 
-    def squares(logs: np.ndarray) -> np.ndarray:
-        parts = [_left(trials, i, other, logs) for i, other in zip(used, others, strict=True)]
-        return fit.weights.physics[used, None] * parts
+    def errors(logs: np.ndarray) -> np.ndarray:  # (2, n_used, n_rows), what nothing else explains, and a part
+        found = [_errors(trials, i, other, logs) for i, other in zip(used, others, strict=True)]
+        return np.sqrt(fit.weights.physics[used, None]) * np.transpose(found, (1, 0, 2))
 
-    def share(logs: np.ndarray) -> float:
-        without, beside = squares(logs).sum(axis=0)
-        return float(beside / max(without, 1e-300))
+    def left(logs: np.ndarray) -> float:
+        whole, part = errors(logs)
+        return float(np.sum((whole - part) ** 2) / max(np.sum(whole**2), 1e-300))
 
     starts = np.log([*product(2.0 * np.pi * np.geomspace(low, high, _FREQUENCIES), _DAMPING)])
-    start = starts[int(np.argmin([share(logs) for logs in starts]))]
-    best = minimize(share, start, method="Nelder-Mead", options={"maxfev": _STEPS})
-    (omega, damping), gains = np.exp(np.minimum(best.x, _MOST)), squares(best.x)
+    best = minimize(left, min(starts, key=left), method="Nelder-Mead", options={"maxfev": _STEPS})
+    (omega, damping), found = np.exp(np.minimum(best.x, _MOST)), errors(best.x)
     frequency, explained = omega / (2.0 * np.pi), 1.0 - best.fun
-    if not (explained > DIAGNOSIS.part_explains and low < frequency < high and damping < _RINGS):
+    size = min(float(np.sum(w * p) / max(np.sum(p * p), 1e-300)) for w, p in np.array_split(found, 4, axis=2))
+    forms = {doubt.code for doubt in doubts_about_the_form(fit, DIAGNOSIS.part_of_error)}
+    enough = size > DIAGNOSIS.part_agrees and frequency * sum(lengths) > DIAGNOSIS.part_turns
+    least = DIAGNOSIS.part_likely if enough and "form-imitated" not in forms else DIAGNOSIS.part_explains
+    if not (explained > least and low < frequency < high and damping < _RINGS):
         return []
-    carrier = names[used[int(np.argmax(gains[:, 0] - gains[:, 1]))]]
-    # a part is declared by the position of its mass, with a spring to the coordinate that carries it
-    hidden = free_name("h", {*names, *fit.problem.ranges})
+    carrier = names[used[int(np.argmax(np.sum(found[1] * (2.0 * found[0] - found[1]), axis=1)))]]
+    hidden = free_name("h", {*names, *fit.problem.ranges})  # position of its mass, on a spring to the carrier
     terms, friction = [f"{hidden}_dot**2", f"({carrier}-{hidden})**2"], f"({carrier}_dot-{hidden}_dot)**2/2"
     # without known forces, another spring on the coordinate goes with another resonance
     seen = {} if fit.grid.forces is None else {"frequency": frequency, "damping_ratio": damping}
@@ -123,8 +124,8 @@ def _places(points: Points, problem: Problem) -> Iterator[tuple[int, np.ndarray,
             yield i, -np.sin(q) * a - np.cos(q) * v**2, -np.sin(q)
 
 
-def _left(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) -> tuple[float, float]:
-    """Squares of an equation error that everything else leaves, and that parts leave beside it."""
+def _errors(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """(2, n_rows) equation error that everything else leaves, and what parts explain of it."""
     from scipy.signal import bilinear, lfilter  # takes half a second to import
 
     omega, damping = np.exp(np.minimum(logs, _MOST))
@@ -140,11 +141,10 @@ def _left(trials: list[_Trial], i: int, others: np.ndarray, logs: np.ndarray) ->
     columns = columns - others @ (others.T @ columns)
     basis = _basis(columns[:, 1 + len(parts) :])
     columns = columns[:, : 1 + len(parts)] - basis @ (basis.T @ columns[:, : 1 + len(parts)])
-    return float(columns[:, 0] @ columns[:, 0]), float(nnls(columns[:, 1:], columns[:, 0])[1] ** 2)
+    return np.array([columns[:, 0], columns[:, 1:] @ nnls(columns[:, 1:], columns[:, 0])[0]])
 
 
 def _basis(columns: np.ndarray) -> np.ndarray:
     """Orthonormal columns with the same span."""
     sizes = np.linalg.norm(columns, axis=0)
-    vectors, values, _ = np.linalg.svd(columns / np.where(sizes > 0.0, sizes, 1.0), full_matrices=False)
-    return vectors[:, values > _DEPENDENT * values.max(initial=0.0)]
+    return orth(columns / np.where(sizes > 0.0, sizes, 1.0), rcond=_RANK)

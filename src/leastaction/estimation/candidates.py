@@ -56,11 +56,9 @@ class CandidateBorder:
         length = int(np.clip(_NUMBERS // (n * n_quad * size), _SHORTEST, _STRETCH))
         for chunk, jacobian, right in at.pieces(length):
             columns = np.empty((len(right), n, n_quad, size))
-            columns[..., 0] = right[..., 0]
-            strong = self.candidates.strong(points_at(grid, at.control_points, chunk))
-            by_interval(strong, columns[..., 1:])
+            columns[..., 0] = root[..., 0] * right[..., 0]
+            by_interval(self.candidates.strong(points_at(grid, at.control_points, chunk)), columns[..., 1:])
             columns[..., 1:] *= root * np.sqrt(grid.weights[chunk])[:, None, :, None]
-            columns[..., :1] *= root
             shape = (len(columns), n * n_quad, -1)
             yield chunk, (root * jacobian).reshape(shape), columns.reshape(shape)
 
@@ -75,10 +73,8 @@ class Scores:
         See :func:`schur_complement`.
     volume : Volume
         Its derivatives in the candidates' coefficients.
-    factor : CurveFactor
-        Of H.
-    curve_gradient : (n_ctrl · n_dof,) array
-        Half gradient in the control points.
+    factor, curve_gradient : CurveFactor, (n_ctrl · n_dof,) array
+        Of H; half the gradient in the control points.
     border : callable
         (n,) step → C · step.
     """
@@ -102,8 +98,8 @@ def score(at: Linearisation, weights: Weights, candidates: EulerLagrange) -> Sco
     curve_gradient = normal.border[:, 0].copy()
     factor = BandedFactor.of(normal.rows)
     border = CandidateBorder(at, weights, candidates)
-    grid, columns = at.observations.grid, at.physics.columns
-    volume = volume_term(grid, columns, at.control_points, at.coefficients, candidates)
+    curve = at.observations.grid, at.physics.columns, at.control_points
+    volume = volume_term(*curve, at.coefficients, candidates)
     schur = schur_complement(border, factor, curve_gradient)
     if normal.border.shape[1] > 1 + at.physics.n_free:
         schur -= _calibrated(border, factor, normal)
@@ -134,11 +130,9 @@ def schur_complement(border: CandidateBorder, factor: BandedFactor, curve_gradie
     """(1 + n, 1 + n): moments of [r, e] less those of [y_g, Y]."""
     grid, n = border.linearisation.observations.grid, border.linearisation.control_points.shape[1]
     size = 1 + len(border.candidates)
-    out = np.zeros((size, size))
-    carried, solved = np.zeros((0, n, size)), np.zeros((0, size))
+    out, carried, solved = np.zeros((size, size)), np.zeros((0, n, size)), np.zeros((0, size))
     for chunk, jacobian, columns in border.stretches():
-        flat = columns.reshape(-1, size)
-        out += flat.T @ flat
+        out += (flat := columns.reshape(-1, size)).T @ flat
         start, last = int(grid.first[chunk.start]), int(grid.first[chunk.stop - 1])
         rows = np.zeros((last + grid.degree + 1 - start, n, size))
         rows[: len(carried)] = carried
