@@ -27,7 +27,8 @@ import click
 import numpy as np
 
 import leastaction as la
-from benchmarks import ablations, intervals, unmeasured_parts
+from benchmarks import ablations, intervals
+from benchmarks.unmeasured_parts import WITH, WITHOUT, discovered
 from leastaction import systems
 from leastaction.assembly import assemble_model
 from leastaction.curve.knots import lay_knots
@@ -294,8 +295,7 @@ def _imitations_judged() -> str:
 
 def _parts_judged() -> str:
     """Machines with a part without a sensor, and without: how many are said to have one."""
-    kinds = unmeasured_parts.WITH, unmeasured_parts.WITHOUT
-    found = ([unmeasured_parts.judged(k, s)[2] for k in some for s in (300, 301)] for some in kinds)
+    found = ([discovered(k, s)[2] for k in some for s in (300, 301)] for some in (WITH, WITHOUT))
     with_it, without = ([one is not None for one in some] for some in found)
     return f"{sum(with_it)} of {len(with_it)} parts noticed, {sum(without)} of {len(without)} where none is"
 
@@ -310,7 +310,7 @@ _OF_DATA = {
     **dict.fromkeys(("not_followed", "mirrored", "shape_far", "shape_far_log"), _shapes_judged),
     **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
     **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
-    **dict.fromkeys(("part_explains", "part_likely", "part_agrees", "part_fastest"), _parts_judged),
+    **{f"part_{n}": _parts_judged for n in ("explains", "likely", "agrees", "turns", "fastest")},
 }
 
 

@@ -265,7 +265,7 @@ def _drive(rng: np.random.Generator, machine: Machine, t: np.ndarray) -> np.ndar
     return out * np.array(machine.drive)
 
 
-def judged(kind: str, seed: int) -> tuple[Machine, la.Model, Finding | None]:
+def discovered(kind: str, seed: int) -> tuple[Machine, la.Model, Finding | None]:
     """A machine, the law of its recordings, and what is said of a part without a sensor."""
     data, machine = draw(kind, seed)
     library, known, friction = asked(data)
@@ -283,7 +283,7 @@ def main(kinds: tuple[str, ...], first: int, count: int) -> None:
     for kind in kinds:
         noticed = in_doubt = 0
         for seed in range(first, first + count):
-            machine, model, found = judged(kind, seed)
+            machine, model, found = discovered(kind, seed)
             noticed += found is not None
             in_doubt += model.fit.status != "ok"
             codes = [f.code for f in model.fit.findings if f.severity == "warning"]

@@ -144,8 +144,9 @@ def identify(
         columns = ArmColumns(tree, members, choice.reference, signals.unmeasured, history)
         base, columns, fit = _fitted(laid, columns, base, choice)
         fit = _weighted(laid, columns, fit)
-    notes += _doubts(laid, columns, fit, choice, tuple(data.names))
-    values, covariance = bounded_starts(columns.terms, fit.coefficients, _corrected(laid, columns, fit))
+        scores, errors = laid.observations.scores(fit)
+    notes += _doubts(laid, columns, fit, errors, choice, tuple(data.names))
+    values, covariance = bounded_starts(columns.terms, fit.coefficients, _corrected(fit, scores, errors))
     fit = replace(fit, coefficients=values)
     signals = signals.found(columns.terms, values, covariance)
     notes += signals.notes(tree)
@@ -260,7 +261,7 @@ def _fitted(
         raise DataError(
             "the fit has no finite result; look for jumps and gaps in the log, and check its units"
         )
-    kept = _significant(columns, fit, _corrected(laid, columns, fit))
+    kept = _significant(columns, fit, _corrected(fit, *laid.observations.scores(fit)))
     if len(kept) == len(columns):
         return base, columns, fit
     columns = columns.of([columns.terms[k] for k in kept])
@@ -271,13 +272,17 @@ def _fitted(
 
 
 def _doubts(
-    laid: _Laid, columns: ArmColumns, fit: JointFit, choice: Choice, names: tuple[str, ...]
+    laid: _Laid,
+    columns: ArmColumns,
+    fit: JointFit,
+    errors: np.ndarray,
+    choice: Choice,
+    names: tuple[str, ...],
 ) -> list[str]:
-    """Notes on effects that the arm does not explain.
+    """Notes on effects that the arm does not explain, from the mean errors of its equations.
 
     A strong contact may spoil the joint fit; least squares along the log then leaves much smaller errors.
     """
-    _, errors = laid.observations.scores(fit)
     others = (predicted(choice) - laid.forces.values).mean(axis=1)
     if np.any(errors.std(axis=0) > _SPOILED * others.std(axis=0)):
         errors = others
@@ -369,9 +374,8 @@ def _significant(columns: ArmColumns, fit: JointFit, covariance: np.ndarray) -> 
             kept = [k for k in kept if kinds[k] not in own or columns.terms[k].place != place]
 
 
-def _corrected(laid: _Laid, columns: ArmColumns, fit: JointFit) -> np.ndarray:
+def _corrected(fit: JointFit, scores: np.ndarray, residuals: np.ndarray) -> np.ndarray:
     """The covariance, corrected for the correlation of the residuals in time."""
-    scores, residuals = laid.observations.scores(fit)
     length = _correlated(residuals)
     sums = np.cumsum(
         np.vstack([np.zeros((length, scores.shape[1])), scores, np.zeros((length, scores.shape[1]))]), 0
