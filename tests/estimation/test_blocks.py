@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 
 import numpy as np
@@ -116,10 +117,23 @@ def test_this_process_computes_its_own_tasks_before_it_waits_for_the_others(tmp_
         return made.exists()
 
     with employ(2, joins=True) as crew:
+        crew._begun.result(timeout=60.0)
         crew.task(int)  # the turn of this process
         tasks = [crew.task(see), crew.task(make)]
         assert [task.future is None for task in tasks] == [False, True]
         assert crew.results(tasks) == [True, True]
+
+
+def test_this_process_takes_all_tasks_until_a_child_has_begun():
+    with employ(2, joins=True) as crew:
+        begun, crew._begun = crew._begun, Future()
+        tasks = [crew.task(int), crew.task(int)]
+        assert [task.future is None for task in tasks] == [True, True]
+        crew._begun = begun
+        begun.result(timeout=60.0)
+        tasks += [crew.task(int), crew.task(int)]
+        assert [task.future is None for task in tasks[2:]] == [True, False]
+        assert crew.results(tasks) == [0, 0, 0, 0]
 
 
 def test_blocks_score_candidates_as_the_whole(crew):

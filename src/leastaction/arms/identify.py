@@ -227,8 +227,10 @@ def _resolved(data: Trajectories, crew: Crew) -> Smooth:
     coarse, the misfit counts as noise. The knots are doubled until the noise stops falling.
     """
     most = min(_MOST_KNOTS, 0.25 / data.sampling_interval)
-    knots = min(lay_knots(data, _DEGREE).per_second, most)
-    smoothed = _smoothed(data, knots, crew)
+    laid = lay_knots(data, _DEGREE, lambda knots: _smoothed(data, knots, crew))
+    knots, smoothed = laid.per_second, laid.smooth
+    if knots > most:
+        knots, smoothed = most, _smoothed(data, most, crew)
     while knots < most:
         knots = min(2.0 * knots, most)
         finer = _smoothed(data, knots, crew)

@@ -186,26 +186,12 @@ class Regression:
         fixed, always, extra = (tuple(range(a, b)) for a, b in pairwise(ends))
         moved = _moved(grid, control_points, data, _MOVED * spread)
         moved[:, list(unmeasured)] = 0.0
-        made = cls(
-            grid,
-            control_points,
-            forces,
-            ArmColumns(tree, terms, None, unmeasured),
-            fixed,
-            always,
-            extra,
-            scales,
-            spread,
-            data,
-            histories=np.zeros((0, *forces.shape)),
-            grams=np.zeros(0),
-            counts=np.zeros(0),
-            moved=moved,
-            crew=crew,
-        )
+        columns, histories = ArmColumns(tree, terms, None, unmeasured), np.zeros((0, *forces.shape))
+        own, nothing = (fixed, always, extra, scales, spread, data), np.zeros(0)
+        made = cls(grid, control_points, forces, columns, *own, histories, nothing, nothing, moved, crew)
         if "dry" in kinds[1]:
             at = [scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES)]
-            made = replace(made, histories=made._turning(at, [0]))
+            made = replace(made, histories=made._turning(at, slice(1)))
         return made._begun()
 
     def _begun(self) -> Regression:
@@ -329,19 +315,20 @@ class Regression:
         width = np.where(turning, scales.width, np.clip(scales.width * steps, low, high))
         return scales._replace(width=width, distance=scales.distance * steps)
 
-    def _turning(self, tried: Sequence[JointScales], orders: Sequence[int]) -> np.ndarray:
-        """Dry friction (order 0) or its derivative (1) at some scales, for each of them and each order.
+    def _turning(self, tried: Sequence[JointScales], orders: slice) -> np.ndarray:
+        """(n, n_intervals, n_quadrature, n_dof) dry friction (order 0) and its derivative (1) at some scales.
 
-        Each is an (n_intervals, n_quadrature, n_dof) array.
+        Workers share the joints.
         """
         motion = self.crew.held((self.grid, self.control_points, [t.t for t in self.data]))
         terms = [joint_terms(self.columns.tree, ["dry"], scales) for scales in tried]
-        tasks = [self.crew.task(_turning, motion, own, order) for own in terms for order in orders]
-        return np.array(self.crew.results(tasks))
+        shares = np.array_split(np.arange(self.columns.n_dof), self.crew.size)
+        tasks = [self.crew.task(_turning, motion, terms, orders, own) for own in shares if own.size]
+        return np.concatenate(self.crew.results(tasks), axis=-1)
 
     def _at(self, scales: JointScales) -> Regression:
         """The regression with the histories at these scales only."""
-        made = replace(self, histories=self._turning([scales], [0, 1]))
+        made = replace(self, histories=self._turning([scales], slice(2)))
         return replace(made, grams=made.summed())
 
     def _gain(self, before: Solution, after: Solution) -> float:
@@ -381,14 +368,18 @@ class Regression:
         return Choice(scales, tuple(friction), values, history, reference, self, members, dry, best)
 
 
-def _turning(motion: Any, terms: Sequence[ArmTerm], order: int) -> np.ndarray:
-    """(n_intervals, n_quadrature, n_dof) dry friction along a motion, or its derivative."""
+def _turning(motion: Any, tried: Sequence[Sequence[ArmTerm]], orders: slice, own: np.ndarray) -> np.ndarray:
+    """What `Regression._turning` returns, of some joints."""
     grid, points, times = opened(motion)
-    states = [grid.evaluate(points, times, nu) for nu in (0, 1)]
-    ways = [dry_history(terms, q, qdot)[order, :, 0] for q, qdot in zip(*states, strict=True)]
-    found = forces_on(grid, times, ways)
-    assert found is not None
-    return found.values
+    states = [grid.evaluate(points[:, own], times, nu) for nu in (0, 1)]
+    histories: list[np.ndarray] = []
+    for terms in tried:
+        here = [replace(term, place=k) for k, i in enumerate(own) for term in terms if term.place == i]
+        ways = [dry_history(here, q, qdot)[orders, :, 0] for q, qdot in zip(*states, strict=True)]
+        found = forces_on(grid, times, [np.concatenate(list(way), axis=-1) for way in ways])
+        assert found is not None
+        histories.extend(np.split(found.values, found.values.shape[-1] // own.size, axis=-1))
+    return np.array(histories)
 
 
 def _moved(grid: SplineGrid, control_points: np.ndarray, data: Trajectories, least: np.ndarray) -> np.ndarray:

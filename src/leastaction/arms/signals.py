@@ -344,12 +344,11 @@ def starts(
             lasts = float(np.trapezoid(along**2, times[k]))
             found.append((lasts, ArmTerm(name, "start", term.place, k)))
     longest = sorted((pair for pair in found if pair[0] > _REST), key=lambda pair: -pair[0])
-    numbers = [np.full_like(part, k) for k, part in enumerate(left)]
-    remains, runs = (forces_on(grid, times, part) for part in (left, numbers))
+    remains = forces_on(grid, times, left)
     assert remains is not None
-    assert runs is not None
+    runs = np.broadcast_to(grid.owner[:, None, None].astype(float), remains.values.shape)
     terms = [term for _, term in longest[:_MOST_STARTS]]
-    return terms, np.array([remains.values, np.rint(runs.values)])
+    return terms, np.array([remains.values, runs])
 
 
 def idle_notes(data: Trajectories, tree: KinematicTree, unmeasured: Sequence[int]) -> list[str]:

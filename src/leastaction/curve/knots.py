@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -41,8 +42,12 @@ class Knots(NamedTuple):
     rates: np.ndarray
 
 
-def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
+def lay_knots(
+    trajectories: Trajectories, degree: int, smoothed_on: Callable[[float], Smooth] | None = None
+) -> Knots:
     """Knots a second from the data's own time scale.
+
+    ``smoothed_on`` smooths the trajectories on some knots a second, where workers do that.
 
     The knot spacing h follows the fastest coordinate: h · rms(d³q/dt³)/rms(d²q/dt²) = 1/4, found by
     repeated smoothing; never finer than half a sampling interval.  It begins coarse, h · rms(dq/dt)/std(q) =
@@ -68,26 +73,29 @@ def lay_knots(trajectories: Trajectories, degree: int) -> Knots:
         fastest = float(np.max(spread(nu + 1) / np.maximum(spread(nu), 1e-300)))
         return min(CURVE.knots_per_radian * fastest, 2.0 * rate)
 
-    rates = trajectories.rates
+    def smoothed_here(knots: float) -> Smooth:
+        return smooth(uniform_grid(times, knots, degree), times, values, rates=trajectories.rates)
+
+    smoothed_on = smoothed_on or smoothed_here
     first = rate / 5.0
-    smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+    smoothed = smoothed_on(first)
     while first < 2.0 * rate and _hides_motion(smoothed, times, values):
         first = min(2.0 * first, 2.0 * rate)
-        smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+        smoothed = smoothed_on(first)
     if first > rate / 5.0 and np.max(spread(2) / np.maximum(spread(1), 1e-300)) > 2.0 * np.pi * rate / (
         CURVE.fewest_samples
     ):
         first = rate / 5.0  # too few to follow
-        smoothed = smooth(uniform_grid(times, first, degree), times, values, rates=rates)
+        smoothed = smoothed_on(first)
     coarse = knots = knots_for(0)
     for _ in range(_MOST_GRIDS):
-        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
+        smoothed = smoothed_on(knots)
         wanted = min(knots_for(2), CURVE.most_over_slower * knots_for(1))
         if abs(wanted / knots - 1.0) < CURVE.knots_settled:
             break
         knots = wanted
     else:
-        smoothed = smooth(uniform_grid(times, knots, degree), times, values, rates=rates)
+        smoothed = smoothed_on(knots)
     period = 2.0 * np.pi * CURVE.knots_per_radian / knots_for(1)
     if first > rate / 5.0 and smoothed.grid.n_ctrl > sum(t.size for t in times):
         # interpolation gives no estimate of the noise, and a fit that starts at zero stays there

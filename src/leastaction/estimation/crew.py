@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -128,7 +128,8 @@ class ProcessCrew:
     ----------
     workers : int
     joins : bool
-        Whether this process is one of them. It then takes tasks in turn, and there is one child less.
+        Whether this process is one of them. It then takes tasks in turn, and there is one child less. Until a
+        child has begun, which takes a second, it takes all tasks.
 
     Attributes
     ----------
@@ -140,8 +141,9 @@ class ProcessCrew:
 
     def __init__(self, workers: int, joins: bool = False) -> None:
         self.size, self._starts_left, self._children = workers, _MOST_STARTS, workers - joins
-        self._turns = itertools.cycle([joins, *[False] * (workers - 1)])
+        self._joins, self._turns = joins, itertools.cycle([joins, *[False] * (workers - 1)])
         self._pool: Any = None  # of loky, which has no types
+        self._begun: Any = None  # if this process joins: a future that is done once a child has begun
         self._folder = Folder()
 
     def task(self, function: Callable[..., Any], *given: Any) -> Task:
@@ -150,7 +152,7 @@ class ProcessCrew:
             return task
         try:
             pool = self._started()
-            if pool is not None:
+            if pool is not None and (self._begun is None or self._begun.done()):
                 path = self._folder.new_path()
                 task.future = pool.submit(_to_file, path, function, *given), path
         except (RuntimeError, OSError, ImportError):  # a child was killed, or the system allows no processes
@@ -189,7 +191,13 @@ class ProcessCrew:
                 initargs=(os.getpid(),),
                 env=_MEMORY_STAYS,
             )
+            self._begun = self._pool.submit(int) if self._joins else None
         return self._pool
+
+    def begin(self) -> None:
+        """Start the children, which import while this process prepares the data."""
+        with suppress(RuntimeError, OSError, ImportError):
+            self._started()
 
     def _result(self, task: Task) -> Any:
         if task.future is None:
@@ -285,8 +293,8 @@ def employ(workers: Any, joins: bool = False) -> Generator[Crew | None, None, No
         yield None
     elif isinstance(workers, int) and not isinstance(workers, bool) and workers >= 1:
         crew = ProcessCrew(min(workers, 4 * (os.cpu_count() or 1)), joins)
-        for _ in range(crew.size if joins else 0):
-            crew.task(int)  # children import while this process prepares the data
+        if joins:
+            crew.begin()
         try:
             yield crew
         finally:
