@@ -112,11 +112,11 @@ def verify(
     found += about_sensors(fit, np.sqrt(chi2))
     found += about_hidden(search) if fit.problem.hidden else []
     to_its_end = look_for_causes and not search.stopped and not fit.problem.hidden
-    if to_its_end and inexact(found):
+    if to_its_end and (not doubtful(found) or inexact(found)):
         found += _form(search, exact=not doubtful(found))
     if to_its_end and not doubtful(f for f in found if f.code not in _OPEN):
         found += [] if fit.problem.candidates.grouped else free_scales(fit, curvature)
-    if not search.stopped and doubtful(found) and inexact(found):
+    if not search.stopped and inexact(found):
         found += _forecasts(fit, period)
     return Verdict(tuple(found), float(np.mean(chi2[counts > 0])), rms)
 

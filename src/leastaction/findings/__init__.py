@@ -5,6 +5,7 @@ from leastaction.findings.finding import (
     SEVERITIES,
     STATED,
     TEXT,
+    UNDECIDED,
     Audience,
     Figures,
     Finding,
@@ -16,7 +17,7 @@ from leastaction.findings.finding import (
 )
 from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import alike, find, sentence
-from leastaction.findings.stated import stated_error, statements, with_held_out, worst_share
+from leastaction.findings.stated import reservations, stated_error, statements, with_held_out, worst_share
 from leastaction.findings.templates import REASONS, because
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "SEVERITIES",
     "STATED",
     "TEXT",
+    "UNDECIDED",
     "Audience",
     "Figures",
     "Finding",
@@ -36,6 +38,7 @@ __all__ = [
     "doubtful",
     "find",
     "inexact",
+    "reservations",
     "sentence",
     "stated_error",
     "statements",

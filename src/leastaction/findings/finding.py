@@ -20,6 +20,7 @@ __all__ = [
     "SEVERITIES",
     "STATED",
     "TEXT",
+    "UNDECIDED",
     "Audience",
     "Figures",
     "Finding",
@@ -43,6 +44,8 @@ Value = None | bool | int | float | str | tuple["Value", ...]
 SEVERITIES: tuple[Severity, ...] = ("note", "warning")  # rising; a further level takes its place in this row
 INEXACT = frozenset({"equations-off", "unmodelled-friction", "late-forces", "unmeasured-part"})
 """Codes of warnings that say how exactly the equations hold, which forecasts may bear."""
+UNDECIDED = frozenset({"competing-structures"})
+"""Codes of warnings that other structures explain the data as well. On a machine, these forecast as well."""
 STATED = frozenset({"forecasts", "forecast-reach"})
 """Codes of notes that the statement on forecasts says in other words."""
 TEXT = "text"  # the code of a sentence that nobody took apart: from a user, or from a file of schema 1
@@ -241,15 +244,17 @@ def doubtful(findings: Iterable[Finding]) -> bool:
 
 
 def inexact(findings: Iterable[Finding]) -> bool:
-    """Whether all that is doubtful is how exactly the equations hold."""
-    return all(finding.code in INEXACT for finding in findings if finding.severity == "warning")
+    """Whether the equations hold only to a few per cent, and at most the structure is doubtful besides."""
+    codes = {finding.code for finding in findings if finding.severity == "warning"}
+    return bool(codes & INEXACT) and codes <= INEXACT | UNDECIDED
 
 
 def status_of(findings: Iterable[Finding]) -> Status:
     """Return what findings leave of a result.
 
     ``"ok"``: nothing is doubtful. ``"usable"``: the equations hold only to a few per cent, nothing else is
-    doubtful, and free runs follow the data (the finding ``forecasts``). ``"doubtful"``: all else.
+    doubtful but that other structures explain the data as well, and free runs follow the data (the finding
+    ``forecasts``). ``"doubtful"``: all else.
 
     Examples
     --------

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, SupportsFloat
 
-from leastaction.findings.finding import Finding, fill
+from leastaction.findings.finding import UNDECIDED, Finding, fill
 
 __all__ = [
     "STRUCTURES",
@@ -14,6 +14,7 @@ __all__ = [
     "followed",
     "groups_differ",
     "reach",
+    "reservations",
     "stated_error",
     "statements",
     "with_held_out",
@@ -62,6 +63,20 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
         forecast = reach(far) + " (by its intervals, not tested)"
     equations = ", ".join(left) or fill("{left:g%} of the forces", {"left": _LITTLE})
     return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
+
+
+def reservations(findings: Iterable[Finding]) -> str:
+    """Return what a usable model leaves open, as the end of a sentence.
+
+    Examples
+    --------
+    >>> from leastaction.findings import find
+    >>> reservations([find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)])
+    'its equations hold only to a few per cent'
+    """
+    undecided = any(finding.code in UNDECIDED for finding in findings)
+    more = " and other structures explain the data as well" if undecided else ""
+    return f"its equations hold only to a few per cent{more}"
 
 
 class HeldOut(Protocol):
