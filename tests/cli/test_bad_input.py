@@ -267,6 +267,12 @@ def test_lengths_of_arrays_differ():
     discover(2, data="run.npz", says=("run.npz", "49", "50"))
 
 
+def test_a_column_whose_name_no_coordinate_can_have_gets_another():
+    Path("german.csv").write_text(CSV.replace("t,x", "Zeit [s],Winkel im Gelenk"), encoding="utf-8")
+    given = {"data": "german.csv", "coordinates": "Winkel im Gelenk"}
+    discover(2, **given, says=("--coordinates: ", 'write "theta1=Winkel im Gelenk"'))
+
+
 def test_same_file_twice():
     fails(2, "discover", "run.csv", "run.csv", "--coordinates", "x", "--library", "lib.txt",
           "--known", "x**2=1", "--output", "out", says="twice")  # fmt: skip

@@ -146,7 +146,19 @@ def _by_name(text: str) -> dict[str, str]:
     for part in parts:
         if not part[-1]:
             raise InputError(f"the column of {quoted(part[0])} is missing; write name=column")
+        if len(part) == 1:
+            _check_own_name(part[0])
     return {name: part[-1] for name, part in zip(names, parts, strict=True)}
+
+
+def _check_own_name(column: str) -> None:
+    """Refuse a column whose name no coordinate can have."""
+    from leastaction.identifiers import check_coordinate_names
+
+    try:
+        check_coordinate_names([column])
+    except InputError as error:
+        raise InputError(f'{error}; for a column of that name, write "theta1={column}"') from None
 
 
 def _units(text: str) -> dict[str, str] | str:
