@@ -273,6 +273,19 @@ def test_a_column_whose_name_no_coordinate_can_have_gets_another():
     discover(2, **given, says=("--coordinates: ", 'write "theta1=Winkel im Gelenk"'))
 
 
+@pytest.mark.parametrize(
+    ("points", "says"),
+    [
+        (["x"], ("'x' is not a point", "two columns")),
+        (["x,nothing"], ("no column 'nothing'", "its columns are")),
+    ],
+)
+def test_points_that_cannot_be_read(points, says):
+    options = [part for point in points for part in ("--point", point)]
+    message = fails(2, "linkage", "run.csv", *options, says=("--point: ", *says))
+    assert "--coordinates" not in message
+
+
 def test_same_file_twice():
     fails(2, "discover", "run.csv", "run.csv", "--coordinates", "x", "--library", "lib.txt",
           "--known", "x**2=1", "--output", "out", says="twice")  # fmt: skip

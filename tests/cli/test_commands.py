@@ -24,7 +24,6 @@ import leastaction as la
 from helpers import record
 from leastaction import systems
 from leastaction.cli import demo as _demo
-from leastaction.cli import demonstrate as _demonstrate
 from leastaction.cli import generate as _generate
 from leastaction.cli import options as _options
 from leastaction.cli import program
@@ -35,7 +34,8 @@ from leastaction.findings import find
 from leastaction.model.term import FitSummary, ModelTerm
 
 COMMANDS = (
-    *("app", "arm", "completion", "discover", "show", "simulate", "validate", "export", "generate", "demo"),
+    *("app", "arm", "completion", "discover", "linkage", "show", "simulate", "validate", "export"),
+    *("generate", "demo"),
 )
 FILES = [("model", "json"), ("report", "html")]
 LIBRARY = "theta_dot**2  # kinetic energy\n\ncos(theta)\nsin(theta)\ntheta*theta_dot\n"
@@ -412,6 +412,27 @@ def _data_options(data, coordinates, forces, angles=None, force_delay=None):
     return _options.DataOptions.of({**given, **others, "force_delay": force_delay})
 
 
+def test_linkage_prints_the_command_that_finds_the_law(tmp_path):
+    starts = [([1.2], [0.0]), ([0.4], [2.0])]
+    swings = record(lambda q, v, f: -9.81 / 0.5 * np.sin(q), starts, ["theta"], noise=0.0)
+    rng, rows = np.random.default_rng(3), ["run,t,Marker X,Marker Y"]
+    for name, swing in enumerate(swings):
+        track = np.column_stack([0.5 * np.sin(swing.q[:, 0]), 0.5 * np.cos(swing.q[:, 0])])
+        track += rng.normal(0.0, 1e-3, track.shape)
+        rows += [f"{name},{t},{x},{y}" for t, (x, y) in zip(swing.t, track, strict=True)]
+    table, terms = tmp_path / "markers.csv", tmp_path / "terms.txt"
+    table.write_text("\n".join(rows), encoding="utf-8")
+    terms.write_text("theta_dot**2\ncos(theta)\nsin(theta)\n", encoding="utf-8")
+    said = run("linkage", table, "--trial", "run", "--point", "u=Marker X,v=Marker Y").output
+    assert re.search(r"\(u, v\) stays 0\.(500|499)\d* from a fixed point", said)
+    _, command = said.split("leastaction ", 1)
+    filled = command.replace("TERMS.txt", str(terms)).replace("TERM=VALUE", '"theta_dot**2=0.5"')
+    run(*shlex.split(filled.replace("\\\n", " ")), "--output", tmp_path / "out")
+    model = la.load(tmp_path / "out" / "model.json")
+    found = {term.expression: term.coefficient for term in model.terms}
+    assert found["cos(theta)"] == pytest.approx(9.81 / 0.5, rel=0.01)
+
+
 def test_force_delay_shifts_the_forces(work):
     def options(delay):
         return _data_options(work / "run.csv", "theta", "theta_force", force_delay=delay).read()
@@ -512,7 +533,7 @@ def test_demo(tmp_path):
 @pytest.mark.parametrize("name", ["double", "single"])
 def test_demo_data_and_published_models(name):
     demo = _demo.DEMOS[name]
-    data = _demonstrate.load_demo_data(demo)
+    data = _demo.load_demo_data(demo)
     held = data[_demo.HELD_OUT]
     assert 0 < len(held) <= len(data) / 3
     m1, m2, a1, a2, l1, g = 0.0938440, 0.137596, 0.108565, 0.116779, 0.172719, 9.80858
@@ -534,7 +555,7 @@ def test_demo_data_and_published_models(name):
     assert not library.reduced(keep=[library[0]]).dropped
     # Hanging at rest is where the published model has its stable equilibrium.
     like = la.LagrangianModel(demo.coordinates, [ModelTerm(demo.candidates[0], 1.0)])
-    published = _demonstrate.published_model(demo, like)
+    published = _demo.published_model(demo, like)
     hanging = np.full(len(demo.coordinates), np.pi)
     pulled = published.acceleration(hanging + 0.1, 0 * hanging)
     assert np.abs(published.acceleration(hanging, 0 * hanging)).max() < 1e-9

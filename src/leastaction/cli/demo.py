@@ -1,4 +1,4 @@
-r"""The measured pendulums of ``leastaction demo``: candidates, what is held out, published parameters.
+r"""``leastaction demo``: a discovery on measured data, beside what their authors published.
 
 The recordings are in ``leastaction/datasets`` (its README gives source and licence). They are consecutive
 pieces of one decaying swing, so every third piece is held out: fitted and forecast pieces then span the same
@@ -13,8 +13,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-__all__ = ["DEMOS", "HELD_OUT", "Demo"]
+import click
+
+from leastaction.cli.discover import OUTPUTS, command_line, write_outputs
+from leastaction.cli.output import check_folder
+from leastaction.cli.show import live_progress, say, show_fit, show_table, with_error
+from leastaction.cli.text import complete_folder, shown
+from leastaction.identifiers import counted
+
+if TYPE_CHECKING:
+    from leastaction import LagrangianModel, Trajectories
+    from leastaction.simulation.forecast import ForecastResult
+
+__all__ = ["DEMOS", "HELD_OUT", "Demo", "demo", "load_demo_data", "published_model"]
+
 
 HELD_OUT = slice(2, None, 3)
 """Trials that are not fitted but forecast."""
@@ -122,3 +136,127 @@ def _double() -> Demo:
 
 DEMOS: dict[str, Demo] = {"double": _double(), "single": _single()}
 """Name of the system on the command line -> demonstration."""
+
+
+@click.command(
+    short_help="Find the Lagrangian of a measured pendulum.",
+    epilog="""\b
+Example:
+  leastaction demo --system single --output single-pendulum
+""",
+)
+@click.option(
+    "--system",
+    type=click.Choice(list(DEMOS)),
+    default="double",
+    show_default=True,
+    help="Measured pendulum to analyse.",
+)
+@click.option(
+    "--output",
+    default="leastaction-demo",
+    show_default=True,
+    metavar="DIR",
+    shell_complete=complete_folder,
+    help="Directory for model.json and report.html.",
+)
+@click.pass_context
+def demo(ctx: click.Context, system: str, output: str) -> None:
+    """Find the Lagrangian of a measured pendulum that is included in the package.
+
+    Some pieces of the recording are held out. Coefficients and forecasts are compared with those of the
+    parameters that the authors of the data published.
+    """
+    folder = check_folder(output, OUTPUTS)
+    chosen = DEMOS[system]
+    data = load_demo_data(chosen)
+    held_out = data[HELD_OUT]
+    fitted = data.select([name for name in data.names if name not in held_out.names])
+    say(
+        f"Measured {chosen.title}: {len(data)} trials, {data.n_samples} samples, "
+        f"{counted(len(held_out), 'trial')} held out; "
+        f"{len(chosen.candidates)} candidates for L, {len(chosen.dissipation)} for friction."
+    )
+    import leastaction
+
+    library = leastaction.Library(
+        chosen.candidates, chosen.coordinates, angles=chosen.coordinates, dissipation=chosen.dissipation
+    )
+    with live_progress("prepare") as progress:
+        model = leastaction.discover(fitted, library, known=chosen.known, progress=progress)
+        progress("forecast", {})
+        published = published_model(chosen, model)
+        forecasts = {"found": model.validate(held_out), "published": published.validate(held_out)}
+        progress("report", {})
+        write_outputs(folder, model, forecasts["found"], command_line(ctx))
+    say()
+    _show_coefficients(chosen, model)
+    say()
+    show_fit(model, forecasts["found"])
+    say()
+    _show_forecasts(forecasts)
+    say()
+    for name in OUTPUTS:
+        say(f"{name.partition('.')[0]}: {shown(folder / name)}")
+
+
+def load_demo_data(chosen: Demo) -> Trajectories:
+    """Read the recording from the package."""
+    from importlib.resources import as_file, files
+
+    from leastaction.io import read_csv
+
+    with as_file(files("leastaction") / "datasets" / chosen.file) as path:
+        return read_csv(path, chosen.coordinates, angles=chosen.coordinates)
+
+
+def published_model(chosen: Demo, like: LagrangianModel) -> LagrangianModel:
+    """Return the model with the published parameters, judged by the noise of another one."""
+    from leastaction.model.model import LagrangianModel
+    from leastaction.model.term import ModelTerm
+
+    def terms(values: Mapping[str, float]) -> tuple[ModelTerm, ...]:
+        return tuple(ModelTerm(text, value, known=True) for text, value in values.items())
+
+    return LagrangianModel(
+        chosen.coordinates,
+        terms(chosen.published),
+        terms(chosen.published_dissipation),
+        noise_std=like.noise_std,
+    )
+
+
+def _show_coefficients(chosen: Demo, model: LagrangianModel) -> None:
+    """Print the coefficients, found and published; "-" where a term is not in a model."""
+    rows = [("term", "found", "published", "difference", "z")]
+    headings = {}
+    kinds = ((model.terms, chosen.published), (model.dissipation, chosen.published_dissipation))
+    for terms, published in kinds:
+        if terms is model.dissipation:
+            headings[len(rows)] = "friction, psi:"
+        for term in terms:
+            there = published.get(term.expression)
+            z = "" if term.known else f"{term.z:.0f}"
+            if there is None or not there:
+                rows.append((term.expression, with_error(term), "-", "", z))
+            else:
+                off = "" if term.known else f"{100 * (term.coefficient / there - 1):+.2f} %"
+                rows.append((term.expression, with_error(term), f"{there:.5g}", off, z))
+        found = {term.expression for term in terms}
+        rows += [
+            (text, "-", f"{value:.5g}", "", "") for text, value in published.items() if text not in found
+        ]
+    show_table(rows, headings)
+
+
+def _show_forecasts(forecasts: dict[str, ForecastResult]) -> None:
+    """Print the errors of the forecasts of each model."""
+    some = next(iter(forecasts.values()))
+    starts = f"{counted(some.n_starts, 'start')} in {counted(len(some.by_trial()), 'trial')}"
+    say(f"Forecasts of the trials held out: {starts}, each over {some.horizon:g} s.")
+    rows = [("rms error", *(f"{name} (rad)" for name in some.coordinates), "over std", "diverged")]
+    for name, result in forecasts.items():
+        errors = (f"{value:.2g}" for value in result.rms)
+        over = ", ".join(f"{value:.2g}" for value in result.rms_over_std)
+        rows.append((f"{name} model", *errors, over, str(result.n_diverged)))
+    show_table(rows)

@@ -19,7 +19,7 @@ from leastaction.identifiers import measured_columns, quoted
 if TYPE_CHECKING:
     from leastaction import Trajectories
 
-__all__ = ["DataOptions", "data_options"]
+__all__ = ["DataOptions", "by_name", "data_options", "table_options"]
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ class DataOptions:
 
         coordinates, angles, forces = given["coordinates"], given["angles"], given["forces"]
         with blame("--coordinates"):
-            columns = _by_name(coordinates) if coordinates is not None else {c: c for c in default}
+            columns = by_name(coordinates) if coordinates is not None else {c: c for c in default}
             check_coordinate_names(columns)
         with blame("--input"):
-            moved = _by_name(given["input"]) if given.get("input") else {}
+            moved = by_name(given["input"]) if given.get("input") else {}
             for name in {*moved} & {*columns}:
                 raise InputError(f"{quoted(name)} is named in --coordinates, too; name it in one of the two")
             names = check_coordinate_names([*columns, *moved])
@@ -71,7 +71,7 @@ class DataOptions:
         rates = []
         for option in ("velocity", "acceleration"):
             with blame(f"--{option}"):
-                rates.append(dict(pairs(given[option], "NAME=COLUMN, e.g. theta=gyro")))
+                rates.append(dict(pairs(given[option] or (), "NAME=COLUMN, e.g. theta=gyro")))
                 _check_are_coordinates(rates[-1], names)
         with blame("--force-delay"):
             delay = 0.0 if given["force_delay"] is None else number(given["force_delay"])
@@ -139,7 +139,7 @@ class DataOptions:
             return shift_forces(data, self.force_delay)
 
 
-def _by_name(text: str) -> dict[str, str]:
+def by_name(text: str) -> dict[str, str]:
     """Return coordinate -> column; a coordinate without ``=column`` has the name of its column."""
     parts = [tuple(side.strip() for side in part.split("=", 1)) for part in text.split(",")]
     names = name_list(",".join(part[0] for part in parts))
@@ -215,7 +215,8 @@ _DATA_PARAMETERS = (
 )
 
 
-_COLUMNS = (
+_TABLE = (
+    click.argument("data", nargs=-1, required=True, metavar="DATA...", shell_complete=complete_file),
     click.option(
         "--time",
         default="t",
@@ -242,6 +243,8 @@ _COLUMNS = (
         metavar="COLUMN",
         help="Column with the name of the trial. Default: the column 'trial', if there is one.",
     ),
+)
+_COLUMNS = (
     click.option(
         "--forces",
         metavar="TAU1,TAU2",
@@ -276,18 +279,23 @@ def data_options(coordinates_required: bool) -> Callable[[Callable[..., Any]], C
     only ``default`` may be left to give.
     """
     where = "" if coordinates_required else " Default: those of the model."
-    decorators = (
-        click.argument("data", nargs=-1, required=True, metavar="DATA...", shell_complete=complete_file),
-        click.option(
-            "--coordinates",
-            required=coordinates_required,
-            metavar="A,B",
-            help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
-        ),
-        *_COLUMNS,
-        *((_INPUT, _HIDDEN, _MEASURE) if coordinates_required else ()),
+    coordinates = click.option(
+        "--coordinates",
+        required=coordinates_required,
+        metavar="A,B",
+        help=f"Columns of the coordinates; use name=column if the column has another name.{where}",
     )
+    argument, *table = _TABLE
+    more = (_INPUT, _HIDDEN, _MEASURE) if coordinates_required else ()
+    return _gathered((argument, coordinates, *table, *_COLUMNS, *more))
 
+
+def table_options() -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return a decorator as `data_options` does, without options that say what columns mean."""
+    return _gathered(_TABLE)
+
+
+def _gathered(decorators: Sequence[Callable[..., Any]]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
         @wraps(command)
         def with_data(*args: Any, **given: Any) -> Any:

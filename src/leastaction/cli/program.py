@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import ShellComplete, get_completion_class
 
-from leastaction.cli import arm, demonstrate, discover, generate, use
+from leastaction.cli import arm, demo, discover, generate, linkage, use
 from leastaction.cli.failures import EXIT_CODES, PIPE_CLOSED, Interrupted, give_up
 from leastaction.cli.show import say
 
@@ -126,8 +126,9 @@ for _command in (
     use.simulate,
     use.validate,
     use.export,
+    linkage.linkage,
     generate.generate,
-    demonstrate.demo,
+    demo.demo,
     app,
     completion,
 ):
