@@ -477,6 +477,20 @@ def test_exponentials_take_the_place_of_the_powers_that_imitate_them():
     assert single.coefficient == pytest.approx(6.0, abs=4.5 * single.standard_error)
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("seed", [21, 22])
+def test_exponentials_take_the_place_of_a_whole_potential(seed):
+    """A Morse molecule: beside r and r**2, exponentials of three times its rate explain noisy data best."""
+    system = systems.get("morse_molecule")
+    data = systems.generate("morse_molecule", noise=0.1, trials=5, duration=20.0, seed=seed)
+    library = la.Library.symbolic(system.coordinates, system.angles)
+    model = la.discover(data, library, known=system.known)
+    assert model.fit.status == "ok", model.fit.warnings
+    assert len(model.terms) == len(system.lagrangian)
+    (rate,) = model.shapes
+    assert rate.value == pytest.approx(1.0, abs=4.5 * rate.standard_error)
+
+
 @pytest.mark.parametrize(
     ("term", "noise", "law"),
     [

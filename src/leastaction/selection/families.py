@@ -123,30 +123,33 @@ def helpful_families(search: Search, kinetic: bool = False) -> Iterator[Search]:
         yield from _searched(posed, fit)
 
 
-def replacing_families(search: Search) -> Iterator[Search]:
+def replacing_families(search: Search, alone: bool = False) -> Iterator[Search]:
     """Searches with the best families in place of the candidates that may imitate them.
 
     Distances to unknown points cost the most to place: they come last, and only where the equations do not
-    hold.
+    hold.  With ``alone`` a family takes the place of all terms that hold positions only, of springs, too:
+    beside these, a Morse potential fits best with two or three times its own rate.
     """
     fit = search.found
     holds, n_coordinates = equations_hold(fit), len(fit.problem.coordinates)
     if not (fit.converged and np.isfinite(fit.evidence)) or (holds and n_coordinates > _COORDINATES):
         return
-    states, positions, short = _states(fit), _positions(fit), _short(fit)
+    states, positions, short = _states(fit), _positions(fit), _short(fit, alone)
     rounds = [_of_one(positions, states) if n_coordinates == 1 else _of_several(positions, states)]
-    if 1 < len(positions) <= len(_POINT) and not holds:
+    if 1 < len(positions) <= len(_POINT) and not holds and not alone:
         rounds.append(_of_distances(positions))
     for texts in rounds:
         offers = [_unscored(*family) for family in _families(fit, states, texts)]
         posed = [offered(search, offer).posed(short) for offer in offers]
         # of several coordinates, the weak form hardly distinguishes a good imitation from the law
-        many = holds and n_coordinates > 1
+        many = holds and n_coordinates > 1 and not alone
         yield from _searched(posed, fit, 2 * _SEARCHED if many else _SEARCHED)
 
 
-def looks_imitated(fit: Fit) -> bool:
+def looks_imitated(fit: Fit, most: int = SELECTION.plain_terms) -> bool:
     """Whether a law may imitate a shorter one: a long potential, or a mass that depends on its own position.
+
+    A potential is long if more than ``most`` of its terms go beyond the second degree.
 
     Products and powers imitate; sums, as in distances to a known point, somebody chose.  A law with shape
     parameters is what a family says.
@@ -162,7 +165,7 @@ def looks_imitated(fit: Fit) -> bool:
         # r**2*phi_dot**2 is a genuine mass term; x**2*x_dot**2 may only imitate a curved path
         bent = any({name, f"{name}_dot"} <= names for name in positions)
         moving |= bent and bool(expr.is_polynomial(*expr.free_symbols))
-    return long > SELECTION.plain_terms or moving
+    return long > most or moving
 
 
 def _quadratic(expr: sp.Expr) -> bool:
@@ -188,10 +191,11 @@ def _starts(search: Search, fit: Fit) -> int:
     return _PLACES if several else _STARTS
 
 
-def _short(fit: Fit) -> Callable[[Problem], Problem]:
+def _short(fit: Fit, alone: bool) -> Callable[[Problem], Problem]:
     """What leaves a problem its short candidates, and those of a structure that hold rates or angles.
 
     Polynomials of higher degree, roots and inverses of positions are left out: they would imitate a family.
+    With ``alone``, so are all others of positions only.
     """
     problem = fit.problem
     positions = {*_positions(fit)}
@@ -201,7 +205,8 @@ def _short(fit: Fit) -> Callable[[Problem], Problem]:
         expr = problem.terms[k].expr
         symbols = [symbol for symbol in expr.free_symbols if str(symbol) in positions]
         needed = k in fit.structure and len(symbols) < len(expr.free_symbols)
-        short = size_of(expr) <= _SHORT and expr.is_polynomial(*symbols)
+        still = alone and len(symbols) == len(expr.free_symbols)
+        short = size_of(expr) <= _SHORT and expr.is_polynomial(*symbols) and not still
         if not (needed or short or problem.terms[k].kind == "dissipation"):
             out.append(k)
     return lambda problem: problem.excluding(out)

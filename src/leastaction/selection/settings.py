@@ -74,6 +74,11 @@ class SelectionSettings:
     """Terms above the second degree that a potential may have without a test for imitation. Half, twice: no
     effect."""
 
+    plain_terms_grown: int = 1
+    """The same, with which a law of grown candidates is compared with families that are the whole potential.
+    Half (none): a double well and an orbit take ten times as long; twice: two of three Morse molecules at
+    10 % noise are imitated."""
+
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
     with 16 to 31 candidates. Half, twice: no effect."""

@@ -5,22 +5,28 @@ family that would help, and decides.  A law with a family takes the place of the
 equations hold and it is likelier by the evidence, less the price of its terms and of their numbers.
 
 Cost: a profile of the weak form for each family, beside few candidates, and a search with each of the best.
-Families of distances cost the most and are tried only where the equations do not hold.  The others are also
-tried where more than two terms of the potential go beyond the second degree, or a mass depends on its own
-position: imitations of exponentials and powers do.  A family takes the place of the candidates that may
-imitate it, since it has nothing to gain beside them.  Where the equations of one coordinate do not hold, it
-is then tried beside the law.  Skipped otherwise, and where a library has no description lengths.
+A family takes the place of the candidates that may imitate it, since it has nothing to gain beside them.
+
+* Where the equations hold: of the whole potential, if two of its terms go beyond the second degree or a mass
+  depends on its own position, as imitations of exponentials and powers do; of all but springs, if three do.
+* Where they do not: of all but springs, then distances to unknown points, which cost the most.  With one
+  coordinate, families are then tried beside the law.
+
+Skipped otherwise, and where a library has no description lengths.
 Without it exponentials and distances to unknown points are not found from names alone.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 from leastaction.selection.families import helpful_families, looks_imitated, replacing_families
 from leastaction.selection.likelihood_refinement import value
 from leastaction.selection.search_state import Search, equations_hold, explains
+from leastaction.selection.settings import SELECTION
 from leastaction.selection.strategies import finer_knots, shape_fit
 
 __all__ = ["run"]
@@ -33,11 +39,17 @@ def run(search: Search) -> Search:
     fit = search.found
     if search.problem.lengths is None or fit.problem.trajectories.n_samples > _MOST_SAMPLES:
         return search
-    if explains(fit, value(fit)) and not looks_imitated(fit):
+    explained = explains(fit, value(fit))
+    if explained and not looks_imitated(fit, SELECTION.plain_terms_grown):
         return search
     search.report("families", {})
-    ways = [replacing_families]
-    if len(fit.problem.coordinates) == 1 and not equations_hold(fit):
+    holds = equations_hold(fit)
+    ways: list[Callable[[Search], Iterator[Search]]] = []
+    if holds:
+        ways.append(partial(replacing_families, alone=True))
+    if not explained or looks_imitated(fit):
+        ways.append(replacing_families)
+    if len(fit.problem.coordinates) == 1 and not holds:
         ways.append(helpful_families)
     for at in chain.from_iterable(way(search) for way in ways):
         if value(at.found) <= value(fit):
