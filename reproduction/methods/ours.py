@@ -1,7 +1,8 @@
 """leastaction with every option at its default; variant "names" is told no candidates, only the coordinates.
 
 Its candidates are those of ``--library symbolic``, grown from the coordinates' names. Its law may be written
-in other terms than the textbook's, and then counts as wrong where terms are compared.
+in other terms than the textbook's, and then counts as wrong where terms are compared. With unknown numbers
+inside terms it is an expression, and judged as those of symbolic regression.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ def solve(problem: Problem) -> Answer:
     library = _library(problem)
     model = la.discover(problem.data, library, known=problem.known, progress=watch)
     course.append((time.perf_counter() - started, {t.expression: t.coefficient for t in model.terms}))
+    if model.shapes:
+        law = " ".join(f"{value:+.6g}*{text}" for text, value in course[-1][1].items())
+        return Answer(None, model.acceleration, model.fit.status, expression=f"L = {law}")
     free = replace(problem, library=library).free
     return Answer(
         coefficients=free(course[-1][1]),
