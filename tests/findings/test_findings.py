@@ -29,11 +29,11 @@ from leastaction.findings import (
     Figures,
     Finding,
     find,
-    reservations,
     sentence,
     stated,
     statements,
     status_of,
+    usability,
     with_held_out,
 )
 from leastaction.model.term import FitSummary
@@ -435,9 +435,10 @@ def test_status_and_statements_follow_from_the_findings(findings, status, struct
     assert ("3.1 % of the spread" in said["forecast"]) == (FOLLOWED in findings)
 
 
-def test_reservations_name_what_a_usable_model_leaves_open():
-    assert reservations([OFF, FOLLOWED]) == "its equations hold only to a few per cent"
-    assert reservations([OFF, FOLLOWED, RIVAL]).endswith(" and other structures explain the data as well")
+def test_a_usable_model_says_how_long_it_forecasts_and_what_it_leaves_open():
+    said = "forecasts over 0.5 s, but its equations hold only to a few per cent"
+    assert usability([OFF, FOLLOWED]) == said
+    assert usability([OFF, FOLLOWED, RIVAL]) == f"{said} and other structures explain the data as well"
 
 
 def test_a_forecast_is_stated_as_far_as_it_is_known():

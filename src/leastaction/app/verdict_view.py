@@ -9,7 +9,7 @@ from nicegui import html, ui
 
 from leastaction.app.parts import math, say
 from leastaction.errors import InputError
-from leastaction.findings import reservations, with_held_out
+from leastaction.findings import usability, with_held_out
 from leastaction.report.verdict import contradictions, in_symbols, terms_in
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ __all__ = ["gravity", "in_names", "notes", "status"]
 
 _HEADINGS = {
     "ok": "All checks passed: the equations hold along the data.",
-    "usable": "This model forecasts, but {but}:",
+    "usable": "This model {does}:",
     "doubtful": "Do not trust this model yet:",
 }
 _CONTRADICTED = "The fit passed all checks, but its forecasts contradict it:"
@@ -31,11 +31,11 @@ def status(model: LagrangianModel, validation: ForecastResult | None, notation: 
     """Status, warnings and statements; nothing that forecasts of held-out trials contradict is green."""
     against = contradictions(validation) if model.fit.status == "ok" else []
     warnings = [*against, *model.fit.sentences("warning", "page")]
-    heading, but = _HEADINGS[model.fit.status], reservations(model.fit.findings)
+    heading, does = _HEADINGS[model.fit.status], usability(model.fit.findings)
     with html.div().classes(f"status {'doubtful' if against else model.fit.status}"):
         with html.p():
             say(model.fit.status, "badge", "span")
-            say(_CONTRADICTED if against else heading.format(but=but), "", "span")
+            say(_CONTRADICTED if against else heading.format(does=does), "", "span")
         if warnings:
             with html.ul():
                 for text in warnings:

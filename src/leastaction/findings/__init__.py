@@ -17,7 +17,7 @@ from leastaction.findings.finding import (
 )
 from leastaction.findings.messages import CODES
 from leastaction.findings.sentences import alike, find, sentence
-from leastaction.findings.stated import reservations, stated_error, statements, with_held_out, worst_share
+from leastaction.findings.stated import stated_error, statements, usability, with_held_out, worst_share
 from leastaction.findings.templates import REASONS, because
 
 __all__ = [
@@ -38,11 +38,11 @@ __all__ = [
     "doubtful",
     "find",
     "inexact",
-    "reservations",
     "sentence",
     "stated_error",
     "statements",
     "status_of",
+    "usability",
     "with_held_out",
     "worst_share",
 ]

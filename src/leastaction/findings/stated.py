@@ -14,9 +14,9 @@ __all__ = [
     "followed",
     "groups_differ",
     "reach",
-    "reservations",
     "stated_error",
     "statements",
+    "usability",
     "with_held_out",
     "worst_share",
 ]
@@ -65,18 +65,21 @@ def statements(findings: Iterable[Finding]) -> dict[str, str]:
     return {"structure": structure, "equations": f"hold to {equations}", "forecast": forecast}
 
 
-def reservations(findings: Iterable[Finding]) -> str:
-    """Return what a usable model leaves open, as the end of a sentence.
+def usability(findings: Iterable[Finding]) -> str:
+    """Return what a usable model does and what it leaves open, as the end of a sentence.
 
     Examples
     --------
     >>> from leastaction.findings import find
-    >>> reservations([find("late-forces", delay=0.03, half_a_sample=False, gain=90.0)])
-    'its equations hold only to a few per cent'
+    >>> usability([find("forecasts", horizon=0.5, error=0.04)])
+    'forecasts over 0.5 s, but its equations hold only to a few per cent'
     """
-    undecided = any(finding.code in UNDECIDED for finding in findings)
+    found = tuple(findings)
+    runs = _values(found, "forecasts")
+    over = "" if runs is None else fill(" over {horizon:.2g} s", runs)
+    undecided = any(finding.code in UNDECIDED for finding in found)
     more = " and other structures explain the data as well" if undecided else ""
-    return f"its equations hold only to a few per cent{more}"
+    return f"forecasts{over}, but its equations hold only to a few per cent{more}"
 
 
 class HeldOut(Protocol):

@@ -15,7 +15,7 @@ import numpy as np
 from markupsafe import Markup
 
 from leastaction.errors import InputError
-from leastaction.findings import because, reservations
+from leastaction.findings import because, usability
 from leastaction.identifiers import quoted
 from leastaction.model.mathml import Notation
 from leastaction.model.model import LagrangianModel
@@ -34,7 +34,7 @@ _MOST_ROWS = 30  # trials listed
 _MOST_ENERGIES = 60
 _TITLES = {
     "ok": "This model holds along the data",
-    "usable": "This model forecasts, but {but}",
+    "usable": "This model {does}",
     "doubtful": "Do not rely on these coefficients yet",
 }
 
@@ -108,7 +108,7 @@ def _context(
         "model": model,
         "symbols": [notation.heading(c) for c in model.coordinates],
         "names": [notation.text(c) for c in model.coordinates],
-        "title": _TITLES[model.fit.status].format(but=reservations(model.fit.findings)),
+        "title": _TITLES[model.fit.status].format(does=usability(model.fit.findings)),
         "widths": " and ".join(map(plain, sorted({*widths}))),
         "equations": law.equations(model, notation),
         "correlations": law.correlations(model, notation),
