@@ -17,6 +17,7 @@ from click.testing import CliRunner
 import leastaction as la
 from helpers import assert_refused_in_one_line, folding
 from leastaction import arms, experiment
+from leastaction.arms import compare
 from leastaction.arms.base import can_exist, find_base, fit_bodies
 from leastaction.arms.log import contact_notes, load_notes, prepared
 from leastaction.arms.planning import Bounds, Limits, Plan, Series
@@ -727,6 +728,28 @@ def test_free_runs_follow_the_motion_of_the_true_arm(rng, distance):
         true.free_runs(log, horizon=5.0)
     with pytest.raises(la.InputError, match="horizon is"):
         true.free_runs(log, horizon=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("lost", "said"),
+    [([1], "error of 2 free runs of 0.2 s"), ([0, 1, 2], "all 3 free runs of 0.2 s diverge")],
+)
+def test_free_runs_that_diverge_are_counted(rng, monkeypatch, lost, said):
+    true = arms.ArmModel.of_tree(WRIST.with_inertias(bodies(3, rng)), {"viscous": [0.5, 0.2, 0.1]})
+    t, *states = motion(3, 1.25, 200.0, rng)
+    log = la.Trajectory(t, states[0], true.torques(*states), WRIST.coordinates)
+    real = compare._simulated
+
+    def simulated(*given):
+        out = real(*given)
+        out[:, lost] = 1e200
+        return out
+
+    monkeypatch.setattr(compare, "_simulated", simulated)
+    text = str(true.free_runs(log, horizon=0.2))
+    assert text.startswith(said)
+    assert "nan" not in text
+    assert text.endswith("; 1 more diverge") == (len(lost) == 1)
 
 
 def test_a_mujoco_model_keeps_rotors_that_links_hide(tmp_path, rng):

@@ -158,7 +158,7 @@ class FreeRuns:
     horizon : float
         Length of a run in s.
     rms : (n_runs, n_dof) array
-        Root mean square of the error of each run, in rad or m.
+        Root mean square of the error of each run, in rad or m; not finite where the run diverges.
 
     Examples
     --------
@@ -188,8 +188,14 @@ class FreeRuns:
         return np.sqrt(np.mean(self.rms**2, axis=0))
 
     def __str__(self) -> str:
-        parts = ", ".join(f"{n} {1e3 * x:.3g}" for n, x in zip(self.coordinates, self.by_joint, strict=True))
-        return f"error of {len(self.rms)} free runs of {self.horizon:g} s, in mrad or mm: {parts}"
+        kept = self.rms[np.isfinite(self.rms).all(axis=1)]
+        lost, runs = len(self.rms) - len(kept), f"free runs of {self.horizon:g} s"
+        if not len(kept):
+            return f"all {lost} {runs} diverge"
+        errors = 1e3 * np.sqrt(np.mean(kept**2, axis=0))
+        parts = ", ".join(f"{name} {x:.3g}" for name, x in zip(self.coordinates, errors, strict=True))
+        more = f"; {lost} more diverge" if lost else ""
+        return f"error of {len(kept)} {runs}, in mrad or mm: {parts}{more}"
 
 
 def free_runs(
@@ -246,8 +252,9 @@ def free_runs(
             f"no run is longer than {horizon + 2.0 * _TRIM:g} s, as free runs of {horizon:g} s need"
         )
     simulated = _simulated(model, np.array(starts), np.array(torques).transpose(1, 0, 2), step, distance)
-    error = simulated - np.array(measured).transpose(1, 0, 2)
-    return FreeRuns(model.coordinates, horizon, np.sqrt(np.mean(error**2, axis=0)))
+    with np.errstate(over="ignore", invalid="ignore"):  # of runs that diverge
+        error = simulated - np.array(measured).transpose(1, 0, 2)
+        return FreeRuns(model.coordinates, horizon, np.sqrt(np.mean(error**2, axis=0)))
 
 
 @np.errstate(all="ignore")  # a run may diverge
