@@ -46,7 +46,7 @@ from leastaction.selection.search import run_search
 from leastaction.selection.search_state import begin_search
 from leastaction.selection.settings import SELECTION
 from leastaction.threads import single_threaded
-from studies import shapes, unlisted
+from studies import names, shapes, unlisted
 from studies.case import Case
 from studies.solve import pose, score
 
@@ -293,6 +293,17 @@ def _imitations_judged() -> str:
     return f"not doubtful: {told[0]} laws that are not in the library, {told[1]} that are"
 
 
+def _grown_judged() -> str:
+    """Laws from names alone: how many are exact, and the processor time of those that the grammar holds."""
+    seen = {name: [] for name in ("morse_molecule", "double_well", "kepler_orbit")}
+    for (name, results), trial in product(seen.items(), range(3)):
+        case = Case("names", name, 0.1, "plain", "symbolic", trial, 5, 20.0, 100.0)
+        results.append(names.solve(case))
+    exact = ", ".join(f"{sum(map(names.is_exact, some))} of {len(some)} {n}" for n, some in seen.items())
+    seconds = sum(result["cpu_s"] for result in seen["double_well"] + seen["kepler_orbit"])
+    return f"exact: {exact}; the last two take {seconds:.0f} s"
+
+
 def _parts_judged() -> str:
     """Machines with a part without a sensor, and without: how many are said to have one."""
     found = ([discovered(k, s)[2] for k in some for s in (300, 301)] for some in (WITH, WITHOUT))
@@ -310,6 +321,7 @@ _OF_DATA = {
     **dict.fromkeys(("not_followed", "mirrored", "shape_far", "shape_far_log"), _shapes_judged),
     **dict.fromkeys(_SHAPE_FIELDS, _shapes_judged),
     **dict.fromkeys(("lowest_exponent", "plain_terms", "cancelling"), _imitations_judged),
+    "plain_terms_grown": _grown_judged,
     **{f"part_{n}": _parts_judged for n in ("explains", "likely", "agrees", "turns", "fastest")},
 }
 

@@ -146,10 +146,11 @@ def replacing_families(search: Search, alone: bool = False) -> Iterator[Search]:
         yield from _searched(posed, fit, 2 * _SEARCHED if many else _SEARCHED)
 
 
-def looks_imitated(fit: Fit, most: int = SELECTION.plain_terms) -> bool:
+def looks_imitated(fit: Fit, most: int | None = None) -> bool:
     """Whether a law may imitate a shorter one: a long potential, or a mass that depends on its own position.
 
-    A potential is long if more than ``most`` of its terms go beyond the second degree.
+    A potential is long if more than ``most`` of its terms go beyond the second degree; by default, more than
+    the setting ``plain_terms``.
 
     Products and powers imitate; sums, as in distances to a known point, somebody chose.  A law with shape
     parameters is what a family says.
@@ -165,7 +166,7 @@ def looks_imitated(fit: Fit, most: int = SELECTION.plain_terms) -> bool:
         # r**2*phi_dot**2 is a genuine mass term; x**2*x_dot**2 may only imitate a curved path
         bent = any({name, f"{name}_dot"} <= names for name in positions)
         moving |= bent and bool(expr.is_polynomial(*expr.free_symbols))
-    return long > most or moving
+    return long > (SELECTION.plain_terms if most is None else most) or moving
 
 
 def _quadratic(expr: sp.Expr) -> bool:

@@ -76,8 +76,8 @@ class SelectionSettings:
 
     plain_terms_grown: int = 1
     """The same, with which a law of grown candidates is compared with families that are the whole potential.
-    Half (none): a double well and an orbit take ten times as long; twice: two of three Morse molecules at
-    10 % noise are imitated."""
+    Half (rounded up, none) as here; with zero, a double well and an orbit take ten times as long. Twice: two
+    of three Morse molecules at 10 % noise are imitated."""
 
     rows_each: float = 1.6
     """Independent rows a candidate, at least, for a search backward: 1.7 sufficed and 1.4 did not on links
