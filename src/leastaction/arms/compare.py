@@ -9,7 +9,7 @@ reverses over a distance δ has a state z of its own, with dz/dt = |q̇| (sgn q�
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -192,8 +192,8 @@ class FreeRuns:
         lost, runs = len(self.rms) - len(kept), f"free runs of {self.horizon:g} s"
         if not len(kept):
             return f"all {lost} {runs} diverge"
-        errors = 1e3 * np.sqrt(np.mean(kept**2, axis=0))
-        parts = ", ".join(f"{name} {x:.3g}" for name, x in zip(self.coordinates, errors, strict=True))
+        errors = replace(self, rms=kept).by_joint
+        parts = ", ".join(f"{n} {1e3 * x:.3g}" for n, x in zip(self.coordinates, errors, strict=True))
         more = f"; {lost} more diverge" if lost else ""
         return f"error of {len(kept)} {runs}, in mrad or mm: {parts}{more}"
 

@@ -186,9 +186,15 @@ class Regression:
         fixed, always, extra = (tuple(range(a, b)) for a, b in pairwise(ends))
         moved = _moved(grid, control_points, data, _MOVED * spread)
         moved[:, list(unmeasured)] = 0.0
-        columns, histories = ArmColumns(tree, terms, None, unmeasured), np.zeros((0, *forces.shape))
-        own, nothing = (fixed, always, extra, scales, spread, data), np.zeros(0)
-        made = cls(grid, control_points, forces, columns, *own, histories, nothing, nothing, moved, crew)
+        made = cls(
+            *(grid, control_points, forces, ArmColumns(tree, terms, None, unmeasured)),
+            *(fixed, always, extra, scales, spread, data),
+            histories=np.zeros((0, *forces.shape)),
+            grams=np.zeros(0),
+            counts=np.zeros(0),
+            moved=moved,
+            crew=crew,
+        )
         if "dry" in kinds[1]:
             at = [scales._replace(distance=share * np.maximum(spread, 1e-12)) for share in (0.0, *_DISTANCES)]
             made = replace(made, histories=made._turning(at, slice(1)))

@@ -55,12 +55,8 @@ def linkage(data: Callable[..., DataOptions], points: tuple[str, ...]) -> None:
         from leastaction.measure import linkage as constraints
 
         found = constraints(tracks, [(x, y) for x, y in given])
-    for constraint in found.constraints:
-        say(str(constraint))
-    if not found.constraints:
-        say("no constraint ties these points")
-    if found.loops:
-        say(f"{found.loops} more than the coordinates fulfil: the loop has no unique solution")
+    for line in found.ties or ["no constraint ties these points"]:
+        say(line)
     if found.constant:
         say(f"at rest, left out: {', '.join(found.constant)}")
     say()

@@ -95,11 +95,16 @@ class Linkage:
     constant: tuple[str, ...] = ()
     loops: int = 0
 
-    def __str__(self) -> str:
+    @property
+    def ties(self) -> list[str]:
+        """What ties the points, in words."""
         lines = list(map(str, self.constraints))
         if self.loops:
             lines.append(f"{self.loops} more than the coordinates fulfil: the loop has no unique solution")
-        lines.append(f"coordinates: {', '.join(self.coordinates) or 'none'}")
+        return lines
+
+    def __str__(self) -> str:
+        lines = [*self.ties, f"coordinates: {', '.join(self.coordinates) or 'none'}"]
         lines += [f'--measure "{text}"' for text in self.measure]
         return "\n".join(lines + ([f"leave out: {', '.join(self.constant)}"] if self.constant else []))
 
