@@ -11,6 +11,7 @@ through the same samples in the same process.
     python benchmarks/run.py workers --samples 1e7 --workers 1
     python benchmarks/run.py workers --pass                 # one Gauss–Newton pass alone
     python -m benchmarks.run workers --arm 20 --arm 120     # logs of a seven-joint arm at 1 kHz, in s
+    python -m benchmarks.run imitation                      # share of the imitation test, warm
 
 ``workers`` compares one worker with more on long recordings: the driven double pendulum at 100 Hz, 20 s a
 trial, with 10 % noise and the compact library, written to a file by a process of its own.  Wall time tells of
@@ -254,6 +255,41 @@ def recording(path: str, names: tuple[str, ...]):
     with np.load(path) as file:
         columns = zip(file["t"], file["q"], file["forces"], strict=True)
         return la.Trajectories([la.Trajectory(t, q, forces, names) for t, q, forces in columns])
+
+
+# -------------------------------------------------------------------------- share of the imitation test
+@main.command("imitation")
+@click.option("--noise", default=0.01, show_default=True)
+def share_of_imitation_test(noise: float) -> None:
+    """Print the processor time of the imitation test and of the rest of a discovery, once warm."""
+    import leastaction as la
+    from leastaction import systems
+    from leastaction.diagnosis import verdict
+
+    spent: list[float] = []
+    test = verdict._form
+
+    def timed(*arguments: Any, **options: Any):
+        begun = time.process_time()
+        try:
+            return test(*arguments, **options)
+        finally:
+            spent.append(time.process_time() - begun)
+
+    verdict._form = timed
+    for make in (systems.compact_library, systems.large_library):
+        for name in systems.names():
+            data = systems.generate(name, noise=noise, trials=5, duration=20.0, rate=100.0, seed=0)
+            for _ in range(2):  # the first warms
+                spent.clear()
+                begun = time.process_time()
+                status = la.discover(data, make(name), systems.get(name).known).fit.status
+                total = time.process_time() - begun
+            rest = total - sum(spent)
+            click.echo(
+                f"{name:<28} {len(make(name)):>3} candidates  fit {rest:6.2f} s  test {sum(spent):6.2f} s  "
+                f"{sum(spent) / rest:5.0%}  {status}"
+            )
 
 
 # ------------------------------------------------------------------------------- one pass, alone

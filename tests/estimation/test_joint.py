@@ -674,6 +674,15 @@ def test_a_film_that_was_held_out_is_forecast_in_pixels(tmp_path) -> None:
         model.validate(la.Trajectories([la.Trajectory(r.t, r.q[:, :1], coordinates=["w"]) for r in other]))
 
 
+@pytest.mark.parametrize("terms", [["theta**2"], ["theta**2", "theta"]])
+def test_films_of_a_law_that_is_not_offered_are_doubtful(terms) -> None:
+    """Three films and more: groups of trials, which are tested elsewhere, have no measurement functions."""
+    films = filmed(1.0, seconds=4.0, amplitudes=(1.5, 1.0, 0.5, 1.2))
+    library = la.Library(["theta_dot**2", *terms], ["theta"], angles=["theta"])
+    model = la.discover(films, library, GIVEN, measure=CAMERA)
+    assert model.fit.status == "doubtful"
+
+
 def test_without_noise_everything_is_recovered() -> None:
     model = la.discover(filmed(0.0, seconds=4.0), LIBRARY, GIVEN, measure=CAMERA)
     assert model.terms[1].coefficient == pytest.approx(STIFFNESS, rel=1e-4)
@@ -729,31 +738,91 @@ def test_an_accelerometer_with_a_gyroscope_gives_its_place() -> None:
     assert np.all(np.abs(deviations(model, truth)) < 4.0)
 
 
+WIDE, HIGH = 800, 600  # pixels of the picture
+
+
+def seen_by(camera: dict[str, float], angles: np.ndarray) -> np.ndarray:
+    """Pixels of the ends of links in a row, by a plane's homography and Brown's first radial term."""
+    turned = angles + camera["tilt"]
+    lengths = [camera[f"l{k}"] for k in range(1, angles.shape[1] + 1)]
+    across, down = (np.cumsum(lengths * wave(turned), axis=1) for wave in (np.sin, np.cos))
+    rows = np.array(
+        [
+            [1.0, 0.0, camera["x0"]],
+            [camera.get("shear", 0.0), camera.get("stretch", 1.0), camera["y0"]],
+            [camera.get("px", 0.0) / (WIDE / 2), camera.get("py", 0.0) / (WIDE / 2), 1.0],
+        ]
+    )
+    rows[:2, :2] += np.outer([camera["x0"], camera["y0"]], rows[2, :2])
+    places = np.stack([across, down, np.ones_like(down)], axis=-1) @ rows.T
+    middle = np.array([WIDE / 2, HIGH / 2])
+    from_middle = places[..., :2] / places[..., 2:] - middle
+    share = np.sum(from_middle**2, axis=-1, keepdims=True) / (WIDE / 2) ** 2
+    bent = from_middle * (1.0 + camera.get("bend", 0.0) * share)
+    return (bent + middle).reshape(len(angles), -1)
+
+
+FACING = {"x0": 410.0, "y0": 300.0, "l1": 180.0, "l2": 150.0, "tilt": 0.6}
+INCLINED = {"px": 0.3, "py": 0.06, "stretch": 1.04, "shear": -0.03, "bend": -0.1}
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_filmed_double_pendulum_gives_lengths_and_tilt(seed) -> None:
+@pytest.mark.parametrize(
+    ("truth", "options"),
+    [
+        (FACING, {}),
+        (
+            FACING | INCLINED | {"y0": 180.0, "l1": 140.0, "l2": 110.0, "tilt": -0.2},
+            {"picture": (WIDE, HIGH), "perspective": True, "lens": True},
+        ),
+    ],
+    ids=["facing", "inclined, with a lens"],
+)
+def test_a_filmed_double_pendulum_gives_its_law_and_the_camera(seed, truth, options) -> None:
     pendulum = systems.get("chaotic_pendulum")
-    truth = {"x0": 410.0, "y0": 300.0, "l1": 180.0, "l2": 150.0, "tilt": 0.6}
     rng = np.random.default_rng(100 + seed)
     runs = []
     for motion in systems.simulate_truth(pendulum, trials=3, duration=8.0, rate=60.0, seed=seed):
-        seen = motion.q + truth["tilt"]
-        x1, y1 = truth["x0"] + 180.0 * np.sin(seen[:, 0]), truth["y0"] + 180.0 * np.cos(seen[:, 0])
-        exact = np.column_stack([x1, y1, x1 + 150.0 * np.sin(seen[:, 1]), y1 + 150.0 * np.cos(seen[:, 1])])
-        runs.append(
-            la.Trajectory(
-                motion.t, exact + rng.standard_normal(exact.shape), coordinates=["u1", "v1", "u2", "v2"]
-            )
-        )
+        exact = seen_by(truth, motion.q)
+        noisy = exact + rng.standard_normal(exact.shape)
+        runs.append(la.Trajectory(motion.t, noisy, coordinates=["u1", "v1", "u2", "v2"]))
     library = la.Library(list(pendulum.lagrangian), pendulum.coordinates, angles=pendulum.angles)
-    measure = la.measure.camera(pendulum.coordinates, [("u1", "v1"), ("u2", "v2")])
+    measure = la.measure.camera(pendulum.coordinates, [("u1", "v1"), ("u2", "v2")], **options)
     model = la.discover(runs, library, pendulum.known, measure=measure)
     assert model.fit.status == "ok"
     for term in model.terms:
         if not term.known:
             exact = pendulum.lagrangian[term.expression]
             assert abs(term.coefficient - exact) < 4.0 * term.standard_error
+    assert {number.name for number in model.calibration.numbers} == truth.keys()
     assert np.all(np.abs(deviations(model, truth)) < 4.0)
+
+
+def test_a_camera_is_the_projection_of_a_plane() -> None:
+    truth = FACING | INCLINED
+    angles = np.array([[0.3, -0.4], [1.2, 2.0], [-2.5, 0.1]])
+    options = {"picture": (WIDE, HIGH), "perspective": True, "lens": True}
+    texts = la.measure.camera(["a", "b"], [("u1", "v1"), ("u2", "v2")], **options)
+    functions = SensorFunctions.parse(texts, ["a", "b"])
+    states = np.stack([angles, 0.0 * angles, 0.0 * angles])
+    numbers = np.array([truth[name] for name in functions.names])
+    found = functions.values(states, np.zeros(3), numbers)
+    assert np.allclose(found.T, seen_by(truth, angles), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("picture", "reason"),
+    [
+        (None, r"give picture=\(width, height\)"),
+        ((800,), "a width and a height"),
+        ((800, 0), "both positive"),
+        ((800, float("nan")), "both positive"),
+    ],
+)
+def test_a_camera_refuses_a_picture_without_a_size(picture, reason) -> None:
+    with pytest.raises(InputError, match=reason):
+        la.measure.camera(["theta"], [("u", "v")], picture=picture, lens=True)
 
 
 # ---------------------------------------------------------------- linkages

@@ -38,7 +38,7 @@ def differing_trials(search: Search) -> list[Finding]:
     names = data.names
     if not (2 < len(names) <= _MOST_TRIALS and fit.converged and np.isfinite(fit.evidence)):
         return []
-    if search.problem.ranges:  # groups have no shape parameters
+    if search.problem.ranges or search.problem.sensors:  # groups have no numbers beside coefficients
         return []
     search = replace(search, report=silent)
     trials = range(len(names))

@@ -229,18 +229,22 @@ def plausible_sizes(sensors: Sensors) -> np.ndarray:
         if name in ranges:
             out.append(0.5 * (ranges[name][1] - ranges[name][0]))
         elif name in functions.starts:
-            out.append(0.1 * abs(value) or _OTHERS)
+            out.append(0.1 * abs(functions.starts[name]) or _OTHERS)
         else:
             out.append({"offset": float(spread[column]), "factor": _SPREAD * abs(value)}.get(kind, _OTHERS))
     return np.array(out)
 
 
 def _kind(functions: SensorFunctions, name: str) -> tuple[str, int, int]:
-    """Role of a number, the column in which it enters most simply, and the number of factors there."""
+    """Role of a number, the column in which it enters most simply, and the number of factors there.
+
+    Numbers with start values have these: a place in a picture is an offset where the lens bends nothing.
+    """
     symbol = shape_symbol(name)
+    given = {shape_symbol(n): value for n, value in functions.starts.items() if n != name}
     found: list[tuple[str, int, int]] = []
     for c, expr in enumerate(functions.expressions):
-        slope = sp.diff(expr, symbol)
+        slope = sp.diff(expr.subs(given), symbol)
         if slope == 0:
             continue
         states = {s for s in slope.free_symbols if not s.name.startswith("{")}
